@@ -83,7 +83,10 @@ class Case:
 
         ValueError, one line, for a name, a severity or a sensor that isn't possible.
         """
-        chosen = [one if isinstance(one, Experiment) else known_experiment(one) for one in experiments]
+        chosen = [
+            experiment if isinstance(experiment, Experiment) else known_experiment(experiment)
+            for experiment in experiments
+        ]
         fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
         severities = tuple(severity for _, severity, _ in mechanisms)
         return cls(array, tuple(chosen), tuple(fittings), severities, seed, rate_hz, reference)
@@ -112,13 +115,13 @@ class Case:
         folder.mkdir(parents=True, exist_ok=True)
         truth.parent.mkdir(parents=True, exist_ok=True)
         paths: list[Path] = []
-        told: list[dict[str, Any]] = []
+        entries: list[dict[str, Any]] = []
         for experiment in self.experiments:
             for index in range(experiment.logs):
                 path = folder / experiment.file(index)
-                told.append(self._log(path, experiment, index, run=len(paths), force=force))
+                entries.append(self._log(path, experiment, index, run=len(paths), force=force))
                 paths.append(path)
-        write_text(truth, json.dumps(self.truth(told), indent=1) + "\n", force=True)
+        write_text(truth, json.dumps(self.truth(entries), indent=1) + "\n", force=True)
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -174,7 +177,7 @@ class Case:
         if self.reference and experiment.reference_hz:
             begun_ns = bus.clock.now_ns() - round(summary.seconds * 1e9)
             read_reference(path, experiment, begun_ns)
-        touched = {_NAMES[type(one)]: sorted(sensors) for one, sensors in boards[0].touched.items()}
+        touched = {_NAMES[type(mechanism)]: sorted(sensors) for mechanism, sensors in boards[0].touched.items()}
         return {"log": path.name, "run": run, "notes": boards[0].notes, "touched": touched}
 
 
@@ -215,9 +218,9 @@ def read_reference(path: Path, experiment: Experiment, begun_ns: int) -> None:
     felt = [world(begun_ns + at_ns) for at_ns in times.tolist()]
     columns = {
         "time": times,
-        "specific_force": np.array([one.force_box for one in felt]),
-        "angular_rate": np.array([one.rate_box for one in felt]),
-        "temperature": np.array([one.temperature_degc for one in felt]),
+        "specific_force": np.array([stimulus.force_box for stimulus in felt]),
+        "angular_rate": np.array([stimulus.rate_box for stimulus in felt]),
+        "temperature": np.array([stimulus.temperature_degc for stimulus in felt]),
     }
     with h5py.File(path, "r+") as file:
         for name, values in columns.items():

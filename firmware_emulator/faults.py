@@ -93,15 +93,15 @@ def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
 def faults_from(tables: Mapping[str, Any], array: ArrayLike) -> tuple[Fault, ...]:
     """The faults of a parsed file; ValueError as `read_faults`."""
     listed = tables.get("fault", [])
-    if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+    if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(table, dict) for table in listed):
         raise ValueError("faults: allowed are tables [[fault]] only")
-    found = []
+    faults = []
     for number, table in enumerate(listed, 1):
         try:
-            found.append(_fault(table, array))
+            faults.append(_fault(table, array))
         except ValueError as error:
             raise ValueError(f"fault {number}: {error}") from None
-    return tuple(found)
+    return tuple(faults)
 
 
 def _fault(table: Mapping[str, Any], array: ArrayLike) -> Fault:
@@ -164,6 +164,6 @@ def _switch(table: Mapping[str, Any], key: str) -> bool:
 
 
 def _triple(value: Any) -> tuple[float, float, float]:
-    if not (isinstance(value, list) and len(value) == 3 and all(isinstance(one, int | float) for one in value)):
+    if not (isinstance(value, list) and len(value) == 3 and all(isinstance(number, int | float) for number in value)):
         raise ValueError(f"bias = {value!r}; wanted are three numbers")
     return float(value[0]), float(value[1]), float(value[2])

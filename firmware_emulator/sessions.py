@@ -127,7 +127,7 @@ class Room:
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Self:
         """ValueError for what isn't known."""
-        vibrations = [of_table(Vibration, one) for one in table.get("vibrations", ())]
+        vibrations = [of_table(Vibration, entry) for entry in table.get("vibrations", ())]
         return cls(**{**table, "vibrations": tuple(vibrations)})
 
 
@@ -214,16 +214,16 @@ class Course:
             return degc + room.degc
         index = min(bisect_right(self._begin_s, at_s) - 1, len(self.stretches) - 1)
         stretch = self.stretches[index]
-        left = math.exp(-(at_s - self._begin_s[index]) / stretch.constant_s)
-        return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * left
+        remaining = math.exp(-(at_s - self._begin_s[index]) / stretch.constant_s)
+        return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * remaining
 
     def shaken(self, at_s: float, felt: Stimulus) -> Stimulus:
         """With what makes the table vibrate."""
-        for one, phase in zip(self.room.vibrations, self._phases, strict=False):
-            if one.is_on(at_s):
-                wave = math.sin(2 * math.pi * one.hz * at_s + phase)
-                (x, y, z), (a, b, c), (dx, dy, dz) = felt.force_box, felt.rate_box, one.direction
-                push, rock = one.peak_g * STANDARD_GRAVITY * wave, math.radians(one.peak_dps) * wave
+        for vibration, phase in zip(self.room.vibrations, self._phases, strict=False):
+            if vibration.is_on(at_s):
+                wave = math.sin(2 * math.pi * vibration.hz * at_s + phase)
+                (x, y, z), (a, b, c), (dx, dy, dz) = felt.force_box, felt.rate_box, vibration.direction
+                push, rock = vibration.peak_g * STANDARD_GRAVITY * wave, math.radians(vibration.peak_dps) * wave
                 felt = felt._replace(
                     force_box=(x + push * dx, y + push * dy, z + push * dz),
                     rate_box=(a + rock * dy, b + rock * dz, c + rock * dx),
@@ -242,11 +242,11 @@ class Course:
     def _still(self) -> list[Stimulus]:
         axis, angle = turn_to(UPWARDS, self.poses[0].up)
         field = seen_after_turn(FIELD_UPRIGHT, axis, math.cos(angle), math.sin(angle))
-        found = [Stimulus(scaled(self.poses[0].up, STANDARD_GRAVITY), field_box=field)]
+        stimuli = [Stimulus(scaled(self.poses[0].up, STANDARD_GRAVITY), field_box=field)]
         for (axis, angle), pose in zip(self._turns, self.poses[1:], strict=True):
             field = seen_after_turn(field, axis, math.cos(angle), math.sin(angle))
-            found.append(Stimulus(scaled(pose.up, STANDARD_GRAVITY), field_box=field))
-        return found
+            stimuli.append(Stimulus(scaled(pose.up, STANDARD_GRAVITY), field_box=field))
+        return stimuli
 
     @cached_property
     def _begin_s(self) -> list[float]:
@@ -255,9 +255,10 @@ class Course:
     @cached_property
     def _begin_degc(self) -> list[float]:
         reached = [self.room.degc]
-        for one in self.stretches[:-1]:
+        for stretch in self.stretches[:-1]:
             reached.append(
-                one.towards_degc + (reached[-1] - one.towards_degc) * math.exp(-one.seconds / one.constant_s)
+                stretch.towards_degc
+                + (reached[-1] - stretch.towards_degc) * math.exp(-stretch.seconds / stretch.constant_s)
             )
         return reached
 
@@ -288,10 +289,10 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
     ]
     try:
         course = Course(
-            tuple(of_table(Pose, one) for one in table["poses"]),
+            tuple(of_table(Pose, entry) for entry in table["poses"]),
             float(table.get("turn_s", 2.0)),
-            tuple(of_table(Stretch, one) for one in table.get("stretches", ())),
-            tuple(of_table(Motion, one) for one in table.get("motions", ())),
+            tuple(of_table(Stretch, entry) for entry in table.get("stretches", ())),
+            tuple(of_table(Motion, entry) for entry in table.get("motions", ())),
             room,
             seed,
             tuple(phases),
@@ -322,4 +323,4 @@ def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
 
 def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[Experiment, ...]:
     """All of a case, in this order; the room's phases are another's in each."""
-    return tuple(session(one, room, seed * 1000 + run) for run, one in enumerate(table))
+    return tuple(session(entry, room, seed * 1000 + run) for run, entry in enumerate(table))

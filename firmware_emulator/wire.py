@@ -223,7 +223,7 @@ class Wire:
         self._responders = responders
 
     def _reachable(self) -> Responders:
-        found: Responders = {}
+        responders: Responders = {}
         for device in (*self._trunk, *(device for router in self._routers for device in router.branch())):
-            found[device.address] = (*found.get(device.address, ()), device)
-        return found
+            responders[device.address] = (*responders.get(device.address, ()), device)
+        return responders

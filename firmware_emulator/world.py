@@ -192,8 +192,8 @@ class Stretch(NamedTuple):
 
 def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> Stretch:
     """A stretch of heating at whose end exactly `degc` is reached."""
-    left = math.exp(-minutes / constant_min)
-    return Stretch("heat", minutes, (degc - from_degc * left) / (1 - left), constant_min)
+    remaining = math.exp(-minutes / constant_min)
+    return Stretch("heat", minutes, (degc - from_degc * remaining) / (1 - remaining), constant_min)
 
 
 COOLING_MIN = 20.0

@@ -172,8 +172,8 @@ class Converter:
         sx, ox, sy, oy, sz, oz = self._scales
         x, y, z = round(g[0] * sx + ox), round(g[1] * sy + oy), round(g[2] * sz + oz)
         if cycle < self._settling:
-            left = self._decay ** (cycle + 1)
-            x, y, z = (round(new + (old - new) * left) for new, old in zip((x, y, z), self._held, strict=True))
+            residue = self._decay ** (cycle + 1)
+            x, y, z = (round(new + (old - new) * residue) for new, old in zip((x, y, z), self._held, strict=True))
         codes = (
             x if -8192 <= x <= 8191 else 8191 if x > 0 else -8192,
             y if -8192 <= y <= 8191 else 8191 if y > 0 else -8192,

@@ -29,18 +29,18 @@ class CableBitErrors(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """On the bytes as they arrive."""
         random = site.run_random("bits")
-        left = int(random.geometric(self.per_bit))
+        gap = int(random.geometric(self.per_bit))
         begin_ns = round(WHILE_SET_UP_S * 1e9)
 
         def cable(at_ns: int, sent: bytes) -> bytes:
-            nonlocal left
+            nonlocal gap
             if at_ns < begin_ns:
                 return sent
             bits, received = 8 * len(sent), bytearray(sent)
-            while left <= bits:
-                received[(left - 1) // 8] ^= 0x80 >> (left - 1) % 8
-                left += int(random.geometric(self.per_bit))
-            left -= bits
+            while gap <= bits:
+                received[(gap - 1) // 8] ^= 0x80 >> (gap - 1) % 8
+                gap += int(random.geometric(self.per_bit))
+            gap -= bits
             return bytes(received)
 
         site.links.cables.append(cable)

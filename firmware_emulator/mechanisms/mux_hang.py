@@ -60,9 +60,9 @@ def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
     """Readings of the site as they are; whoever they pass for while the switch is astray is `touched`."""
     own = board.sensors[site.name]
     twins = {
-        one.channel: name
-        for name, one in board.sensors.items()
-        if (one.address, one.chip) == (own.address, own.chip) and one.channel is not None
+        config.channel: name
+        for name, config in board.sensors.items()
+        if (config.address, config.chip) == (own.address, own.chip) and config.channel is not None
     }
 
     def passed(at_ns: int, codes: Codes) -> Codes:

@@ -100,8 +100,11 @@ class OutputFilter(SensorMechanism):
                 steps[seconds] = self.step(seconds), self.innovation(seconds)
             (a, b, c, d), (first, across, second) = steps[seconds]
             for axis, (x, speed) in enumerate(unit):
-                one, two = draw(), draw()
-                unit[axis] = a * x + b * speed + first * one, c * x + d * speed + across * one + second * two
+                draws = draw(), draw()
+                unit[axis] = (
+                    a * x + b * speed + first * draws[0],
+                    c * x + d * speed + across * draws[0] + second * draws[1],
+                )
             share = math.sqrt(min(1.0, NOISE_BANDWIDTH * self.cutoff_hz / bandwidth_hz))
             return rms[0] * share * unit[0][0], rms[1] * share * unit[1][0], rms[2] * share * unit[2][0]
 

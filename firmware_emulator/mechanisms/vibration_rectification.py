@@ -42,7 +42,7 @@ class VibrationRectification(SensorMechanism):
             share = seconds / (seconds + self.memory_s)
             away = plus(force, mean, -1.0)
             mean = plus(mean, away, share)
-            square += (sum(one * one for one in away) / STANDARD_GRAVITY**2 - square) * share
+            square += (sum(component * component for component in away) / STANDARD_GRAVITY**2 - square) * share
             return plus(value, direction, factor * square)
 
         site.chain.sensed.append(sensed)

@@ -1,8 +1,8 @@
 """From an array on a bus to a log: connect, poll, record; and look what answers."""
 
-from imuarray.acquire.detect import Found, detect, explore
+from imuarray.acquire.detect import Detection, detect, explore
 from imuarray.acquire.record import record
 from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sensor_routes import SensorRoute, connect
 
-__all__ = ["Found", "RecordingOptions", "SensorRoute", "Summary", "connect", "detect", "explore", "record"]
+__all__ = ["Detection", "RecordingOptions", "SensorRoute", "Summary", "connect", "detect", "explore", "record"]

@@ -113,8 +113,8 @@ class Channel:
         self._mux = bus.mux
         self._order = (pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)).value
         self.twins = [route for route in here if twins_of(route, everywhere)]
-        found = [witness for route in here for witness in witnesses_of(route, everywhere)]
-        self.witnesses = sorted(found, key=lambda witness: not witness.others)[:limit]  # a register tells most
+        witnesses = [witness for route in here for witness in witnesses_of(route, everywhere)]
+        self.witnesses = sorted(witnesses, key=lambda witness: not witness.others)[:limit]  # a register tells most
         self.seen: Witness | None = None
         self.doubted: Witness | None = None
         self._turn = 0
@@ -143,13 +143,13 @@ class Channel:
         try:
             register = setting.register
             block = self._mux.bus.transfer(registers.address, bytes([register.address]), register.readback_bytes)
-            found = block[0] & setting.mask
+            value = block[0] & setting.mask
         except OSError:
             return None
-        if found == setting.value:
+        if value == setting.value:
             self.seen = witness
             return True
-        if found in witness.others:
+        if value in witness.others:
             return False
         self.doubted = witness
         return None if witness.others else True

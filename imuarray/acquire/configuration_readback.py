@@ -99,15 +99,15 @@ class ConfigurationReadback:
             return
         registers = check.buffer.driver.registers
         try:
-            found = registers.read_back(check.setting.register)
+            value = registers.read_back(check.setting.register)
         except OSError:
             return
-        if found & check.setting.mask == check.setting.value:
+        if value & check.setting.mask == check.setting.value:
             check.wrong = 0
             check.good_rows = len(check.buffer.times_ns)
         else:
-            address, wanted = check.setting.register.address, check.setting.into(found)
-            text = f"register {address:#04x} reads {found:#04x}, configured {wanted:#04x}"
+            address, wanted = check.setting.register.address, check.setting.into(value)
+            text = f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}"
             self._wrong(check, "configuration", text)
 
     def _ask(self, check: _Check) -> None:

@@ -33,7 +33,7 @@ MUX = "pca9544a"
 
 
 @dataclass(frozen=True)
-class Found:
+class Detection:
     """One line of `detect`: a place, what the configuration wants there ("" if nothing), what answered, and whether
     that is right.
 
@@ -76,7 +76,7 @@ def owner_of(address: int, bus: OpenBus) -> str:
     return ""
 
 
-def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Found]:
+def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Detection]:
     """Ask for every sensor of `array` (and let it test itself), then look for chips that `array` does not name.
 
     Nothing is sent to an address that a driver of the kernel has, nor through a multiplexer that the kernel switches
@@ -84,69 +84,69 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
     """
     mux = array.mux.address if array.mux else None
     owner = "" if mux is None else owner_of(mux, bus)
-    found = [] if mux is None else [_ask_mux(mux, owner, bus)]
+    detections = [] if mux is None else [_ask_mux(mux, owner, bus)]
     for route in routes_of(array, bus):
         if owner and route.sensor.channel is not None:
             sensor, text = route.sensor, "not asked: the multiplexer before it belongs to the kernel"
-            found.append(Found(sensor.place, sensor.name, sensor.chip, text, False))
+            detections.append(Detection(sensor.place, sensor.name, sensor.chip, text, False))
         else:
-            found.append(_ask(route, self_test))
+            detections.append(_ask(route, self_test))
     taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
     owned = _owned(bus)
     taken |= {(None, line.address) for line in owned if line.address is not None}
     wanted = {mux, *(sensor.address for sensor in array.sensors)}  # of them it is said already
-    found += [line for line in owned if line.address not in wanted]
-    return found if owner else found + _strangers(mux, taken, bus)
+    detections += [line for line in owned if line.address not in wanted]
+    return detections if owner else detections + _strangers(mux, taken, bus)
 
 
-def _owned(bus: OpenBus) -> list[Found]:
+def _owned(bus: OpenBus) -> list[Detection]:
     """Addresses of chips that we know which a driver of the kernel has. That may be an array's, or a clock's on the
     same bus: it is worth knowing, and not wrong.
     """
     known = sorted({*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)})
     owners = {address: owner_of(address, bus) for address in known}
     return [
-        Found(f"trunk address {address:#04x}", "", "", owner, True, address=address, owner=owner)
+        Detection(f"trunk address {address:#04x}", "", "", owner, True, address=address, owner=owner)
         for address, owner in owners.items()
         if owner
     ]
 
 
-def _ask(route: SensorRoute, self_test: bool) -> Found:
+def _ask(route: SensorRoute, self_test: bool) -> Detection:
     """Is it the chip that the configuration says, is it free, and does it pass its self-test?"""
     sensor = route.sensor
     try:
         route.claim()
     except SensorError as error:
         owner = str(error).partition(": ")[2]
-        return Found(sensor.place, sensor.name, sensor.chip, owner, False, owner=owner)
+        return Detection(sensor.place, sensor.name, sensor.chip, owner, False, owner=owner)
     except OSError as error:
-        return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
+        return Detection(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     try:
         route.driver.identify()
         result = route.driver.self_test() if self_test else SelfTest(True, "")
     except SensorError as error:
-        return Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
+        return Detection(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
     except OSError as error:
-        return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
+        return Detection(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     verdict = f"self-test {_VERDICTS[result.passed]}: {result.text}" if self_test else ""
     unknown = result.passed is None
     well = result.passed is not False
-    return Found(sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown)
+    return Detection(sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown)
 
 
-def _ask_mux(address: int, owner: str, bus: OpenBus) -> Found:
+def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
     """Does the multiplexer answer, and is it free?"""
     if owner:
-        return Found(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
+        return Detection(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
     try:
         control = bus.transfer(address, read=1)[0]
-        return Found(f"trunk address {address:#04x}", "mux", MUX, f"{MUX}, control {control:#04x}", True)
+        return Detection(f"trunk address {address:#04x}", "mux", MUX, f"{MUX}, control {control:#04x}", True)
     except OSError as error:
-        return Found(f"trunk address {address:#04x}", "mux", MUX, f"nobody: {error.strerror or error}", False)
+        return Detection(f"trunk address {address:#04x}", "mux", MUX, f"nobody: {error.strerror or error}", False)
 
 
-def explore(bus: OpenBus) -> list[Found]:
+def explore(bus: OpenBus) -> list[Detection]:
     """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet.
 
     An address that a driver of the kernel has is not asked; a line says whose it is.
@@ -154,8 +154,8 @@ def explore(bus: OpenBus) -> list[Found]:
     owned = _owned(bus)
     taken = {line.address for line in owned if line.address is not None}
     mux = _find_mux(bus, taken)
-    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
-    return [*found, *owned, *_strangers(mux, {(None, address) for address in taken}, bus)]
+    detections = [] if mux is None else [Detection(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
+    return [*detections, *owned, *_strangers(mux, {(None, address) for address in taken}, bus)]
 
 
 def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
@@ -184,7 +184,7 @@ def _keeps_control(bus: OpenBus, address: int) -> bool:
     return True
 
 
-def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Found]:
+def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Detection]:
     """Known chips at places, channel and address, that are not `taken`.
 
     The trunk is asked while no channel is connected; what answers there answers on every channel, and is not asked
@@ -195,28 +195,28 @@ def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus:
     with contextlib.suppress(OSError):
         bus.transfer(mux_address, b"\x00")  # no channel: PCA-03
     upstream = {mux_address} | {address for channel, address in taken if channel is None}
-    found = _look(bus, None, upstream)
-    upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(found, address)}
+    detections = _look(bus, None, upstream)
+    upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(detections, address)}
     mux = Pca9544a(bus, mux_address)
     for channel in pca9544a.CHANNELS:
         here = {address for number, address in taken if number == channel}
-        found += _look(mux.channel(channel), channel, upstream | here)
-    return found
+        detections += _look(mux.channel(channel), channel, upstream | here)
+    return detections
 
 
-def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Found]:
+def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Detection]:
     """Chips that answer on one segment at addresses that are not `known`."""
     where = "trunk" if channel is None else f"channel {channel}"
     return [
-        Found(f"{where} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
+        Detection(f"{where} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
         for chip, addresses, register in _IDENTITIES
         for address in addresses
         if address not in known and _answers(segment, address, register)
     ]
 
 
-def _is_found(found: Sequence[Found], address: int) -> bool:
-    return any(line.place.endswith(f" {address:#04x}") for line in found)
+def _is_found(detections: Sequence[Detection], address: int) -> bool:
+    return any(line.place.endswith(f" {address:#04x}") for line in detections)
 
 
 def _answers(segment: Bus, address: int, register: Register) -> bool:

@@ -88,13 +88,13 @@ def permission(machine: Machine, device: str) -> Check:
         return Check("permission", False, f"{device}: {error.strerror}", "look at the folders above it")
     shift = 6 if about.st_uid == machine.user else 3 if about.st_gid in machine.groups else 0
     group = _group(machine, about.st_gid)
-    found = f"{device}: group {group}, mode {about.st_mode & 0o777:04o}"
+    state = f"{device}: group {group}, mode {about.st_mode & 0o777:04o}"
     if machine.user == 0 or about.st_mode >> shift & 0o6 == 0o6:
-        return Check("permission", True, found)
+        return Check("permission", True, state)
     if about.st_mode & 0o060 == 0o060 and about.st_gid:
-        return Check("permission", False, found, f"sudo adduser $USER {group}, then log in again")
+        return Check("permission", False, state, f"sudo adduser $USER {group}, then log in again")
     advice = 'sudo groupadd --system i2c; a udev rule: KERNEL=="i2c-[0-9]*", GROUP="i2c", MODE="0660"'
-    return Check("permission", False, found, advice)
+    return Check("permission", False, state, advice)
 
 
 def _group(machine: Machine, number: int) -> str:
@@ -131,9 +131,9 @@ def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str]
     """
     checks: list[Check] = []
     for device in buses:
-        found = there(machine, device)
-        checks.append(found)
-        if found.ok:
+        check = there(machine, device)
+        checks.append(check)
+        if check.ok:
             checks += [permission(machine, device), *abilities(machine, device)]
             checks += owners(machine, array, device, device == buses[0]) if array else bound(machine, device)
     if checks and checks[0].ok:
@@ -229,8 +229,8 @@ def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: flo
     if array is None:
         return Check("bus clock", True, said)
     most_hz = (clock_hz or DEFAULT_HZ) / frame_clocks(array)
-    found = f"{said}: at most {most_hz:.0f} frames of this array a second"
-    return Check("bus clock", most_hz >= rate_hz or not clock_hz, found, _FASTER)
+    finding = f"{said}: at most {most_hz:.0f} frames of this array a second"
+    return Check("bus clock", most_hz >= rate_hz or not clock_hz, finding, _FASTER)
 
 
 def frame_clocks(array: ArrayConfig) -> int:
@@ -251,8 +251,8 @@ def address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
             parent = machine.path(f"{DEVICES}/i2c-{_number(machine, sensor.bus)}/mux_device")
             if parent.is_symlink() and parent.readlink().name.endswith(f"-{address:04x}"):
                 shared.append(sensor.name)
-    found = f"{', '.join(shared)}: the multiplexer before it has its address"
-    return [Check("address 0x77", False, found, advice)] if shared else []
+    finding = f"{', '.join(shared)}: the multiplexer before it has its address"
+    return [Check("address 0x77", False, finding, advice)] if shared else []
 
 
 NIGHT_S = 12 * 3600.0
@@ -278,8 +278,8 @@ def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: flo
     rows = ((sensor, min(rate_hz, sensor.chip_rate_hz)) for sensor in array.sensors)
     rate = sum(sensor_group(header_of(sensor, {})).row_bytes * row_rate for sensor, row_rate in rows) * _LIVE
     seconds = max(0.0, free - WATERMARK - RESERVE) / rate
-    found = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
-    return Check("disk", seconds >= NIGHT_S, found, advice)
+    finding = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
+    return Check("disk", seconds >= NIGHT_S, finding, advice)
 
 
 def _about(hours: float) -> str:
@@ -298,8 +298,8 @@ def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
             yield Check("journal", True, f"{log.name} is being written")
         else:
             clean = False
-            left = f"{journal.name} is left over: its log was never finished"
-            yield Check("journal", False, left, f"imuarray recover {log}")
+            finding = f"{journal.name} is left over: its log was never finished"
+            yield Check("journal", False, finding, f"imuarray recover {log}")
     for part in sorted(folder.glob(".*.part")):
         process = part.name.split(".")[-2]
         if process.isdigit() and not machine.path(f"/proc/{process}").exists():
@@ -360,8 +360,8 @@ def serial_checks(machine: Machine, device: str) -> list[Check]:
     folder = machine.path("/dev")
     there = sorted(f"/dev/{path.name}" for kind in ("ttyACM*", "ttyUSB*") for path in folder.glob(kind))
     if not device or not machine.path(device).exists():
-        found = f"{device or 'no port named'}; there are {', '.join(there) or 'none'}"
-        return [Check("port", False, found, "plug it in with a cable that carries data; dmesg tells its name")]
+        finding = f"{device or 'no port named'}; there are {', '.join(there) or 'none'}"
+        return [Check("port", False, finding, "plug it in with a cable that carries data; dmesg tells its name")]
     checks = [Check("port", True, device), permission(machine, device)]
     names = (path.read_text(errors="replace").strip() for path in machine.path("/proc").glob("[0-9]*/comm"))
     if "ModemManager" in names:

@@ -55,7 +55,7 @@ class FaultEpisode:
         self._ended_ns: int | None = None
         self._lasts = False
         self._end = ""
-        self._told = False
+        self._reported = False
 
     def happened(self, at_ns: int, message: str, count: int = 1, until_ns: int | None = None) -> None:
         """It happened at `at_ns`, for the first time or again; `count` times until `until_ns`."""
@@ -66,7 +66,7 @@ class FaultEpisode:
             self._tell(at_ns, self.kind, message)
         self.count += count
         self.last_ns = max(self.last_ns, at_ns if until_ns is None else until_ns)
-        self._end, self._told = "", False
+        self._end, self._reported = "", False
 
     @property
     def lasts(self) -> bool:
@@ -78,9 +78,9 @@ class FaultEpisode:
         self.happened(at_ns, message)
         self._lasts = True
 
-    def over(self, at_ns: int, message: str = "", *, told: bool = False) -> None:
-        """It is over now; told at once unless it comes and goes, and not at all if another event has `told` it."""
-        self._lasts, self._told = False, told
+    def over(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
+        """It is over now; told at once unless it comes and goes, and not at all if another event has `reported` it."""
+        self._lasts, self._reported = False, reported
         if self.on:
             self.last_ns, self._end = max(self.last_ns, at_ns), message
             if self._quiet_ns <= QUIET_NS:
@@ -94,13 +94,13 @@ class FaultEpisode:
     def close(self, now_ns: int) -> None:
         """The log ends."""
         if self._lasts:
-            self._lasts, self.last_ns, self._end, self._told = False, now_ns, "still so when the log ended", False
+            self._lasts, self.last_ns, self._end, self._reported = False, now_ns, "still so when the log ended", False
         if self.on:
             self._close()
 
     def _close(self) -> None:
         lasted_ns = self.last_ns - self._since_ns
-        if (self._end or lasted_ns > 0) and not (self._told and self.count == 1):
+        if (self._end or lasted_ns > 0) and not (self._reported and self.count == 1):
             lasted = f"in {lasted_ns * 1e-9:.1f} s"
             text = f"in all {self.count} {self._unit} {lasted}"
             if self._end:

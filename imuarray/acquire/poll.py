@@ -130,8 +130,8 @@ class Poll:
                 behind_ns = self.clock.now_ns() - due_ns
                 if behind_ns > 0:
                     self.summary.late += 1
-                    left = behind_ns if end_ns is None else min(behind_ns, end_ns - due_ns)
-                    due_ns += self.skip(max(left, 0) // period_ns) * period_ns
+                    remaining_ns = behind_ns if end_ns is None else min(behind_ns, end_ns - due_ns)
+                    due_ns += self.skip(max(remaining_ns, 0) // period_ns) * period_ns
                 else:
                     self.wait(due_ns, stopped)
         finally:  # whatever ended it: what was read is vouched for or flagged, and written

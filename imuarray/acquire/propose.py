@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from imuarray.acquire.detect import MUX, Found
+from imuarray.acquire.detect import MUX, Detection
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.drivers import DRIVERS
@@ -44,15 +44,15 @@ _HEAD = """\
 """
 
 
-def tell_apart(found: Sequence[Found], bus: OpenBus) -> list[Found]:
+def tell_apart(detections: Sequence[Detection], bus: OpenBus) -> list[Detection]:
     """What was found, with chips that identify themselves alike named by which of their self-tests they pass; those
     that pass none, or can't be asked often enough, stay as they are. Their settings are lost.
     """
-    mux = next((line.address for line in found if line.found == MUX), None)
-    return [replace(line, found=_passing(line, mux, bus) or line.found) for line in found]
+    mux = next((line.address for line in detections if line.found == MUX), None)
+    return [replace(line, found=_passing(line, mux, bus) or line.found) for line in detections]
 
 
-def _passing(line: Found, mux: int | None, bus: OpenBus) -> str | None:
+def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
     """The chip among those that are alike whose self-test this one passes."""
     if line.address is None:
         return None
@@ -67,15 +67,17 @@ def _passing(line: Found, mux: int | None, bus: OpenBus) -> str | None:
     return None
 
 
-def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
+def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> str:
     """A configuration's text from what `explore` found on a bus; SensorError if there was no chip that we know."""
-    chips = [(_ALIKE.get(line.found, (line.found,))[0], line) for line in found if line.found != MUX and not line.owner]
+    chips = [
+        (_ALIKE.get(line.found, (line.found,))[0], line) for line in detections if line.found != MUX and not line.owner
+    ]
     if not chips:
         advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
         raise SensorError(f"{bus}: no chip answered, nothing to write a configuration of; {advice}")
     text = _HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
     text += "".join(
-        f'mux = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in found if line.found == MUX
+        f'mux = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in detections if line.found == MUX
     )
     counts = Counter(chip for chip, _ in chips)
     numbers: Counter[str] = Counter()
@@ -87,7 +89,7 @@ def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
     return text
 
 
-def _sensor(name: str, chip: str, line: Found, settings: Mapping[str, Any]) -> str:
+def _sensor(name: str, chip: str, line: Detection, settings: Mapping[str, Any]) -> str:
     """One [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     own = "".join(f"{key} = {value}\n" for key, value in settings.items())

@@ -64,8 +64,8 @@ class Recovery:
         self._claim()
         driver.identify()
         if self._look and driver.watched:
-            found = [(setting, driver.registers.read_back(setting.register)) for setting in driver.watched]
-            if all(byte & setting.mask == setting.value for setting, byte in found):
+            settings = [(setting, driver.registers.read_back(setting.register)) for setting in driver.watched]
+            if all(byte & setting.mask == setting.value for setting, byte in settings):
                 self.intact = True
                 return
         self._look = False

@@ -173,7 +173,7 @@ class SensorHealth:
         state.last_row_ns = now_ns
         state.lost.over(now_ns)
         for episode in state.unwell:
-            episode.over(now_ns, told=True)  # by what follows
+            episode.over(now_ns, reported=True)  # by what follows
         state.unwell.clear()
         if recovery.intact:
             state.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
@@ -216,7 +216,7 @@ class SensorHealth:
             state.frozen.begin(now_ns, f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
         else:
             if state.frozen.lasts and buffer.moves:
-                state.frozen.over(now_ns, told=True)  # by the event that it was set up again
+                state.frozen.over(now_ns, reported=True)  # by the event that it was set up again
             return
         buffer.recover(now_ns, look=False)
 

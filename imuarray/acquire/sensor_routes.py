@@ -141,12 +141,12 @@ def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[Sens
 
 def mark_twins(routes: Sequence[SensorRoute]) -> None:
     """Make twins that are configured alike differ in a register on which nothing depends; before they are set up."""
-    alike: dict[int, SensorRoute] = {}
+    ambiguous: dict[int, SensorRoute] = {}
     for route in routes:
         twins = twins_of(route, routes)
         if twins and not witnesses_of(route, routes):
-            alike.update((id(one), one) for one in (route, *twins))
-    for route in alike.values():
+            ambiguous.update((id(twin), twin) for twin in (route, *twins))
+    for route in ambiguous.values():
         route.driver.mark(int(route.segment or 0) + 1)
 
 
@@ -155,7 +155,7 @@ def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[
     them if it has none.
     """
     twins = twins_of(route, everywhere)
-    found = []
+    witnesses = []
     for setting in route.driver.watched:
         theirs = [
             {other.value for other in twin.driver.watched if other.register == setting.register}
@@ -164,5 +164,5 @@ def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[
         ]
         mine = {setting.value, setting.register.reset & setting.mask}
         if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):
-            found.append(Witness(route, setting, frozenset().union(*theirs)))
-    return found
+            witnesses.append(Witness(route, setting, frozenset().union(*theirs)))
+    return witnesses

@@ -7,7 +7,7 @@ What is known of a sensor's states is in its calibration, which is not for this 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy.typing as npt
 
@@ -27,8 +27,20 @@ class Verdict(NamedTuple):
     text: str = ""
 
 
-Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, Verdict]]
-"""From the counts (n, 3) of sensors' first seconds to verdicts by name; no entry for what can't be told."""
+class StartVerdict(Protocol):
+    """A verdict on one sensor, as `Verdict`."""
+
+    @property
+    def fault(self) -> bool:
+        """Whether its readings can't be used."""
+
+    @property
+    def text(self) -> str:
+        """A sentence for the events, or "" if there is nothing to say."""
+
+
+Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
+"""From the counts (n, 3) of the sensors' first seconds to verdicts by name; none for sensors that can't be judged."""
 
 
 class StartUp:
@@ -49,7 +61,7 @@ class StartUp:
         if id(buffer) in self._attempts:
             self._since_ns[id(buffer)] = now_ns
 
-    def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[SampleBuffer, Verdict]]:
+    def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[SampleBuffer, StartVerdict]]:
         """Who came up how, of those whose first seconds are over (or at the end of the log, `last`)."""
         ripe = [
             item
@@ -60,15 +72,15 @@ class StartUp:
         ]
         heard = {item.route.sensor.name: item.counts() for item in ripe if item.times_ns}
         readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
-        said = dict(self._judge(readings)) if readings else {}
+        verdicts = dict(self._judge(readings)) if readings else {}
         for name in heard.keys() - readings.keys():
-            said[name] = Verdict(False, f"not judged: {len(heard[name])} readings of at least {FEWEST_READINGS}")
-        found = [(item, said.get(item.route.sensor.name, Verdict(False))) for item in ripe]
-        for item, verdict in found:
+            verdicts[name] = Verdict(False, f"not judged: {len(heard[name])} readings of at least {FEWEST_READINGS}")
+        judged = [(item, verdicts.get(item.route.sensor.name, Verdict(False))) for item in ripe]
+        for item, verdict in judged:
             del self._since_ns[id(item)]
             if verdict.fault:
                 self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
-        return found
+        return judged
 
     def hopeless(self, buffer: SampleBuffer) -> bool:
         """Whether it was set up often enough."""

@@ -157,22 +157,22 @@ class Streaming:
             self._refused.happened(self._bus.clock.now_ns(), text, count)
         return samples
 
-    def _take(self, came: Mapping[int, Samples]) -> None:
+    def _take(self, samples_by_list: Mapping[int, Samples]) -> None:
         """Put what came where it belongs; frames after the last that is wanted are left out."""
-        if not came:
+        if not samples_by_list:
             return
         self._heard_ns = self._bus.clock.now_ns()
-        self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in came.values()))
+        self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in samples_by_list.values()))
         if self._periods is not None:
-            left = self._periods - self._begun
-            self._newest = min(self._newest, left - 1)
-            came = {number: _until(samples, left) for number, samples in came.items()}
+            remaining = self._periods - self._begun
+            self._newest = min(self._newest, remaining - 1)
+            samples_by_list = {number: _until(samples, remaining) for number, samples in samples_by_list.items()}
         self._count_frames()
         for rows in self._rows:
-            missing, why = rows.take(came, self._bus.fit.rate)
+            missing, why = rows.take(samples_by_list, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
                 self._lost(rows, missing, why or LINK)
-        self._health.look(came, self._bus.fit.rate)
+        self._health.look(samples_by_list, self._bus.fit.rate)
 
     def _lost(self, rows: Rows, count: int, why: str) -> None:
         """Readings of one sensor are missing: `count` that are now known to be, or more and more."""

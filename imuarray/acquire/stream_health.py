@@ -44,13 +44,13 @@ class StreamHealth:
             id(item): [_Check(place) for place in watched if place.route is item.buffer.route] for item in rows
         }
 
-    def look(self, came: Mapping[int, Samples], rate: float) -> None:
+    def look(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
         """Registers that were read back."""
         for rows in self._rows:
             for check in self._checks[id(rows)]:
                 place = check.watched.place
-                if place.number in came:
-                    values = readings_at(place, came[place.number], rate)
+                if place.number in samples_by_list:
+                    values = readings_at(place, samples_by_list[place.number], rate)
                     for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
                         self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
@@ -152,10 +152,10 @@ class StreamHealth:
             for check in self._checks[id(rows)]:
                 setting, registers = check.watched.setting, rows.buffer.driver.registers
                 try:
-                    found = [registers.read_back(setting.register) for _ in range(2)]
+                    values = [registers.read_back(setting.register) for _ in range(2)]
                 except OSError:
                     continue
-                if any(value & setting.mask == setting.value for value in found):
+                if any(value & setting.mask == setting.value for value in values):
                     check.good_rows = waiting
             first = self._vouched(rows)
             frozen = rows.buffer.frozen_since()

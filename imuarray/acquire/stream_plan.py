@@ -232,9 +232,9 @@ class Rows:
         last = self.places[-1]
         return max(0, (number - last.offset) // last.every - (self._last - last.offset) // last.every)
 
-    def take(self, came: Mapping[int, Samples], rate: float) -> tuple[int, str]:
+    def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
         """Add the readings among what came; how many are missing before the last of them, and why the last of those."""
-        readings = self._whole(came, rate)
+        readings = self._whole(samples_by_list, rate)
         count = len(readings.numbers)
         if count == 0:
             return 0, readings.failure
@@ -244,22 +244,22 @@ class Rows:
         self._last = int(readings.numbers[-1])
         return int(gaps.sum()), readings.failure
 
-    def _whole(self, came: Mapping[int, Samples], rate: float) -> Readings:
+    def _whole(self, samples_by_list: Mapping[int, Samples], rate: float) -> Readings:
         """Readings all of whose visits arrived; one that takes several is timed by its last."""
         last = self.places[-1]
         failure = ""
         for place in self.places[:-1]:
-            if place.start == place.stop or place.number not in came:
+            if place.start == place.stop or place.number not in samples_by_list:
                 continue
-            earlier = readings_at(place, came[place.number], rate)
+            earlier = readings_at(place, samples_by_list[place.number], rate)
             failure = earlier.failure or failure
             shift = last.offset - place.offset
             self._parts.update(zip((earlier.numbers + shift).tolist(), earlier.parts, strict=True))
             for number in sorted(self._parts)[:-_KEPT]:  # whose last visit never came
                 del self._parts[number]
-        if last.number not in came:
+        if last.number not in samples_by_list:
             return Readings(_NONE, _NONE, np.empty((0, 0), np.uint8), failure)
-        readings = readings_at(last, came[last.number], rate)
+        readings = readings_at(last, samples_by_list[last.number], rate)
         failure = readings.failure or failure
         if all(place.start == place.stop for place in self.places[:-1]):
             return readings._replace(failure=failure)

@@ -159,12 +159,12 @@ class ReplayBus:
 
     def finished(self) -> None:
         """SensorError if part of the transcript was never asked for."""
-        left = 0
+        remaining = 0
         while self._next is not None:
-            left += not self._next or "words" in self._next
+            remaining += not self._next or "words" in self._next
             self._next = self._read()
-        if left:
-            raise SensorError(f"{self.path}: {left} recorded transactions were not repeated")
+        if remaining:
+            raise SensorError(f"{self.path}: {remaining} recorded transactions were not repeated")
 
     def __enter__(self) -> Self:
         return self
@@ -188,27 +188,27 @@ class _ReplayedChannel:
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:
     """A line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for what is none."""
     at_ns = _time(line.get("at_ns", 0))
-    found = {
+    call = {
         "end_ns": _time(line.get("end_ns", at_ns)),
-        "seen_ns": [at_ns - _time(one) for one in line.get("seen", [])],
+        "seen_ns": [at_ns - _time(stamp) for stamp in line.get("seen", [])],
     }
     if "stopped" in line:
-        return found | {"stopped": _time(line["stopped"])}
+        return call | {"stopped": _time(line["stopped"])}
     if "seen" in line and "to" not in line and "claim" not in line:
-        return found
+        return call
     path, number = line.get("bus", ""), int(line.get("errno", 0))
     if "error" in line:
-        found["error"] = printable(str(line["error"]))
+        call["error"] = printable(str(line["error"]))
     if not isinstance(path, str) or not 0 <= number <= _MOST_ERRNO:
         raise ValueError(line)
-    found["errno"] = number
+    call["errno"] = number
     if "claim" in line:
         words = _claimed(path, int(line["claim"], 16))
-        return found | {"claim": True, "words": words}
+        return call | {"claim": True, "words": words}
     answer = bytes.fromhex(line.get("read", ""))
     count = int(line.get("count", len(answer)))
     words = _words(path, int(line["to"], 16), bytes.fromhex(line["write"]), count)
-    return found | {"words": words, "read": answer}
+    return call | {"words": words, "read": answer}
 
 
 def _time(value: Any) -> int:

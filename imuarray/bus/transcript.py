@@ -53,7 +53,7 @@ class _Notes:
 
     def take(self, at_ns: int) -> list[int]:
         """How long before `at_ns` it looked; nothing if a clock that stands still would have shown the same."""
-        seen = [at_ns - one for one in self._seen] if self._moved else []
+        seen = [at_ns - stamp for stamp in self._seen] if self._moved else []
         self._seen, self._moved = [], False
         return seen
 
@@ -165,15 +165,15 @@ class RecordingBus:
         """`stopped`; when it first says so is written down."""
         inner = getattr(self.bus, "stopping", None)
         stopped = inner(stopped) if inner else stopped
-        told = False
+        is_noted = False
 
         def asked() -> bool:
-            nonlocal told
+            nonlocal is_noted
             self._asked += 1
-            if not told and stopped():
-                told = True
+            if not is_noted and stopped():
+                is_noted = True
                 self._write({"stopped": self._asked, "at_ns": self.bus.clock.now_ns()})
-            return told
+            return is_noted
 
         return asked
 

@@ -167,17 +167,18 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     imuarray calibrate axes poses.h5 -o array.toml --force
     """
     from imuarray.atomic import write_text
+    from imuarray.calibrate.configuration_axes import with_axes
     from imuarray.calibrate.pointing import find_pointing, held_poses
-    from imuarray.commands.calibrate_axes import print_report, report_of, with_axes
+    from imuarray.commands.calibrate_axes import print_report, report_of
     from imuarray.log import open_log
 
     refuse_existing(output, force, source=run)
     with open_log(run) as log:
         if not log.config:
             raise click.UsageError(f"{run}: no configuration in this log, nothing to write the axes into")
-        found = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
-        text = with_axes(log.config, found, str(run))
-        report = report_of(found, {name: sensor.axes for name, sensor in log.sensors.items()})
+        pointings = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
+        text = with_axes(log.config, pointings, str(run))
+        report = report_of(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
     _tell({**report, "configuration": str(output)}, print_report, output, as_json)
 

@@ -18,13 +18,13 @@ _MOST = 40
 _UNITS = {"g": (1e3, "mg"), "dps": (1.0, "dps"), "g/degC": (1e3, "mg/degC"), "gauss": (1e3, "mgauss")}
 
 
-def report_of(found: CalibrationComparison) -> dict[str, Any]:
+def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
     """Everything, JSON-ready."""
     return {
-        "calibrations": list(found.names),
-        "changes": [{**asdict(change), "changed": change.changed} for change in found.changes],
-        "common": [asdict(each) for each in found.common],
-        "opposed": [asdict(each) for each in found.opposed],
+        "calibrations": list(comparison.names),
+        "changes": [{**asdict(change), "changed": change.changed} for change in comparison.changes],
+        "common": [asdict(each) for each in comparison.common],
+        "opposed": [asdict(each) for each in comparison.opposed],
     }
 
 
@@ -66,10 +66,10 @@ def _print_changes(changes: list[dict[str, Any]]) -> None:
     for row in changed[:_MOST]:
         factor, unit = _in_words(row["unit"])
         values = dict(zip(row["calibrations"], row["values"], strict=True))
-        one, other = (factor * values[row[end]] for end in ("first", "last"))
+        first, last = (factor * values[row[end]] for end in ("first", "last"))
         click.echo(
             printable(
-                f"{row['sensor'] + ' ' + row['axis']:14} {row['figure']:14} {one:12.4f} {other:12.4f}"
+                f"{row['sensor'] + ' ' + row['axis']:14} {row['figure']:14} {first:12.4f} {last:12.4f}"
                 f" {factor * row['difference']:+12.4f} {unit:7} {row['sigmas']:6.1f} {row['p_value']:8.2g}"
                 f"   {row['first'] + 1} to {row['last'] + 1}"
             )

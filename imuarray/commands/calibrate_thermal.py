@@ -92,8 +92,8 @@ def _curvature(row: dict[str, Any], index: int) -> str:
     if row.get("quadratic_sem_lsb_per_degc2") is None:
         return f"{'-':>11} {'':>8}"
     curvature = row.get("quadratic_lsb_per_degc2") or [0.0] * 3
-    told = f"{curvature[index]:.5f}" if curvature[index] else "[0]"
-    return f"{told:>11} {row['quadratic_sem_lsb_per_degc2'][index]:8.5f}"
+    cell = f"{curvature[index]:.5f}" if curvature[index] else "[0]"
+    return f"{cell:>11} {row['quadratic_sem_lsb_per_degc2'][index]:8.5f}"
 
 
 def _scale(row: dict[str, Any], index: int) -> str:

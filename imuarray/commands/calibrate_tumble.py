@@ -156,10 +156,10 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
             click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
         axes = ", ".join(turns["untold"])
-        told = f"; rates about box {axes} within the data sheet's tolerance only: turns about box {axes} are wanted"
+        missing = f"; rates about box {axes} within the data sheet's tolerance only: turns about box {axes} are wanted"
         click.echo(
             f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
-            f"{told if turns['untold'] else ''}"
+            f"{missing if turns['untold'] else ''}"
         )
         for each in turns["left_out"]:
             click.echo(printable(f"{'':14} left out: {each['phase']}: {each['reason']}"))

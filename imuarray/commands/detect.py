@@ -14,9 +14,8 @@ from imuarray.commands.options import bus_option, find_config, force_option, jso
 from imuarray.printable import printable
 
 if TYPE_CHECKING:
-    from imuarray.acquire import Found
+    from imuarray.acquire import Detection
     from imuarray.acquire.doctor import Check
-    from imuarray.array import ArrayConfig
 
 _USUAL_RATE_HZ = 50.0
 """Frames a second of `imuarray log`, if nothing else is said."""
@@ -63,11 +62,6 @@ def command(
     its self-test; 1 if a self-test could not be determined; with --doctor 1 if anything is not well (it needs no
     CONFIG; with one it looks at each sensor, too).
     """
-    from imuarray.acquire import detect, explore
-    from imuarray.acquire.propose import tell_apart
-    from imuarray.array import load_array
-    from imuarray.bus import open_bus
-
     if config is None and (self_test or (bus_url is None and not doctor)):
         raise click.UsageError(
             "say what to look for (CONFIG), or where to look (--bus URL); --self-test wants a CONFIG"
@@ -80,71 +74,116 @@ def command(
         if config is not None:
             raise click.UsageError("-o writes what answers on --bus, whatever a CONFIG says: leave CONFIG out")
         refuse_existing(output, force)
-    array = load_array(find_config(config or Path("martin2013")))
-    url = bus_url or array.bus
     if doctor:
-        return _doctor(array, config is not None, bus_url or (array.bus if config else None) or "", logs, as_json)
+        return _doctor(config, bus_url, logs or Path(), as_json)
+    if config is None:
+        return _explore(bus_url or "", output, force, as_json)
+    return _verify(config, bus_url, self_test, as_json)
+
+
+def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -> int:
+    """Report whether the sensors of CONFIG answer, and what else does."""
+    from imuarray.acquire import detect
+    from imuarray.array import load_array
+    from imuarray.bus import open_bus
+
+    array = load_array(find_config(config))
+    url = bus_url or array.bus
     if url is None:
         url = "emulated:"
         click.echo(f"imuarray: {config}: no bus is named: asking the emulated array, no hardware", err=True)
     with open_bus(url, array) as bus:
-        found = explore(bus) if config is None else detect(array, bus, self_test=self_test)
-        if output is not None:
-            found = tell_apart(found, bus)
-        source = bus.source
-    if output is not None:
-        _write(found, url, output, force)
-    name = array.name if config else None
-    wrong = [line for line in found if not line.ok]
-    unknown = [line for line in found if line.undetermined]
+        detections, source = detect(array, bus, self_test=self_test), bus.source
+    wrong = sum(not detection.ok for detection in detections)
+    unknown = sum(detection.undetermined for detection in detections)
     exit_code = 2 if wrong else 1 if unknown else 0
     if as_json:
-        lines = [asdict(line) for line in found]
-        print_json({"array": name, "source": source, "found": lines, "ok": not wrong and not unknown})
+        _print_json(array.name, source, detections)
         return exit_code
-    note = " (emulated, no hardware)" if source == "emulated" else ""
-    click.echo(f"{name or 'chips'} on {url}{note}")
-    for line in found:
-        mark = "ok " if line.ok and line.expected and not line.undetermined else "?  " if line.ok else "NO "
-        mark = mark if name else "   "
-        wanted = f"{line.sensor} ({line.expected})" if line.expected else "not in the configuration" if name else ""
-        told = [text for text in (line.found, line.self_test) if text not in ("", line.expected)]
-        click.echo(f"  {mark} {line.place:24} {wanted:28} {'; '.join(told)}".rstrip())
+    _print_head(array.name, url, source)
+    for detection in detections:
+        certain = detection.ok and detection.expected and not detection.undetermined
+        mark = "ok " if certain else "?  " if detection.ok else "NO "
+        wanted = f"{detection.sensor} ({detection.expected})" if detection.expected else "not in the configuration"
+        _print_row(mark, wanted, detection)
+    expected = sum(bool(detection.expected) for detection in detections)
+    more = f", {unknown} undetermined" if unknown else ""
+    click.echo(f"{expected - wrong - unknown} as configured, {wrong} not{more}")
+    return exit_code
+
+
+def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
+    """Report which chips answer on a bus that no configuration describes; write a configuration of them to `output`."""
+    from imuarray.acquire import explore
+    from imuarray.acquire.propose import tell_apart
+    from imuarray.array import load_array
+    from imuarray.bus import open_bus
+
+    array = load_array(find_config(Path("martin2013")))  # that of an emulated bus
+    with open_bus(url, array) as bus:
+        detections = explore(bus)
+        if output is not None:
+            detections = tell_apart(detections, bus)
+        source = bus.source
+    if output is not None:
+        _write(detections, url, output, force)
+    if as_json:
+        _print_json(None, source, detections)
+        return 0
+    _print_head("chips", url, source)
+    for detection in detections:
+        _print_row("   ", "", detection)
     if output is not None:
         click.echo(
             f"wrote {output}; next: hold the box with Z, X and Y up while `imuarray log {output} -o poses.h5` runs,"
         )
         click.echo(f"then `imuarray calibrate axes poses.h5 -o {output} --force`")
-    if name:
-        expected = sum(bool(line.expected) for line in found)
-        more = f", {len(unknown)} undetermined" if unknown else ""
-        click.echo(f"{expected - len(wrong) - len(unknown)} as configured, {len(wrong)} not{more}")
-    return exit_code
+    return 0
 
 
-def _write(found: Sequence[Found], url: str, output: Path, force: bool) -> None:
-    """A configuration of what was found."""
+def _print_json(name: str | None, source: str, detections: Sequence[Detection]) -> None:
+    ok = all(detection.ok and not detection.undetermined for detection in detections)
+    print_json({"array": name, "source": source, "found": [asdict(each) for each in detections], "ok": ok})
+
+
+def _print_head(name: str, url: str, source: str) -> None:
+    click.echo(f"{name} on {url}{' (emulated, no hardware)' if source == 'emulated' else ''}")
+
+
+def _print_row(mark: str, wanted: str, detection: Detection) -> None:
+    parts = [text for text in (detection.found, detection.self_test) if text not in ("", detection.expected)]
+    click.echo(f"  {mark} {detection.place:24} {wanted:28} {'; '.join(parts)}".rstrip())
+
+
+def _write(detections: Sequence[Detection], url: str, output: Path, force: bool) -> None:
+    """Write a configuration of the chips that answered."""
     from imuarray.acquire.propose import propose
     from imuarray.array import parse_array
     from imuarray.atomic import write_text
 
-    text = propose(found, url, output.stem)
+    text = propose(detections, url, output.stem)
     parse_array(text, str(output))
     write_text(output, text, force=force)
 
 
-def _doctor(array: ArrayConfig, is_meant: bool, url: str, logs: Path | None, as_json: bool) -> int:
-    """Every check, without a CONFIG (`array` is not meant) those that need none; 0 if all is well, 1 otherwise."""
+def _doctor(config: Path | None, bus_url: str | None, logs: Path, as_json: bool) -> int:
+    """Report every check, without a CONFIG those that need none; 0 if all is well, 1 otherwise."""
     from imuarray.acquire import detect, explore
     from imuarray.acquire.doctor import examine
+    from imuarray.array import load_array
     from imuarray.bus import open_bus
+
+    is_meant = config is not None
+    array = load_array(find_config(config or Path("martin2013")))
+    url = bus_url or (array.bus if is_meant else None) or ""
 
     def talk() -> list[Check]:
         with open_bus(url, array) as bus:
-            found = [line for line in detect(array, bus) if line.expected] if is_meant else explore(bus)
-        return _answers(found) if is_meant else [_chips(found)]
+            if is_meant:
+                return _sensor_checks([line for line in detect(array, bus) if line.expected])
+            return [_chip_check(explore(bus))]
 
-    checks = examine(array if is_meant else None, url, logs or Path(), _USUAL_RATE_HZ, talk=talk)
+    checks = examine(array if is_meant else None, url, logs, _USUAL_RATE_HZ, talk=talk)
     well = all(check.ok for check in checks)
     if as_json:
         print_json(
@@ -162,23 +201,23 @@ def _doctor(array: ArrayConfig, is_meant: bool, url: str, logs: Path | None, as_
     return 0 if well else 1
 
 
-def _answers(found: Sequence[Found]) -> list[Check]:
+def _sensor_checks(detections: Sequence[Detection]) -> list[Check]:
     """Sensors of a CONFIG that are not what answers, or one line for all."""
     from imuarray.acquire.doctor import Check
 
     silent = [
         Check("sensor", False, f"{line.sensor} ({line.expected}) at {line.place}: {line.found}", _SENSOR_ADVICE)
-        for line in found
+        for line in detections
         if not line.ok
     ]
-    return silent or [Check("sensors", True, f"all {len(found)} answer")]
+    return silent or [Check("sensors", True, f"all {len(detections)} answer")]
 
 
-def _chips(found: Sequence[Found]) -> Check:
+def _chip_check(detections: Sequence[Detection]) -> Check:
     """Whatever answers, without a CONFIG."""
     from imuarray.acquire.doctor import Check
 
-    if not found:
+    if not detections:
         return Check("chips", False, "no chip that we know answers", "look at supply, wires and address pins")
-    counts = Counter(line.found for line in found)
-    return Check("chips", True, f"{len(found)} answer: " + ", ".join(f"{n} {chip}" for chip, n in counts.items()))
+    counts = Counter(line.found for line in detections)
+    return Check("chips", True, f"{len(detections)} answer: " + ", ".join(f"{n} {chip}" for chip, n in counts.items()))

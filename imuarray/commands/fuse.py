@@ -9,13 +9,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from imuarray.commands.fuse_inputs import (
-    followed_by_temperature,
-    in_states_of,
-    temperature_lines,
-    with_noise,
-    without_calibration,
-)
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
@@ -101,6 +94,7 @@ def command(
     imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
     """
     from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.fuse.inputs import prepare_inputs
     from imuarray.log import open_log
 
     if output is not None:
@@ -109,18 +103,23 @@ def command(
         raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(calibration_file) if calibration_file else Calibration()
     with open_log(run) as log:
-        names = [log[name].name for name in only.split(",")] if only else []
-        uncalibrated = without_calibration(log, calibration, names, calibration_file)
-        calibration, starts, names = in_states_of(log, calibration, names)
-        thermal = followed_by_temperature(log, calibration, names)
-        calibration = with_noise(log, calibration, None if evaluate else technique, names)
+        inputs = prepare_inputs(
+            log,
+            calibration,
+            technique=None if evaluate else technique,
+            only=[log[name].name for name in only.split(",")] if only else (),
+            calibration_file=str(calibration_file or ""),
+        )
+        for remark in inputs.remarks:
+            click.echo(f"imuarray: {remark}", err=True)
+        calibration, names = inputs.calibration, list(inputs.only)
         work = _Work(log, calibration, technique, names, causal, watch)
         report: dict[str, Any] = {
             "technique": technique,
-            "uncalibrated": uncalibrated,
-            "start_up": starts,
-            "thermal": thermal,
-            "temperature": temperature_lines(log, calibration, names),
+            "uncalibrated": list(inputs.uncalibrated),
+            "start_up": list(inputs.start_up),
+            "thermal": list(inputs.thermal),
+            "temperature": list(inputs.temperature),
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
         }
@@ -242,11 +241,11 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
     """What the technique treats otherwise than the average does, of both quantities."""
     from imuarray.fuse import axes_of, changes
 
-    found = []
+    sentences = []
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
-        found += changes(technique, axes_of(sensors, calibration)) if sensors else []
-    return found
+        sentences += changes(technique, axes_of(sensors, calibration)) if sensors else []
+    return sentences
 
 
 class _Errors:
@@ -318,7 +317,7 @@ def _error(error: Error) -> dict[str, Any]:
     }
 
 
-def _print(report: dict[str, Any], told: FusionNotes | None) -> None:
+def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
     technique = report["technique"]
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
@@ -332,7 +331,7 @@ def _print(report: dict[str, Any], told: FusionNotes | None) -> None:
         click.echo(f"  {sentence}")
     if "fused" in report:
         _print_results(report)
-    for sentence in told_sentences(told) if told else ():
+    for sentence in told_sentences(notes) if notes else ():
         click.echo(f"  {sentence}")
     if "evaluation" in report:
         from imuarray.commands.fuse_evaluate import print_report

@@ -28,15 +28,15 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
     from imuarray.fuse import compare
 
     with progress(_STEPS, "techniques") as done:
-        found = compare(log, calibration, only=names, progress=lambda share: done(int(share * _STEPS)))
-    return report_of(found)
+        comparison = compare(log, calibration, only=names, progress=lambda share: done(int(share * _STEPS)))
+    return report_of(comparison)
 
 
-def report_of(found: Comparison) -> dict[str, Any]:
+def report_of(comparison: Comparison) -> dict[str, Any]:
     """Everything, JSON-ready, SI but for headings in degrees."""
     return {
-        "scores": [_score(score) for score in found.scores],
-        "coasting": {technique: _coasting(coast) for technique, coast in found.coasting.items()},
+        "scores": [_score(score) for score in comparison.scores],
+        "coasting": {technique: _coasting(coast) for technique, coast in comparison.coasting.items()},
     }
 
 

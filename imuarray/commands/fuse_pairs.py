@@ -27,11 +27,11 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
     from imuarray.characterise.result import json_ready
     from imuarray.fuse.techniques.opposed import capabilities
 
-    found = []
+    pairs = []
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
-        found += [{"quantity": quantity, **json_ready(asdict(pair))} for pair in capabilities(sensors, calibration)]
-    return found
+        pairs += [{"quantity": quantity, **json_ready(asdict(pair))} for pair in capabilities(sensors, calibration)]
+    return pairs
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:

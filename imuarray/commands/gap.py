@@ -110,7 +110,7 @@ def diagnose(
         prepare_folder(output, FILES, force)
     with ended_by_signals(), Steps() as steps:
         steps.begin("opening the logs")
-        found = diagnose_logs(
+        diagnosis = diagnose_logs(
             logs,
             model=_model(model_name),
             only=_names(only),
@@ -123,8 +123,8 @@ def diagnose(
             bar=steps.bar,
         )
     if output is not None:
-        _write(output, found)
-    _say(found, as_json)
+        _write(output, diagnosis)
+    _say(diagnosis, as_json)
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ def _model(name: str | None) -> Model | None:
     return None if name is None else load_model(find_model(Path(name)))
 
 
-def _write(folder: Path, found: Diagnosis) -> None:
+def _write(folder: Path, diagnosis: Diagnosis) -> None:
     """The numbers, the repaired model, and the page with as much as the optional packages allow."""
     import json
 
@@ -145,21 +145,21 @@ def _write(folder: Path, found: Diagnosis) -> None:
     from imuarray.report.gap_page import write_gap_page
 
     numbers, model, page = (folder / name for name in FILES)
-    write_text(numbers, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", force=True)
-    if found.repaired is not None:
-        write_text(model, found.repaired.to_toml(), force=True)
+    write_text(numbers, json.dumps(diagnosis.as_json(), indent=1, allow_nan=False) + "\n", force=True)
+    if diagnosis.repaired is not None:
+        write_text(model, diagnosis.repaired.to_toml(), force=True)
     try:
-        write_gap_page(page, found, force=True)
+        write_gap_page(page, diagnosis, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: gap.json and repaired.toml only; the page: {error}", err=True)
         return
     click.echo(f"{folder}: report.html, gap.json, repaired.toml written", err=True)
 
 
-def _say(found: Diagnosis, as_json: bool) -> None:
+def _say(diagnosis: Diagnosis, as_json: bool) -> None:
     from imuarray.gap.findings.text import text_of
 
     if as_json:
-        print_json(found.as_json())
+        print_json(diagnosis.as_json())
     else:
-        click.echo(text_of(found), nl=False)
+        click.echo(text_of(diagnosis), nl=False)

@@ -74,8 +74,8 @@ def command(
     size = source.stat().st_size if source.is_file() else 0
     with progress(size, str(source)) as done:
         if map_path is not None:
-            found = find_map(map_path)
-            summary = import_table(source, found, output, force=force, progress=done, up=up or "")
+            map_file = find_map(map_path)
+            summary = import_table(source, map_file, output, force=force, progress=done, up=up or "")
         else:
             summary = (ours or importer(format_name or ""))(source, output, force=force, progress=done)
     _tell(summary, output, as_json)
@@ -135,7 +135,7 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
     )
     for kind, count in summary.events.items():
         click.echo(f"  {kind}: {count} (see events: imuarray info {output})")
-    for mark, told in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):
-        for text in told:
+    for mark, sentences in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):
+        for text in sentences:
             for line in textwrap.wrap(printable(text), _WIDTH, initial_indent=f"  {mark} ", subsequent_indent="    "):
                 click.echo(line)

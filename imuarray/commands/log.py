@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
-    from imuarray.commands.log_fusion import LiveFusion
-    from imuarray.commands.start_up import StartUpJudge
+    from imuarray.calibrate.start_up_judge import StartUpJudge
+    from imuarray.fuse.live_fusion import LiveFusion
 
 
 @click.command("log")
@@ -92,28 +93,7 @@ if TYPE_CHECKING:
 )
 @force_option
 @json_option
-def command(
-    config: Path,
-    bus_url: str | None,
-    output: Path,
-    seconds: float | None,
-    rate_hz: float,
-    phase: str,
-    up: str | None,
-    transcript: Path | None,
-    only: str | None,
-    calibration: Path | None,
-    fuse: bool,
-    technique: str | None,
-    fused_file: Path | None,
-    watch: bool | None,
-    rotate_s: float | None,
-    monitor: bool,
-    monitor_port: int | None,
-    monitor_host: str | None,
-    force: bool,
-    as_json: bool,
-) -> int:
+def command(**options: Any) -> int:
     """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
 
     What happens to a sensor meanwhile is told on standard error. Over ssh start it by the service, tmux or nohup: a
@@ -126,125 +106,173 @@ def command(
     imuarray log array.toml -o run.h5 --phase z_up --seconds 60
     imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
     """
-    from imuarray.acquire import record
-    from imuarray.commands.interruptible import Interruptible
-    from imuarray.commands.log_page import page_beside
-    from imuarray.commands.log_screen import Screen
-    from imuarray.commands.log_summary import tell
-    from imuarray.log.rotate import part_of
+    return _record(LogOptions(**options))
 
-    if up and not phase:
-        raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
-    array, url = _array_and_bus(config, bus_url, only)
-    first = output if rotate_s is None else part_of(output, 1)
-    refuse_existing(first, force)
-    if output.suffix not in (".h5", ".hdf5"):
-        raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
-    _refuse_without("--fuse", fuse, {"--technique": technique, "--fused": fused_file, "--watch": watch})
-    _refuse_without("--monitor", monitor, {"--monitor-host": monitor_host, "--monitor-port": monitor_port})
-    judge = _judge(array, calibration, only_if_it_can=fuse) if calibration else None
-    options = {"rate_hz": rate_hz, "watch": watch, "rotate_s": rotate_s, "force": force}
-    fusion = _fusion(output, fused_file, calibration, technique or "mean", judge, options) if fuse else None
-    heard: dict[str, Any] = {}
+
+@dataclass(frozen=True)
+class LogOptions:
+    """The options of `imuarray log`, as they were given."""
+
+    config: Path
+    bus_url: str | None
+    output: Path
+    seconds: float | None
+    rate_hz: float
+    phase: str
+    up: str | None
+    transcript: Path | None
+    only: str | None
+    calibration: Path | None
+    fuse: bool
+    technique: str | None
+    fused_file: Path | None
+    watch: bool | None
+    rotate_s: float | None
+    monitor: bool
+    monitor_port: int | None
+    monitor_host: str | None
+    force: bool
+    as_json: bool
+
+    @property
+    def first(self) -> Path:
+        """The first log that is written."""
+        from imuarray.log.rotate import part_of
+
+        return self.output if self.rotate_s is None else part_of(self.output, 1)
+
+    def check(self) -> None:
+        """Refuse options that contradict each other, and an output that can't be written."""
+        if self.up and not self.phase:
+            raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
+        refuse_existing(self.first, self.force)
+        if self.output.suffix not in (".h5", ".hdf5"):
+            raise click.UsageError(f"{self.output}: a log is an HDF5 file; name it {self.output.name}.h5")
+        fusion = {"--technique": self.technique, "--fused": self.fused_file, "--watch": self.watch}
+        _refuse_without("--fuse", self.fuse, fusion)
+        page = {"--monitor-host": self.monitor_host, "--monitor-port": self.monitor_port}
+        _refuse_without("--monitor", self.monitor, page)
+
+
+def _record(options: LogOptions) -> int:
+    """Record; the exit code."""
+    from imuarray.acquire import RecordingOptions, record
+    from imuarray.commands.interruptible import Interruptible
+    from imuarray.commands.log_page import serve_page
+    from imuarray.commands.log_screen import Screen
+    from imuarray.commands.log_summary import print_summary
+
+    options.check()
+    array, url = _array_and_bus(options)
+    judge = _judge(options, array)
+    fusion = _fusion(options, judge) if options.fuse else None
+    listeners: dict[str, Any] = {}
     with ExitStack() as stack:
-        bus, recorder = _connected(stack, url, array, transcript, force)
+        bus, recorder = _connect(stack, options, url, array)
         stop = stack.enter_context(Interruptible())
-        more = fusion.status if fusion else str
-        screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds, more)))
-        if monitor:  # the page follows parts from the first one on
-            beside = {"calibration": calibration, "result": fused_file}
-            page = page_beside(first, host=monitor_host, port=monitor_port, tell=screen.remark, **beside)
-            stack.enter_context(page)
+        status = fusion.status if fusion else str
+        screen = stack.enter_context(closing(Screen(str(options.output), options.rate_hz, options.seconds, status)))
+        if options.monitor:  # the page follows parts from the first one on
+            stack.enter_context(serve_page(options.first, _page_arguments(options), screen.remark))
         if fusion:
             fusion.tell = screen.remark
             stack.enter_context(closing(fusion))
-            heard = {"begun": fusion.begun, "started": fusion.started, "observe": fusion.observe}
-        summary = record(
-            array,
-            bus,
-            output,
-            rate_hz=rate_hz,
-            seconds=seconds,
-            phases=() if phase else getattr(bus, "phases", ()),
-            phase=phase,
-            up=up or face_up(phase),
-            rotate_s=rotate_s,
+            listeners = {"begun": fusion.begin, "started": fusion.set_start, "observe": fusion.observe}
+        recording = RecordingOptions(
+            rate_hz=options.rate_hz,
+            seconds=options.seconds,
+            phases=() if options.phase else getattr(bus, "phases", ()),
+            phase=options.phase,
+            up=options.up or face_up(options.phase),
+            rotate_s=options.rotate_s,
             stopped=lambda: stop.asked,
             tell=screen.event,
             counted=screen.counted,
             judge=judge,
-            force=force,
-            **heard,
+            force=options.force,
+            **listeners,
         )
-    with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
+        summary = record(array, bus, options.output, recording)
+    with suppress(OSError) if stop.hung_up else nullcontext():  # the terminal is gone
         if bus.source == "replay" and getattr(bus, "stopped", False):
             click.echo("imuarray: the transcript ends here: the recorded program was stopped", err=True)
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
-        tell(summary, output, judge.said if judge else [], fusion, as_json)
+        print_summary(summary, options.output, judge.sentences if judge else [], fusion, options.as_json)
         if len(summary.silent) == len(array.sensors):
-            doctor = f"imuarray detect {config} --doctor"
+            doctor = f"imuarray detect {options.config} --doctor"
             click.echo(f"imuarray: no sensor answered any more when the recording ended; try `{doctor}`", err=True)
     return 1 if len(summary.silent) == len(array.sensors) else 0
 
 
-def _refuse_without(option: str, said: bool, beside: dict[str, Any]) -> None:
-    """UsageError if one of the options that belong to another is given, and that one isn't."""
-    for name, value in beside.items():
-        if value is not None and not said:
+def _refuse_without(option: str, is_given: bool, dependent: dict[str, Any]) -> None:
+    """UsageError if one of the options that need another is given, and that one isn't."""
+    for name, value in dependent.items():
+        if value is not None and not is_given:
             raise click.UsageError(f"{name} is of {option}: say that too")
 
 
-def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
-    """The sensors that are to be read, and the URL of their bus; ConfigError if there is none."""
+def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
+    """The sensors to read and the URL of their bus; ConfigError if there is none."""
     from imuarray.array import load_array
 
-    array = load_array(find_config(config))
-    url = bus_url or array.bus
+    array = load_array(find_config(options.config))
+    url = options.bus_url or array.bus
     if url is None:
         raise ConfigError(
-            f"{config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse), or give [array] a bus"
+            f"{options.config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse),"
+            " or give [array] a bus"
         )
-    return array.only(tuple(only.split(","))) if only else array, url
+    return array.only(tuple(options.only.split(","))) if options.only else array, url
 
 
-def _judge(array: ArrayConfig, calibration: Path, only_if_it_can: bool) -> StartUpJudge | None:
-    """What says how sensors came up; None if it is wanted `only_if_it_can` and the calibration does not say it."""
-    from imuarray.commands.start_up import StartUpJudge
+def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
+    """The judge of how sensors start; None without a calibration, or for one that serves --fuse and knows no states."""
+    from imuarray.calibrate import load_calibration
+    from imuarray.calibrate.start_up_judge import StartUpJudge
 
-    judge = StartUpJudge(array, calibration)
-    return judge if judge.knows_states or not only_if_it_can else None
+    if options.calibration is None:
+        return None
+    judge = StartUpJudge(array, load_calibration(options.calibration), _remark)
+    return judge if judge.knows_states or not options.fuse else None
 
 
-def _fusion(
-    output: Path,
-    fused_file: Path | None,
-    calibration: Path | None,
-    technique: str,
-    judge: StartUpJudge | None,
-    options: dict[str, Any],
-) -> LiveFusion:
-    """What fuses beside the log."""
+def _remark(text: str) -> None:
+    click.echo(f"imuarray: {text}", err=True)
+
+
+def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
+    """The fusion that runs while the log is recorded."""
     from imuarray.calibrate import Calibration, load_calibration
-    from imuarray.commands.log_fused_files import beside
-    from imuarray.commands.log_fusion import LiveFusion
+    from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions, default_path
 
-    known = load_calibration(calibration) if calibration else Calibration()
-    fusion = LiveFusion(
-        fused_file or beside(output),
-        output,
-        known,
-        technique,
-        calibration_file=str(calibration or ""),
-        came_up=judge.in_states if judge else None,
-        **options,
+    calibration = load_calibration(options.calibration) if options.calibration else Calibration()
+    output = FusionOutput(
+        options.fused_file or default_path(options.output),
+        options.output,
+        technique=options.technique or "mean",
+        calibration_file=str(options.calibration or ""),
+        rotate_s=options.rotate_s,
+        force=options.force,
     )
-    refuse_existing(fusion.first_path, options["force"], source=output)
+    how = LiveFusionOptions(options.rate_hz, watch=options.watch, start_calibration=judge.in_states if judge else None)
+    fusion = LiveFusion(output, calibration, how, _remark)
+    refuse_existing(fusion.first_path, options.force, source=options.output)
     return fusion
 
 
-def _connected(
-    stack: ExitStack, url: str, array: ArrayConfig, transcript: Path | None, force: bool
+def _page_arguments(options: LogOptions) -> dict[str, Any]:
+    """The options of `imuarray monitor` for the page of this log."""
+    return {
+        "--host": options.monitor_host,
+        "--port": options.monitor_port,
+        "--calibration": options.calibration,
+        "--fused": options.fused_file,
+    }
+
+
+def _connect(
+    stack: ExitStack, options: LogOptions, url: str, array: ArrayConfig
 ) -> tuple[OpenBus, RecordingBus | None]:
     """The bus, open as long as `stack` is, and what writes its transcript, if one is wanted."""
     from imuarray.bus import open_bus
@@ -252,8 +280,8 @@ def _connected(
 
     bus: OpenBus = stack.enter_context(open_bus(url, array))
     recorder = None
-    if transcript:
-        bus = recorder = stack.enter_context(RecordingBus(bus, transcript, force=force))
+    if options.transcript:
+        bus = recorder = stack.enter_context(RecordingBus(bus, options.transcript, force=options.force))
         if recorder.remark:
             click.echo(f"imuarray: {recorder.remark}", err=True)
     if bus.source == "emulated":

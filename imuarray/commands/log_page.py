@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,25 +27,17 @@ def _print(text: str) -> None:
 
 
 @contextmanager
-def page_beside(
-    run: Path,
-    *,
-    host: str | None = None,
-    port: int | None = None,
-    calibration: Path | None = None,
-    result: Path | None = None,
-    tell: Callable[[str], None] = _print,
-) -> Iterator[None]:
-    """Serve the page of the log at `run`, which need not be there yet; `tell` hears its address, and what goes wrong,
-    from another thread. `host`, `port` and `result` as the options of `imuarray monitor`. A page that is looked at
-    is served on for a moment behind the end, so that it learns how the log ended. Whatever becomes of the page, the log
-    goes on. MissingExtraError without Bokeh.
+def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str], None] = _print) -> Iterator[None]:
+    """Serve the page of the log at `run`, which need not exist yet, in a process of its own.
+
+    `arguments` are options of `imuarray monitor` by name; None values are left out. `tell` receives the page's address
+    and what goes wrong, from another thread. A page that is being viewed is served for a moment after the end, so that
+    it shows how the log ended. Whatever happens to the page, the log goes on. MissingExtraError without Bokeh.
     """
     if find_spec("bokeh") is None:
         raise MissingExtraError("bokeh", "monitor")
     program = [sys.executable, "-m", "imuarray", "monitor", str(run), "--parent", str(os.getpid())]
-    given = {"--host": host, "--port": port, "--calibration": calibration, "--fused": result}
-    for option, value in given.items():
+    for option, value in arguments.items():
         program += [option, str(value)] if value is not None else []
     process = subprocess.Popen(
         program,

@@ -13,15 +13,17 @@ from imuarray.printable import counted
 
 if TYPE_CHECKING:
     from imuarray.acquire import Summary
-    from imuarray.commands.log_fusion import LiveFusion
+    from imuarray.fuse.live_fusion import LiveFusion
 
 _CARRIES = ("bus", "channel", "link", "adapter", "refused")
 """Kinds of events of no one sensor that cost readings."""
 _NAMED = 3
 
 
-def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool) -> None:
-    """What was recorded, for a person or a program; `start_up` is what was said of how sensors came up."""
+def print_summary(
+    summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool
+) -> None:
+    """Print what was recorded, as text or JSON; `start_up` holds the sentences on how sensors started."""
     lost = {name: count for name, count in summary.lost.items() if count}
     if as_json:
         print_json(
@@ -56,21 +58,21 @@ def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion
     if summary.refused:
         click.echo(f"  {counted(summary.refused, 'frame')} of the link refused: old, repeated, out of order or unasked")
     for name, count in lost.items():
-        first, *further = _told_in(summary.logs, name)
+        first, *further = _logs_with_events(summary.logs, name)
         more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
         more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
         click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
 
 
-def _told_in(logs: Sequence[Path], sensor: str) -> list[Path]:
+def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
     """The logs with events about a sensor, or about what carries its readings; all of them if there are none."""
     from imuarray.log import open_log
 
     if len(logs) == 1:
         return list(logs)
-    found = []
+    matching = []
     for path in logs:
         with open_log(path) as log:
             if any(event.sensor == sensor or (not event.sensor and event.kind in _CARRIES) for event in log.events):
-                found.append(path)
-    return found or list(logs)
+                matching.append(path)
+    return matching or list(logs)

@@ -196,8 +196,8 @@ def progress_line(label: str, done: int, length: int, took_s: float) -> str:
     """How far a step is (`length` 0: nobody knows), and how long its rest takes if it goes on like that."""
     if not length:
         return f"{label}: {_span(took_s)}"
-    left = f", {_span(took_s * (length - done) / done)} left" if done else ""
-    return f"{label}: {done} of {length} in {_span(took_s)}{left}"
+    remaining = f", {_span(took_s * (length - done) / done)} left" if done else ""
+    return f"{label}: {done} of {length} in {_span(took_s)}{remaining}"
 
 
 def _span(seconds: float) -> str:

@@ -72,13 +72,13 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
         prepare_folder(output, _REPLICA_FILES, force)
     with progress(100, "replica") as done:
         observed = observe(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
-    found = Replica(seed, tuple(compare(observed)))
+    replica = Replica(seed, tuple(compare(observed)))
     if output:
-        _write_replica(output, found, observed)
+        _write_replica(output, replica, observed)
     if as_json:
-        print_json(found.as_json())
+        print_json(replica.as_json())
     else:
-        click.echo(render_text(found), nl=False)
+        click.echo(render_text(replica), nl=False)
 
 
 def _gap(output: Path | None, as_json: bool, force: bool) -> None:
@@ -101,7 +101,7 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
         click.echo(f"{output}: {_GAP_FILE} written", err=True)
 
 
-def _write_replica(folder: Path, found: Replica, observed: ExperimentData) -> None:
+def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> None:
     """The numbers, and the page with as much as the optional packages allow."""
     import json
 
@@ -111,9 +111,9 @@ def _write_replica(folder: Path, found: Replica, observed: ExperimentData) -> No
     from imuarray.studies.paper.results import can_draw
 
     numbers, page = (folder / name for name in _REPLICA_FILES)
-    write_text(numbers, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", force=True)
+    write_text(numbers, json.dumps(replica.as_json(), indent=1, allow_nan=False) + "\n", force=True)
     try:
-        write_paper_page(page, found, curves_of(observed) if can_draw() else None, force=True)
+        write_paper_page(page, replica, curves_of(observed) if can_draw() else None, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: replica.json only; the page: {error}", err=True)
         return

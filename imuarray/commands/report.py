@@ -38,5 +38,5 @@ def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_j
     if as_json:
         print_json({"report": str(output), "files": kinds})
     else:
-        told = ", ".join(f"{Path(path).name} ({kind})" for path, kind in kinds.items())
-        click.echo(f"wrote {output}: {told}")
+        parts = ", ".join(f"{Path(path).name} ({kind})" for path, kind in kinds.items())
+        click.echo(f"wrote {output}: {parts}")

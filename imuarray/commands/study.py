@@ -77,16 +77,16 @@ def command(
         done = stack.enter_context(progress(len(names) * count, "study"))
         executor = stack.enter_context(processes(workers)) if workers > 1 else None
         seconds = QUICK_S if quick else None
-        found = study(names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: done(so_far))
+        result = study(names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: done(so_far))
     if output:
-        _write(output, found)
+        _write(output, result)
     if as_json:
-        print_json(found.as_json())
+        print_json(result.as_json())
     else:
-        click.echo(render_text(found), nl=False)
+        click.echo(render_text(result), nl=False)
 
 
-def _write(folder: Path, found: Study) -> None:
+def _write(folder: Path, result: Study) -> None:
     """The numbers; figures and the page as far as the optional packages allow."""
     import json
 
@@ -94,13 +94,13 @@ def _write(folder: Path, found: Study) -> None:
     from imuarray.errors import MissingExtraError
     from imuarray.studies.fusion_gain.page import drawings_of, heated, write_study_page
 
-    text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(result.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     write_text(folder / "study.json", text, force=True)
     try:
-        warm = heated(found.seeds[0], found.seconds) if found.of(experiment="heating") else None
-        drawings = drawings_of(found, warm)
+        warm = heated(result.seeds[0], result.seconds) if result.of(experiment="heating") else None
+        drawings = drawings_of(result, warm)
         for name, drawing in drawings.items():
             drawing.savefig(folder / name, dpi=150, metadata={"Software": None})
-        write_study_page(folder / "study.html", found, drawings, force=True)
+        write_study_page(folder / "study.html", result, drawings, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: study.json only; figures and page: {error}", err=True)

@@ -46,5 +46,5 @@ def _print(run: Path, verdict: Verdict) -> None:
     """For a person: every finding, then the sum."""
     for text in (*verdict.problems, *verdict.remarks):
         click.echo(f"  {text}")
-    found = counted(len(verdict.problems), "problem") if verdict.problems else "every block is good"
-    click.echo(f"{run}: {verdict.state}, {sum(verdict.rows.values())} rows of {len(verdict.rows)} sensors: {found}")
+    finding = counted(len(verdict.problems), "problem") if verdict.problems else "every block is good"
+    click.echo(f"{run}: {verdict.state}, {sum(verdict.rows.values())} rows of {len(verdict.rows)} sensors: {finding}")

@@ -12,11 +12,13 @@ def versions() -> dict[str, str]:
     """Name to version; without what is not installed."""
     import h5py
 
-    found = {"python": f"{platform.python_version()} on {platform.system()} {platform.release()} {platform.machine()}"}
-    found["HDF5"] = h5py.version.hdf5_version
+    numbers = {
+        "python": f"{platform.python_version()} on {platform.system()} {platform.release()} {platform.machine()}"
+    }
+    numbers["HDF5"] = h5py.version.hdf5_version
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return numbers

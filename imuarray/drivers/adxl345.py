@@ -154,8 +154,8 @@ class Adxl345Fifo(Adxl345):
         except OSError:
             if not sets:
                 raise
-        left = entries - len(sets)  # newer than those that were read, and still in the queue
-        self.queue.times(len(sets), at_ns - round(left * self.queue.period_ns), overrun=entries >= _FIFO_DEPTH)
+        unread = entries - len(sets)  # newer than those that were read, and still in the queue
+        self.queue.times(len(sets), at_ns - round(unread * self.queue.period_ns), overrun=entries >= _FIFO_DEPTH)
         return b"".join(sets)
 
     def decode(self, bursts: Bytes) -> Decoded:

@@ -63,14 +63,14 @@ class Registers:
     def expect(self, *registers: Register) -> None:
         """SensorError unless somebody answers and the identity registers hold what the data sheet says."""
         try:
-            found = b"".join(self.peek(register) for register in registers)
+            identity = b"".join(self.peek(register) for register in registers)
         except OSError as error:
             if error.errno not in NOT_ACKNOWLEDGED:
                 raise SensorError(f"{self.label}: the bus fails: {error.strerror or error}") from error
             raise SensorError(f"{self.label}: nobody acknowledges this address") from error
         expected = bytes(register.reset for register in registers)
-        if found != expected:
-            raise SensorError(f"{self.label}: identity {found.hex(' ')}, expected {expected.hex(' ')}")
+        if identity != expected:
+            raise SensorError(f"{self.label}: identity {identity.hex(' ')}, expected {expected.hex(' ')}")
 
 
 Bytes = npt.NDArray[np.uint8]

@@ -189,4 +189,7 @@ def clocks_of(group: Any, where: str) -> ClockTrack:
 
 def _named(columns: Sequence[Any], where: str) -> Iterator[Any]:
     """The columns that there are, None for the others."""
-    return (None if one is None else NamedColumn(one, f"{where}: {one.name.rsplit('/', 1)[-1]}") for one in columns)
+    return (
+        None if column is None else NamedColumn(column, f"{where}: {column.name.rsplit('/', 1)[-1]}")
+        for column in columns
+    )

@@ -64,13 +64,13 @@ class HeapCheckedFile(io.RawIOBase):
         """At heaps that begin in these bytes, or just before them: HDF5 may read them in two pieces."""
         before = os.pread(self._file.fileno(), min(self._at, len(_SIGN) - 1), max(self._at - len(_SIGN) + 1, 0))
         data, start = before + data, self._at - len(before)
-        found = data.find(_SIGN)
-        while found >= 0:
-            if start + found not in self._good:
-                if not _adds_up(self._file.fileno(), start + found):
+        offset = data.find(_SIGN)
+        while offset >= 0:
+            if start + offset not in self._good:
+                if not _adds_up(self._file.fileno(), start + offset):
                     raise OSError(errno.EBADMSG, "a heap of texts is damaged")
-                self._good.add(start + found)
-            found = data.find(_SIGN, found + 1)
+                self._good.add(start + offset)
+            offset = data.find(_SIGN, offset + 1)
 
     def close(self) -> None:
         """Close the file."""

@@ -190,29 +190,29 @@ def _is_plot(group: _Place, name: bytes) -> bool:
     return len(path) == 2 and path[0] == PLOTS.encode() and target == b"/sensors/" + path[1] + b"/" + name
 
 
-def _look_at(found: _Place, place: str, file_bytes: int) -> list[_Text]:
+def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
     """What one object is and what its header declares; where its texts are."""
-    if isinstance(found.item, h5d.DatasetID):
-        return _look_at_dataset(found, place, file_bytes)
-    if not isinstance(found.item, h5g.GroupID):
+    if isinstance(node.item, h5d.DatasetID):
+        return _look_at_dataset(node, place, file_bytes)
+    if not isinstance(node.item, h5g.GroupID):
         raise LogError(f"{place}: neither group nor dataset")
-    found.item.get_create_plist()  # who lists its attributes later asks for it: here damage is a LogError
+    node.item.get_create_plist()  # who lists its attributes later asks for it: here damage is a LogError
     return []
 
 
-def _look_at_attributes(found: _Place, place: str) -> list[_Text]:
+def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
     """Numbers and texts, and not too many of them; where the texts are."""
     texts: list[_Text] = []
-    info = h5o.get_info(found.item)
+    info = h5o.get_info(node.item)
     if info.num_attrs > MAX_ATTRIBUTES:
         raise LogError(f"{place}: {info.num_attrs} attributes; at most {MAX_ATTRIBUTES}")
     held = info.meta_size.attr.heap_size  # looked at before one is opened: that reads it
     if held > MAX_ATTRIBUTE_BYTES:
         raise LogError(f"{place}: {held} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
     names: list[bytes] = []
-    h5a.iterate(found.item, names.append)
+    h5a.iterate(node.item, names.append)
     for name in names:
-        attribute = h5a.open(found.item, name)
+        attribute = h5a.open(node.item, name)
         where = f"{place}: attribute {_shown(name)[:MAX_NAME_BYTES]}"
         kind = attribute.get_type()
         if kind.get_class() not in _PLAIN and name not in _SCALES:
@@ -225,13 +225,13 @@ def _look_at_attributes(found: _Place, place: str) -> list[_Text]:
         if varies and count > MAX_TEXTS:
             raise LogError(f"{where}: more than {MAX_TEXTS} texts")
         if varies and count:
-            texts.append(_Text(found.path or b"/", name))
+            texts.append(_Text(node.path or b"/", name))
     return texts
 
 
-def _look_at_dataset(found: _Place, place: str, file_bytes: int) -> list[_Text]:
+def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
     """Kind, where the data are, and how much is declared; where its texts are."""
-    item = found.item
+    item = node.item
     kind, plan = item.get_type(), item.get_create_plist()
     if kind.get_class() not in _PLAIN:
         raise LogError(f"{place}: neither numbers nor text")
@@ -259,7 +259,7 @@ def _look_at_dataset(found: _Place, place: str, file_bytes: int) -> list[_Text]:
         return []
     if _text_bytes(item) > MAX_TEXT_BYTES:  # before any of them is read: they may all be the same long one
         raise LogError(f"{place}: texts of more than {MAX_TEXT_BYTES} bytes")
-    return [_Text(found.path, None)]
+    return [_Text(node.path, None)]
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:

@@ -61,12 +61,12 @@ class LiveView:
         notes = Notes()
         notes.add({"text": np.asarray(parts.pop(NOTES)["text"])})
         end_ns = max((int(part["time"][-1]) + 1 for part in parts.values() if len(part["time"])), default=0)
-        beside = {name: part for name in TRACK_COLUMNS if len((part := parts.pop(name))["time"])}
+        tracks = {name: part for name in TRACK_COLUMNS if len((part := parts.pop(name))["time"])}
         self._items: dict[str, Any] = {
             "sensors": {path.removeprefix(_SENSORS): parts[path] for path in sorted(parts)},
             "phases": _table(("start", "end", "name", "up"), notes.phases_until(end_ns)),
             "events": _table(("time", "sensor", "kind", "message"), notes.events),
-            **beside,
+            **tracks,
         }
 
     @property

@@ -50,9 +50,9 @@ class Group:
         """The columns in order and in their types; ValueError unless they are these, of one length."""
         names = {name for name, _, _ in self.columns}
         if columns.keys() != names or len({len(rows) for rows in columns.values()}) != 1:
-            came = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
+            given = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
             wanted = ", ".join(name for name, _, _ in self.columns)
-            raise ValueError(f"/{self.path}: columns {wanted} of one length; came {came}")
+            raise ValueError(f"/{self.path}: columns {wanted} of one length; came {given}")
         checked = {name: np.ascontiguousarray(columns[name], kind) for name, kind, _ in self.columns}
         for name, _, tail in self.columns:
             if checked[name].shape[1:] != tail:
@@ -114,8 +114,8 @@ def sensor_group(header: SensorHeader) -> Group:
 
 def groups_of(sensors: Iterable[SensorHeader]) -> tuple[Group, ...]:
     """All groups of a log with these sensors, in their order."""
-    beside = (Group(name, columns) for name, columns in TRACK_COLUMNS.items())
-    return (*(sensor_group(header) for header in sensors), *beside, Group(NOTES, ((_TEXT, "<u1", ()),)))
+    tracks = (Group(name, columns) for name, columns in TRACK_COLUMNS.items())
+    return (*(sensor_group(header) for header in sensors), *tracks, Group(NOTES, ((_TEXT, "<u1", ()),)))
 
 
 class OpenPhase(NamedTuple):
@@ -160,7 +160,7 @@ class Notes:
 
 def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
     """A note as rows of the group `notes`."""
-    kind = "phase" if isinstance(note, Phase) else "event" if isinstance(note, Event) else "begun"
+    kind = "begun" if isinstance(note, OpenPhase) else "event" if isinstance(note, Event) else "phase"
     line = json.dumps({kind: note}, default=lambda number: number.item()) + "\n"
     return {_TEXT: np.frombuffer(line.encode("ascii"), np.uint8)}
 

@@ -58,13 +58,13 @@ def missed_by_events(events: Iterable[Event]) -> int | None:
     """
     missed, first = 0, None
     for event in events:
-        told = MISSED.match(event.message) if event.kind == "late" and not event.sensor else None
-        if told is None:
+        match = MISSED.match(event.message) if event.kind == "late" and not event.sensor else None
+        if match is None:
             continue
-        if told[1] and first is None:
+        if match[1] and first is None:
             return None
-        missed += int(told[2]) - (first or 0 if told[1] else 0)
-        first = None if told[1] else int(told[2])
+        missed += int(match[2]) - (first or 0 if match[1] else 0)
+        first = None if match[1] else int(match[2])
     return missed
 
 

@@ -62,7 +62,7 @@ class Preamble:
             listed = values.pop("sensors")
             if not isinstance(listed, list) or len(listed) > MOST_SENSORS:
                 raise TypeError(f"sensors are a list of at most {MOST_SENSORS}")
-            sensors = tuple(_header(one) for one in listed)
+            sensors = tuple(_header(header) for header in listed)
             if len({header.name for header in sensors}) < len(sensors):
                 raise TypeError("sensors have names of their own")
             preamble = cls(sensors=sensors, **values)

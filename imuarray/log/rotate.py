@@ -216,7 +216,7 @@ class RotatingWriter:
                 self._beginning.submit(_abandon, self._ahead.pop(passed))
             thread = threading.Thread(target=self._finish, args=(part,), name=f"finish {part.path.name}")
             thread.start()
-            self._finishing = [one for one in self._finishing if one.is_alive()] + [thread]
+            self._finishing = [worker for worker in self._finishing if worker.is_alive()] + [thread]
 
     def _name_phases(self, number: int, part: LogWriter) -> None:
         """Each part's share of the phases; those that are not over go on to its end."""

@@ -192,12 +192,12 @@ class SensorLog:
 
     def flagged(self) -> dict[str, int]:
         """How many rows bear each flag of `imuarray.log.format`."""
-        found = dict.fromkeys(FLAGS, 0)
+        counts = dict.fromkeys(FLAGS, 0)
         for block in self.blocks():
             status = np.asarray(self.status[block])
             for name, flag in FLAGS.items():
-                found[name] += int(np.count_nonzero(status & flag))
-        return found
+                counts[name] += int(np.count_nonzero(status & flag))
+        return counts
 
     def between(self, start_ns: int, end_ns: int) -> slice:
         """The rows whose time lies in [start_ns, end_ns), found without reading the column."""

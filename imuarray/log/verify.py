@@ -32,8 +32,8 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> V
         problems = list(log.losses)
         done = 0
         for sensor in log.sensors.values():
-            for read, found in _sensor(sensor):
-                problems += found
+            for read, complaints in _sensor(sensor):
+                problems += complaints
                 progress(done + read)
             done += len(sensor)
         for name in ("truth", "reference"):

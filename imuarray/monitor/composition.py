@@ -179,10 +179,10 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
         names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in (path.stem, whole)]
     else:
         names = [given.with_stem(given.stem + part), given]
-    for beside in dict.fromkeys(names):
-        for patience_s in _PATIENCE_S if beside.is_file() else ():
+    for candidate in dict.fromkeys(names):
+        for patience_s in _PATIENCE_S if candidate.is_file() else ():
             try:
-                view = _read(beside, epoch, start_ns)
+                view = _read(candidate, epoch, start_ns)
             except LogError:  # it was being written just then, or is none
                 time.sleep(patience_s)
                 continue
@@ -317,9 +317,9 @@ def _fused(
     source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
     """The fused output, or why there is none."""
-    beside = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)
-    if beside is not None:
-        return beside, ""
+    view = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)
+    if view is not None:
+        return view, ""
     spoken = {name: (source.attributes[name], window.rows) for name, window in windows.items() if len(window.time)}
     if not spoken:
         return None, "no readings"

@@ -87,7 +87,7 @@ class LogMonitor:
         if self.path.exists() or not self.path.parent.is_dir():
             return self.path
         pattern = re.compile(rf"{re.escape(self.path.stem)}_(\d{{3,}}){re.escape(self.path.suffix)}")
-        names = (pattern.fullmatch(one.name) for one in self.path.parent.iterdir())
+        names = (pattern.fullmatch(entry.name) for entry in self.path.parent.iterdir())
         numbers = sorted(int(name[1]) for name in names if name)
         parts = [part_of(self.path, number) for number in numbers]
         return next((part for part in reversed(parts) if _has_begun(part)), parts[-1] if parts else self.path)
@@ -144,10 +144,10 @@ def _source(path: Path, read_rows: ReadRows) -> Source:
 
 def _parts_behind(path: Path) -> list[Path]:
     """The parts that are there behind this one, in order; none for what is no part."""
-    found = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
-    if found is None:
+    match = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
+    if match is None:
         return []
-    named = (part_of(path.with_stem(found[1]), number) for number in count(int(found[2]) + 1))
+    named = (part_of(path.with_stem(match[1]), number) for number in count(int(match[2]) + 1))
     return list(takewhile(Path.exists, named))
 
 

@@ -58,14 +58,14 @@ class Backlog:
 
     def step(self, periods_ns: Mapping[str, float]) -> None:
         """Count some more rows; what can't be read is passed over, and a sensor of which no period is known."""
-        left = AT_ONCE
+        budget = AT_ONCE
         for name, (column, rows) in self._columns.items():
             start = self._done[name]
-            stop = min(rows, start + left)
+            stop = min(rows, start + budget)
             if stop > start:
                 self._gaps[name] += _counted(column, start, stop, periods_ns.get(name, 0.0))
                 self._done[name] = stop
-                left -= stop - start
+                budget -= stop - start
         if self.counted == 1.0:
             self.close()
 
@@ -122,10 +122,10 @@ class Source(Protocol):
 def identity(path: Path) -> tuple[int, int] | None:
     """Which file has that name now."""
     try:
-        found = path.stat()
+        stat = path.stat()
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return stat.st_dev, stat.st_ino
 
 
 def look(path: Path) -> tuple[object, ...]:

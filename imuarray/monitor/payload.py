@@ -87,17 +87,17 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
 
 def drawn(snapshot: Snapshot) -> dict[str, Any]:
     """The figures and the curves of the last seconds: times in s before the end, spectra as amplitude densities."""
-    found = described(snapshot)
+    figures = described(snapshot)
     end_ns = snapshot.ends_ns or 0
-    for shown, view in zip(found["sensors"], snapshot.sensors, strict=True):
+    for shown, view in zip(figures["sensors"], snapshot.sensors, strict=True):
         shown["trace"] = _curves(view.time - end_ns, view.values, view.columns)
         shown["density"] = _density(view)
     if snapshot.fused is not None:
         fused = snapshot.fused
-        for quantity, shown in found["fused"]["quantities"].items():
+        for quantity, shown in figures["fused"]["quantities"].items():
             factor = READABLE_SI[quantity][0]
             shown["trace"] = _curves(fused.time - end_ns, factor * fused.triads[quantity], ("x", "y", "z"))
-    return found
+    return figures
 
 
 def _seconds(time_ns: int | None) -> float | None:
@@ -108,8 +108,8 @@ def _disk(snapshot: Snapshot) -> dict[str, Any] | None:
     disk = snapshot.disk
     if disk is None:
         return None
-    left = None if disk.left_s is None else round(disk.left_s)
-    return {"free_bytes": disk.free_bytes, "bytes_per_s": round(disk.bytes_per_s), "left_s": left}
+    left_s = None if disk.left_s is None else round(disk.left_s)
+    return {"free_bytes": disk.free_bytes, "bytes_per_s": round(disk.bytes_per_s), "left_s": left_s}
 
 
 def _sensor(view: SensorView) -> dict[str, Any]:

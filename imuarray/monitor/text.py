@@ -55,8 +55,8 @@ def _figures(snapshot: Snapshot, columns: int) -> list[str]:
     frames = f"{counted(snapshot.missed, 'frame')} missed, {snapshot.delayed} delayed{part}"
     kinds = ", ".join(f"{printable(kind)} {count}" for kind, count in (snapshot.events or {}).items())
     disk = snapshot.disk
-    left = "" if disk is None or disk.left_s is None else f", about {duration(disk.left_s)} of logging"
-    room = "disk: not known" if disk is None else f"disk: {disk.free_bytes / _GIB:.1f} GiB free{left}"
+    remaining = "" if disk is None or disk.left_s is None else f", about {duration(disk.left_s)} of logging"
+    room = "disk: not known" if disk is None else f"disk: {disk.free_bytes / _GIB:.1f} GiB free{remaining}"
     total = counted(sum((snapshot.events or {}).values()), "event")
     return [
         f"  {snapshot.rate_hz:.1f}{asked}, {frames}",
@@ -97,12 +97,12 @@ def _sensor(view: SensorView) -> str:
 
 def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:
     """Sensors with flags among the last seconds' rows."""
-    told = [
+    flagged = [
         f"{name} " + ", ".join(f"{flag.replace('_', ' ')} {count}" for flag, count in view.flags.items())
         for name, view in named
         if view.flags
     ]
-    return _wrapped("flagged lately: " + "; ".join(told), columns) if told else []
+    return _wrapped("flagged lately: " + "; ".join(flagged), columns) if flagged else []
 
 
 def _fused(snapshot: Snapshot, columns: int) -> list[str]:

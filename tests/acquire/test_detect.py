@@ -12,7 +12,7 @@ from firmware_emulator.adapter import Adapter
 from firmware_emulator.array import open_array
 from firmware_emulator.device_file import device_files
 from firmware_emulator.wire import Wire
-from imuarray.acquire import Found, detect, explore
+from imuarray.acquire import Detection, detect, explore
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus
@@ -21,7 +21,7 @@ from imuarray.cli import main
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
 
-def found(array: Any, board: Any, folder: Path, number: int = 121) -> list[Found]:
+def found(array: Any, board: Any, folder: Path, number: int = 121) -> list[Detection]:
     (folder / "board.toml").write_text(board.text)
     with open_bus(f"emulated:?errno={number}&board={folder / 'board.toml'}", array) as bus:
         return detect(array, bus)
@@ -39,14 +39,16 @@ def test_the_papers_array() -> None:
 def test_missing(an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
     lines = found(an_array(A=0, B=1), an_array(A=0), tmp_path, number)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
-    assert lines[2] == Found("channel 1 address 0x40", "B", "bma180", "nobody acknowledges this address", False)
+    assert lines[2] == Detection("channel 1 address 0x40", "B", "bma180", "nobody acknowledges this address", False)
 
 
 def test_wrong(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A=0, G=2)
     bus = tapped(array)
     bus.chips["G"].page[0x0F] = 0xD4
-    assert detect(array, bus)[-1] == Found("channel 2 address 0x68", "G", "l3g4200d", "identity d4, expected d3", False)
+    assert detect(array, bus)[-1] == Detection(
+        "channel 2 address 0x68", "G", "l3g4200d", "identity d4, expected d3", False
+    )
 
 
 def test_strangers(an_array: Callable[..., Any], tmp_path: Path) -> None:
@@ -129,7 +131,9 @@ def driven(folder: Path, *owned: tuple[str, str]) -> Path:
     return folder
 
 
-def seen_by_linux(array: Any, folder: Path, *owned: tuple[int, str], explored: bool = False) -> tuple[list[Found], Any]:
+def seen_by_linux(
+    array: Any, folder: Path, *owned: tuple[int, str], explored: bool = False
+) -> tuple[list[Detection], Any]:
     """What is found on an adapter on which drivers of the kernel have these addresses; and the emulated array."""
     board = open_array(array)
     devices = driven(folder, *((f"1-{address:04x}", driver) for address, driver in owned))

@@ -21,10 +21,10 @@ from imuarray.acquire import Summary
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.cli import main
-from imuarray.commands.log_fusion import LiveFusion
 from imuarray.commands.log_screen import Screen
 from imuarray.errors import FusionError
 from imuarray.fuse import FusedBlock, FusionStream, read_fused, read_fused_events, read_fused_head
+from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions
 from imuarray.log import Block, open_log
 from imuarray.log.format import SensorHeader
 
@@ -236,10 +236,9 @@ def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
         return push(self, sensor, block)
 
     monkeypatch.setattr(FusionStream, "push", waiting)
-    fusion = LiveFusion(
-        tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100, tell=said.append, waiting=7
-    )
-    fusion.begun(EPOCH, HEADERS)
+    output = FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5")
+    fusion = LiveFusion(output, Calibration(), LiveFusionOptions(100, queue_blocks=7), said.append)
+    fusion.begin(EPOCH, HEADERS)
     came = [(header.name, rows(100 * second)) for second in range(10) for header in HEADERS]
     fusion.observe(*came[0])
     assert standing.wait(10)
@@ -272,8 +271,8 @@ def test_who_fails_is_told_once_and_stands_in_the_file(tmp_path: Path) -> None:
     said: list[str] = []
     headers = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(4)]
     paths = tmp_path / "f.h5", tmp_path / "r.h5"
-    fusion = LiveFusion(*paths, Calibration(), "mean", rate_hz=100, watch=True, tell=said.append)
-    fusion.begun(EPOCH, headers)
+    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, watch=True), said.append)
+    fusion.begin(EPOCH, headers)
     rng = np.random.default_rng(1)
     for second in range(6):
         for header in headers:
@@ -301,8 +300,8 @@ def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_row
         return Calibration(known)
 
     paths = tmp_path / "f.h5", tmp_path / "r.h5"
-    fusion = LiveFusion(*paths, Calibration(), "mean", rate_hz=100, came_up=came_up)
-    fusion.begun(EPOCH, [*HEADERS, pressure])
+    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, start_calibration=came_up))
+    fusion.begin(EPOCH, [*HEADERS, pressure])
     fusion.observe("P", rows(0))
     time.sleep(0.3)
     assert not asked
@@ -315,8 +314,8 @@ def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_row
 
 
 def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
-    fusion = LiveFusion(tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100)
-    fusion.begun(EPOCH, HEADERS)
+    fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
+    fusion.begin(EPOCH, HEADERS)
     for second in range(5):
         for header in HEADERS:
             fusion.observe(header.name, rows(100 * second))
@@ -346,19 +345,17 @@ def test_a_terminal_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_log_without_rows_leaves_no_fused_file(tmp_path: Path) -> None:
-    fusion = LiveFusion(
-        tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100, tell=lambda text: None
-    )
-    fusion.begun(EPOCH, HEADERS)
+    fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
+    fusion.begin(EPOCH, HEADERS)
     fusion.close()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
-    fusion = LiveFusion(tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100)
+    fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
     magnetometer = SensorHeader("M", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
     with pytest.raises(FusionError, match="the array: no inertial sensor in it"):
-        fusion.begun(EPOCH, [magnetometer])
+        fusion.begin(EPOCH, [magnetometer])
     fusion.close()
 
 

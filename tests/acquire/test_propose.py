@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from firmware_emulator.clock import VirtualClock
-from imuarray.acquire import Found, explore
+from imuarray.acquire import Detection, explore
 from imuarray.acquire.propose import propose, tell_apart
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
@@ -29,7 +29,7 @@ def test_the_papers_array_is_described_as_it_is_wired() -> None:
 
 
 def test_a_bus_without_a_multiplexer() -> None:
-    found = [Found("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
+    found = [Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
     array = parse_array(propose(found, "i2c:/dev/i2c-1"))
     assert array.mux is None
     assert [(sensor.name, sensor.channel, sensor.address) for sensor in array.sensors] == [("ADXL1", None, 0x53)]
@@ -65,7 +65,7 @@ class Chips:
 
 @pytest.mark.parametrize(("bus", "name"), [('i2c:/dev/"x"', 'a"b\\c'), ("x\ny = 1", "a\nb"), ("serial:/µ", "Größe 🎈")])
 def test_names_are_quoted(bus: str, name: str) -> None:
-    found = [Found("trunk address 0x77", "", "", "bmp180", True, "", None, 0x77)]
+    found = [Detection("trunk address 0x77", "", "", "bmp180", True, "", None, 0x77)]
     array = parse_array(propose(found, bus, name))
     assert (array.bus, array.name) == (bus, name)
 
@@ -118,8 +118,8 @@ def test_what_no_self_test_tells_apart_is_said(tmp_path: Path) -> None:
 
 def test_an_address_that_a_driver_of_the_kernel_has_is_no_sensor() -> None:
     found = [
-        Found("trunk address 0x68", "", "", "belongs to a driver", True, "", None, 0x68, owner="a driver"),
-        Found("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53),
+        Detection("trunk address 0x68", "", "", "belongs to a driver", True, "", None, 0x68, owner="a driver"),
+        Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53),
     ]
     assert [sensor.chip for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == ["adxl345"]
 

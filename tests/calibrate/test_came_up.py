@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
+from imuarray.calibrate import load_calibration
 from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.start_up_judge import StartUpJudge
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
-from imuarray.commands.start_up import StartUpJudge
 from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
@@ -99,7 +100,7 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
 
 def test_live_fusion_is_given_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
     """By the judge of a recording, who has seen the same first seconds."""
-    judge = StartUpJudge(ARRAY, calibration_file)
+    judge = StartUpJudge(ARRAY, load_calibration(calibration_file))
     before = judge.in_states().sensors["G"].bias_lsb
     with open_log(write(tmp_path / "today.h5", 51, second=True)) as log:
         judge({name: np.asarray(log[name].counts[:500]) for name in ("B", "B2", "G")})

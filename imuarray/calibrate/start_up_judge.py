@@ -1,18 +1,15 @@
-"""How the sensors of a log that is being recorded came up, by a calibration's known states."""
+"""Judges how sensors started from their first readings, by the start-up states that a calibration knows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
-import click
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.start_up import Verdict
 from imuarray.array import ArrayConfig
-from imuarray.calibrate import Calibration, load_calibration
+from imuarray.calibrate.model import Calibration
 from imuarray.calibrate.start_up import StartUp, in_states, in_this_pose, state_of
 
 PARTS = 10
@@ -20,57 +17,65 @@ _RESTLESS = 25.0
 """At rest the means of parts scatter as their noise lets expect, five times as much with a wandering bias."""
 
 
-class StartUpJudge:
-    """Says of sensors' first readings how they came up (`imuarray.acquire.start_up.Judge`), and echoes it.
-
-    `said` keeps every sentence. A box that was moved meanwhile tells nothing.
+class StartUpVerdict(NamedTuple):
+    """Whether a sensor started wrong, so that its readings can't be used, and a sentence ("" if there is nothing to
+    say).
     """
 
-    def __init__(self, array: ArrayConfig, calibration: Path) -> None:
-        self.said: list[str] = []
-        self._calibration = load_calibration(calibration)
+    fault: bool
+    text: str = ""
+
+
+class StartUpJudge:
+    """Judges the first readings of sensors (an `imuarray.acquire.start_up.Judge`): a call returns verdicts by name.
+
+    `sentences` keeps every sentence; `tell` receives each when it is new. A box that was moved meanwhile is not judged.
+    """
+
+    def __init__(
+        self, array: ArrayConfig, calibration: Calibration, tell: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self.sentences: list[str] = []
+        self._calibration, self._tell = calibration, tell
         self._ranges = {sensor.name: sensor.spec.sensitivity for sensor in array.sensors if sensor.spec.sensitivity}
         self._means: dict[str, npt.NDArray[Any]] = {}
         self._starts: dict[str, StartUp] = {}
 
     @property
     def knows_states(self) -> bool:
-        """Whether the calibration says of any sensor how it comes up."""
+        """Whether the calibration knows the start-up states of any sensor."""
         return any(sensor.turn_on is not None for sensor in self._calibration.sensors.values())
 
     def in_states(self) -> Calibration:
-        """The calibration with the biases of the states in which sensors came up, as far as that is known by now."""
+        """The calibration with the biases of the states in which sensors started, as far as known by now."""
         return in_states(dict(self._starts), self._calibration)
 
-    def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, Verdict]:
-        """Verdicts by sensor; a sensor that is judged again is seen beside what the others read at first."""
+    def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, StartUpVerdict]:
+        """Verdicts by sensor; a sensor that is judged again is compared with the first readings of the others."""
         known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
         if known and np.median([_restlessness(counts) for counts in known.values()]) > _RESTLESS:
             self._say("the box was moved in the first seconds: how the sensors came up is not known")
             return {}
         self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
-        found = state_of(self._means, self._calibration, ranges=self._ranges)
-        starts = {name: start for name, start in in_this_pose(found, self._calibration).items() if name in readings}
+        states = state_of(self._means, self._calibration, ranges=self._ranges)
+        starts = {name: start for name, start in in_this_pose(states, self._calibration).items() if name in readings}
         self._starts.update(starts)
         verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
         if not any(verdict.text for verdict in verdicts.values()):
             usual = f"{len(starts)} sensors came up as ever"
-            self._echo(usual if found else "the calibration does not say how sensors come up")
+            self._tell(usual if states else "the calibration does not say how sensors come up")
         return verdicts
 
-    def _verdict(self, name: str, start: StartUp) -> Verdict:
+    def _verdict(self, name: str, start: StartUp) -> StartUpVerdict:
         text = start.sentence(name, self._calibration)
         if text:
             self._say(text)
-        return Verdict(start.fault, text)
+        return StartUpVerdict(start.fault, text)
 
     def _say(self, text: str) -> None:
-        if text not in self.said:
-            self.said.append(text)
-            self._echo(text)
-
-    def _echo(self, text: str) -> None:
-        click.echo(f"imuarray: {text}", err=True)
+        if text not in self.sentences:
+            self.sentences.append(text)
+            self._tell(text)
 
 
 def _restlessness(counts: npt.NDArray[Any]) -> float:

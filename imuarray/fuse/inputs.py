@@ -1,0 +1,116 @@
+"""The inputs of a fusion, prepared for one log: the calibration as it holds for this log, and the sensors to fuse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.noise import with_noise_of
+from imuarray.calibrate.start_up import came_up
+from imuarray.chips import CHIPS
+from imuarray.errors import FusionError
+from imuarray.fuse.element_temperature import (
+    element_temperatures,
+    mismatch_sentences,
+    slopes_of,
+    temperature_mismatch,
+)
+from imuarray.fuse.fuse import NEEDS_NOISE
+from imuarray.log import Log, SensorLog
+from imuarray.units import INERTIAL
+
+
+@dataclass(frozen=True)
+class FusionInputs:
+    """A calibration and the sensors to fuse (`only`, all if empty), with what a person should know of them.
+
+    `uncalibrated`: sensors that are fused with data-sheet values. `start_up`: sentences on the states in which sensors
+    started. `thermal`: sensors whose bias follows the log's temperature. `temperature`: sentences on sensors that were
+    calibrated at another temperature. `remarks`: sentences on what the calibration lacks.
+    """
+
+    calibration: Calibration
+    only: tuple[str, ...] = ()
+    uncalibrated: tuple[str, ...] = ()
+    start_up: tuple[str, ...] = ()
+    thermal: tuple[str, ...] = ()
+    temperature: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def prepare_inputs(
+    log: Log,
+    calibration: Calibration,
+    *,
+    technique: str | None = None,
+    only: Sequence[str] = (),
+    calibration_file: str = "",
+) -> FusionInputs:
+    """Prepare `calibration` for fusing `log` by `technique` (None: by any of them); `only` these sensors, if any are
+    named.
+
+    Biases become those of the states in which the sensors started, and sensors that started wrong are left out. Noise
+    that the technique needs and the calibration lacks is measured where the log is at rest. FusionError if a
+    `calibration_file` knows none of the sensors.
+
+    >>> from imuarray import load_calibration, open_log
+    >>> from imuarray.fuse import fuse
+    >>> with open_log("run.h5") as log:
+    ...     inputs = prepare_inputs(log, load_calibration("cal.toml"), technique="planes")
+    ...     blocks = list(fuse(log, inputs.calibration, "planes", only=inputs.only))
+    """
+    uncalibrated = _uncalibrated(log, calibration, only, calibration_file)
+    calibration, start_up, chosen = _in_start_states(log, calibration, only)
+    sensors = _inertial(log, chosen)
+    sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
+    warm = element_temperatures(log, sloped, calibration)
+    cold = [sensor.name for sensor in sloped if sensor.name not in warm]
+    remarks = []
+    if cold:
+        remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; biases stay as calibrated")
+    lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]
+    if lacking and (technique is None or technique in NEEDS_NOISE):
+        which = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
+        remarks.append(f"no noise{which} in the calibration; measured where this log stands still")
+        calibration = with_noise_of(log, calibration, lacking)
+    mismatch = temperature_mismatch(log, sensors, calibration)
+    return FusionInputs(
+        calibration,
+        tuple(chosen),
+        tuple(uncalibrated),
+        tuple(start_up),
+        tuple(warm),
+        tuple(mismatch_sentences(calibration, mismatch)),
+        tuple(remarks),
+    )
+
+
+def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
+    """The accelerometers and gyroscopes of a log; `only` these, if any are named."""
+    sensors = [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
+    return [sensor for sensor in sensors if not only or sensor.name in only]
+
+
+def _uncalibrated(log: Log, calibration: Calibration, only: Sequence[str], file: str) -> list[str]:
+    """The sensors that the calibration does not know; FusionError if a file knows none of them."""
+    fused = [sensor.name for sensor in _inertial(log, only)]
+    unknown = [name for name in fused if name not in calibration.sensors]
+    if file and fused and unknown == fused:
+        raise FusionError(
+            f"{file}: knows {', '.join(calibration.sensors) or 'no sensor'}, but none of {log.path}: {', '.join(fused)}"
+        )
+    return unknown
+
+
+def _in_start_states(
+    log: Log, calibration: Calibration, only: Sequence[str]
+) -> tuple[Calibration, list[str], Sequence[str]]:
+    """The calibration with the biases of the states in which sensors started; sentences; the sensors to fuse."""
+    ranges = {name: CHIPS[sensor.chip].sensitivity for name, sensor in log.sensors.items() if sensor.chip in CHIPS}
+    chosen, starts = came_up(log, calibration, ranges)
+    wrong = [name for name, start in starts.items() if start.fault]
+    sentences = [start.sentence(name, calibration) for name, start in starts.items()]
+    if wrong:
+        only = [name for name in only or [sensor.name for sensor in _inertial(log, ())] if name not in wrong]
+    return chosen, [sentence for sentence in sentences if sentence], only

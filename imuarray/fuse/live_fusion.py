@@ -1,0 +1,339 @@
+"""Fusion while recording, in a thread of its own: the recording neither waits for it nor notices its failure.
+
+Rows go through a bounded queue. If it is full, rows are dropped until half of it is free again, and counted: the log
+has them, so that `imuarray fuse` will not miss them.
+
+Nothing is fused before the first inertial rows. Where a calibration knows the states in which sensors start, these rows
+come as soon as the states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor
+that has to be set up again later keeps its first state.
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.chips import CHIPS
+from imuarray.errors import ImuArrayError
+from imuarray.fuse.faults import FaultEvent
+from imuarray.fuse.frames import FusedBlock
+from imuarray.fuse.fuse import Watch, live
+from imuarray.fuse.fused_file import LiveFused
+from imuarray.fuse.fusion_notes import FusionNotes, notes_of
+from imuarray.fuse.stream import FusionStream
+from imuarray.log import Block
+from imuarray.log.disk_space import WATERMARK, free_bytes
+from imuarray.log.format import SensorHeader
+from imuarray.log.rotate import part_of, runs_of
+from imuarray.printable import counted
+from imuarray.units import INERTIAL, READABLE_SI
+
+_SECONDS_WAITING = 30.0
+"""Of rows in the queue, at most."""
+_WRITE_S = 1.0
+"""Frames of so long are written at once."""
+_SWITCH_S = 5e-5
+"""How long the thread may keep the interpreter from the recording, which asks for it after every transaction."""
+_FAULTS_KEPT = 1000
+"""The last ones, for the report; the file has all of them."""
+
+
+def default_path(log: Path) -> Path:
+    """The default path of the result of a log, where `imuarray monitor` looks for it: `RUN_fused.h5`."""
+    return log.with_name(f"{log.stem}_fused.h5")
+
+
+@dataclass(frozen=True)
+class FusionOutput:
+    """Where the result goes: the file `path` of the log `log`; with `rotate_s`, one file for each part of that length.
+
+    `technique` and `calibration_file` are noted in the files; `force` overwrites existing ones.
+    """
+
+    path: Path
+    log: Path
+    technique: str = "mean"
+    calibration_file: str = ""
+    rotate_s: float | None = None
+    force: bool = False
+
+    def part(self, number: int) -> tuple[Path, Path]:
+        """The paths of the fused file and of the log of part `number`, counted from 0."""
+        if self.rotate_s is None:
+            return self.path, self.log
+        log = part_of(self.log, number + 1)
+        return default_path(log) if self.path == default_path(self.log) else part_of(self.path, number + 1), log
+
+
+class FusedFiles:
+    """Fused frames as they come, each in the file of the part in which its time lies.
+
+    Of a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or where another name
+    was given, FUSED_001.h5, ...
+    """
+
+    def __init__(self, output: FusionOutput, *, epoch: str, sensors: Mapping[str, Sequence[str]]) -> None:
+        """`sensors`: names by quantity. OutputExistsError, OutputError."""
+        self._output, self._epoch, self._sensors = output, epoch, sensors
+        self._part_ns = None if output.rotate_s is None else round(output.rotate_s * 1e9)
+        self.origin_ns = 0
+        """When the first part begins."""
+        self.paths: list[Path] = []
+        self.frames = 0
+        self._number = 0
+        self._file = self._create(0)
+
+    def append(self, block: FusedBlock) -> None:
+        """More frames. OSError, OutputExistsError, OutputError."""
+        for number, rows in self._split(block):
+            if number > self._number:
+                self._file.close()
+                self._number, self._file = number, self._create(number)
+            self._file.append(_part(block, rows))
+            self.frames += rows.stop - rows.start
+
+    def event(self, event: FaultEvent) -> None:
+        """What became of a sensor, into the file of the last frames. OSError."""
+        self._file.event(event)
+
+    def _create(self, number: int) -> LiveFused:
+        path, log = self._output.part(number)
+        file = LiveFused(
+            path,
+            sensors=self._sensors,
+            force=self._output.force,
+            epoch=self._epoch,
+            technique=self._output.technique,
+            log=str(log),
+            calibration=self._output.calibration_file,
+        )
+        self.paths.append(path)
+        return file
+
+    def _split(self, block: FusedBlock) -> list[tuple[int, slice]]:
+        """The number of a part, and the frames in it; what is before the first one is of the first one."""
+        if self._part_ns is None or not len(block.time):
+            return [(0, slice(0, len(block.time)))]
+        return runs_of(np.maximum((block.time - self.origin_ns) // self._part_ns, 0))
+
+    def close(self) -> None:
+        """Complete the last file."""
+        self._file.close()
+
+
+def _part(block: FusedBlock, rows: slice) -> FusedBlock:
+    return FusedBlock(
+        block.time[rows],
+        {quantity: values[rows] for quantity, values in block.triads.items()},
+        {quantity: values[rows] for quantity, values in block.covariances.items()},
+        {quantity: values[rows] for quantity, values in block.used.items()},
+    )
+
+
+@dataclass(frozen=True)
+class LiveFusionOptions:
+    """How rows are fused while they are recorded at `rate_hz` frames per second.
+
+    `watch`: whether failing sensors are left out (None: by `optimal` only). `start_calibration` returns, once the first
+    inertial rows are there, the calibration for the states in which the sensors started (None: the given one). A sensor
+    is waited for `timeout_s` (None: by the frame rate); `queue_blocks` may wait to be fused (None: 30 s of them).
+    """
+
+    rate_hz: float
+    watch: bool | None = None
+    start_calibration: Callable[[], Calibration] | None = None
+    timeout_s: float | None = None
+    queue_blocks: int | None = None
+
+
+class LiveFusion:
+    """Fuses the rows that it observes into `output`. Call `begin` once, `observe` often, then `close`."""
+
+    def __init__(
+        self,
+        output: FusionOutput,
+        calibration: Calibration,
+        options: LiveFusionOptions,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """`tell` receives sentences about the fusion: failing sensors, skipped frames, its end."""
+        self.output, self.skipped, self.failure = output, 0, ""
+        self.frames = 0
+        self._calibration, self._options, self.tell = calibration, options, tell
+        self._start_calibration = options.start_calibration or (lambda: calibration)
+        self._watch = Watch(options.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, self._failed)
+        self._faults: deque[FaultEvent] = deque(maxlen=_FAULTS_KEPT)
+        self._unwritten: list[FaultEvent] = []
+        self._notes = FusionNotes()
+        self._files: FusedFiles | None = None
+        self._timeout_s = max(3.0, 3 + 100 / options.rate_hz) if options.timeout_s is None else options.timeout_s
+        self._dropped: dict[str, int] = {}
+        self._overrun = False
+        self._latest: FusedBlock | None = None
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._switch_s = sys.getswitchinterval()
+
+    @property
+    def path(self) -> Path:
+        """The path of the result, or of the whole of which it would be parts."""
+        return self.output.path
+
+    @property
+    def first_path(self) -> Path:
+        """The first file that will be written."""
+        return self.output.part(0)[0]
+
+    def begin(self, epoch: str, headers: Sequence[SensorHeader]) -> None:
+        """Begin with the log's epoch and sensors: FusionError if they can't feed the technique, CalibrationError if the
+        calibration does not fit, OutputExistsError, OutputError.
+        """
+        stream = self._stream(headers, self._calibration)
+        ordered = sorted(headers, key=lambda header: header.name)
+        names: dict[str, list[str]] = {
+            quantity: [h.name for h in ordered if h.quantity == quantity] for quantity in INERTIAL
+        }
+        self._files = FusedFiles(self.output, epoch=epoch, sensors=names)
+        self._wanted = frozenset(stream.sensors)
+        blocks = self._options.queue_blocks or round(_SECONDS_WAITING * len(self._wanted))
+        self._queue: queue.Queue[tuple[str, Block]] = queue.Queue(blocks)
+        sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
+        self._thread = threading.Thread(target=self._work, args=(headers, self._files), name="fusion", daemon=True)
+        self._thread.start()
+
+    def set_start(self, time_ns: int) -> None:
+        """Set when the first part of a log in parts begins, before there are rows."""
+        if self._files is not None:
+            self._files.origin_ns = time_ns
+
+    def observe(self, sensor: str, block: Block) -> None:
+        """Queue rows that were written; returns at once."""
+        if self.failure or self._thread is None or sensor not in self._wanted:
+            return
+        if self._overrun and self._queue.qsize() <= self._queue.maxsize // 2:
+            self._overrun = False
+        if not self._overrun:
+            try:
+                self._queue.put_nowait((sensor, block))
+                return
+            except queue.Full:
+                self._overrun = True
+                self.tell("fusion can't keep up: frames are skipped in its file, the log has them")
+        self._dropped[sensor] = self._dropped.get(sensor, 0) + len(block.time)
+        self.skipped = max(self._dropped.values())
+
+    def status(self) -> str:
+        """The latest result in one line of text."""
+        block = self._latest
+        if self.failure or block is None:
+            return "no fusion" if self.failure else ""
+        parts = []
+        for quantity, triad in block.triads.items():
+            factor, unit = READABLE_SI[quantity]
+            parts.append(" ".join(f"{factor * value:.1f}" for value in triad[-1]) + f" {unit}")
+        return ", ".join(parts)
+
+    def close(self) -> None:
+        """Fuse everything that waits, and complete the file."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+            sys.setswitchinterval(self._switch_s)
+            if self.skipped:
+                self.tell(f"{self.path}: {counted(self.skipped, 'frame')} skipped: fusion could not keep up")
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files that were written, in the order of their time."""
+        return [path for path in (self._files.paths if self._files else []) if path.exists()]
+
+    def report(self) -> dict[str, object]:
+        """A summary of the fusion, JSON-ready."""
+        return {
+            "fused": str(self.path),
+            "files": [str(path) for path in self.paths],
+            "frames": self.frames,
+            "skipped": self.skipped,
+            "failure": self.failure,
+            "faults": [event.as_json() for event in self._faults],
+            "learned": self._notes.as_json(),
+        }
+
+    def _stream(self, headers: Sequence[SensorHeader], calibration: Calibration) -> FusionStream[FusedBlock]:
+        return live(
+            headers,
+            calibration,
+            self.output.technique,
+            watch=self._watch,
+            timeout_s=self._timeout_s,
+            tell=lambda text: self.tell(text),
+        )
+
+    def _failed(self, event: FaultEvent) -> None:
+        """A sensor has failed, or recovered."""
+        self._faults.append(event)
+        self._unwritten.append(event)
+        self.tell(event.sentence)
+
+    def _work(self, headers: Sequence[SensorHeader], files: FusedFiles) -> None:
+        """Run in the thread. An error is reported once, and the rest is not fused."""
+        try:
+            with closing(files):
+                held: list[FusedBlock] = []
+                first = self._first_rows({header.name for header in headers if header.quantity in INERTIAL})
+                stream = self._stream(headers, self._start_calibration())
+                for sensor, block in chain(first, self._rows()):
+                    held += stream.push(sensor, block)
+                    if held and held[-1].time[-1] - held[0].time[0] >= _WRITE_S * 1e9:
+                        self._write(files, held)
+                        held = []
+                self._write(files, [*held, *stream.finish()])
+                self._notes = notes_of(stream.pipeline)
+        except Exception as error:  # whatever it is, the log goes on
+            known = isinstance(error, ImuArrayError | OSError)
+            self.failure = str(error) if known else f"{type(error).__name__}: {error}"
+            self.tell(f"fusion ends, the log goes on: {self.failure}")
+        finally:
+            with suppress(queue.Empty):
+                while True:
+                    self._queue.get_nowait()
+
+    def _first_rows(self, inertial: Collection[str]) -> list[tuple[str, Block]]:
+        """Everything up to and including the first rows of an inertial sensor."""
+        first = []
+        for sensor, block in self._rows():
+            first.append((sensor, block))
+            if sensor in inertial:
+                break
+        return first
+
+    def _rows(self) -> Iterable[tuple[str, Block]]:
+        """The rows that come through the queue, until the end and until it is empty."""
+        while True:
+            try:
+                yield self._queue.get(timeout=0.1)
+            except queue.Empty:
+                if self._ending.is_set():
+                    return
+
+    def _write(self, files: FusedFiles, blocks: Sequence[FusedBlock]) -> None:
+        if free_bytes(self.path) < 2 * WATERMARK:
+            raise OSError(f"{self.path}: the disk is nearly full, what is left is the log's")
+        if blocks:
+            block = FusedBlock.joined(blocks)
+            files.append(block)
+            self.frames, self._latest = files.frames, block
+            for event in self._unwritten:
+                files.event(event)
+            self._unwritten = []
