@@ -16,7 +16,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from firmware_emulator.array import ArrayLike, EmulatedBus
+    from firmware_emulator.array import EmulatedBus
+    from firmware_emulator.description import ArrayLike
 
 __all__ = ["open_bus"]
 

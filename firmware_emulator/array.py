@@ -1,6 +1,6 @@
 """A whole emulated array: a wire per bus, the multiplexer, chips with their units' imperfections, one world, one clock.
 
-The array's description is duck-typed: `ArrayLike` says what is looked at.
+The description of the array is duck-typed (`firmware_emulator.description`).
 """
 
 from __future__ import annotations
@@ -9,23 +9,22 @@ import errno
 import math
 import os
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from types import MappingProxyType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
-from firmware_emulator.board import Board, named
+from firmware_emulator.board import Board, BoardKind, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
-from firmware_emulator.element import Matrix
+from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, Delayed, Phase, PhasedWorld, Still, World, WorldKind
 
 TRUNK = ""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 Switches = Mapping[str, Mapping[str, Any]]
-BoardKind = Callable[[str, World, int], Board]
 ERRNOS = (6, 121)
 """What Linux adapters say when nobody acknowledges (LNX-40, LNX-41)."""
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
@@ -35,66 +34,6 @@ BOARD = "board"
 """Names the file that the array is from; who asked for the array has read it."""
 FAULTS = "faults"
 """Names a file of faults that happen by the clock (`firmware_emulator.faults`)."""
-
-
-class MuxLike(Protocol):
-    """A multiplexer in the description of an array."""
-
-    @property
-    def chip(self) -> str:
-        """Only "pca9544a"."""
-
-    @property
-    def address(self) -> int:
-        """On the trunk."""
-
-
-class SensorLike(Protocol):
-    """A sensor in the description of an array."""
-
-    @property
-    def name(self) -> str:
-        """Unique."""
-
-    @property
-    def chip(self) -> str:
-        """A key of `CHIPS`."""
-
-    @property
-    def channel(self) -> int | None:
-        """Of the multiplexer; None for one on a trunk."""
-
-    @property
-    def bus(self) -> str | None:
-        """Another trunk than the array's own: a channel that the kernel drives."""
-
-    @property
-    def address(self) -> int:
-        """Seven bits."""
-
-    @property
-    def range(self) -> float | None:
-        """Full scale in g, dps or gauss; None for a chip without."""
-
-    @property
-    def orientation(self) -> Matrix:
-        """box = orientation @ sensor."""
-
-
-class ArrayLike(Protocol):
-    """The description of an array."""
-
-    @property
-    def name(self) -> str:
-        """ "martin2013" for the paper's, whose units are known."""
-
-    @property
-    def mux(self) -> MuxLike | None:
-        """The multiplexer on the trunk, if any."""
-
-    @property
-    def sensors(self) -> Sequence[SensorLike]:
-        """Every chip."""
 
 
 class EmulatedBus:

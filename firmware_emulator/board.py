@@ -7,19 +7,17 @@ the piece in which they do; the array is then put together and polled in the sam
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock
+from firmware_emulator.description import SensorLike
 from firmware_emulator.element import IDENTITY, SensingElement
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.units import unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import World
-
-if TYPE_CHECKING:
-    from firmware_emulator.array import SensorLike
 
 T = TypeVar("T")
 MUXES = {"pca9544a": Pca9544a}
@@ -77,3 +75,7 @@ class Board:
     def host_clock(self, clock: Clock) -> Clock:
         """The clock that the polling program reads and sleeps on; `clock` is that of the world."""
         return clock
+
+
+BoardKind = Callable[[str, World, int], Board]
+"""Makes a board from the name of the array, the world and the seed."""

@@ -30,8 +30,8 @@ import numpy as np
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.mechanisms import MECHANISMS
 from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment, known_experiment
-from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
 from firmware_emulator.mechanisms.host import HostClock
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.mechanisms.query import checked, fitting_of, split
 from firmware_emulator.sessions import Course, Recorder, Room, Told, of_table, sessions
 from firmware_emulator.world import Phase, World

@@ -24,12 +24,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from firmware_emulator.description import ArrayLike
 from firmware_emulator.faulty_parts import LAYOUTS, TEARS, Times
-
-if TYPE_CHECKING:
-    from firmware_emulator.array import ArrayLike
 
 CHIP_FAULTS = MappingProxyType(
     {

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from firmware_emulator.board import MUXES, Board, named
+from firmware_emulator.board import MUXES, Board, BoardKind, named
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.clock import Clock
+from firmware_emulator.description import SensorLike
 from firmware_emulator.faults import BUS_FAULTS, CHIP_FAULTS, Fault
 from firmware_emulator.faulty_bus import FaultyMux, FaultyWires
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import Delayed
-
-if TYPE_CHECKING:
-    from firmware_emulator.array import BoardKind, SensorLike
 
 
 def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:

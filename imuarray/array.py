@@ -7,6 +7,7 @@ what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from os import PathLike
 from typing import Annotated, Literal, Self
 
@@ -134,6 +135,11 @@ class ArrayConfig(BaseModel):
     def __getitem__(self, name: str) -> SensorConfig:
         """The sensor of that name; KeyError when there is none."""
         return {sensor.name: sensor for sensor in self.sensors}[name]
+
+    @property
+    def sensitivities(self) -> dict[str, Mapping[float, float]]:
+        """Counts per unit by range of each sensor's chip, by sensor; of chips that have ranges."""
+        return {sensor.name: sensor.spec.sensitivity for sensor in self.sensors if sensor.spec.sensitivity}
 
     def only(self, names: tuple[str, ...]) -> ArrayConfig:
         """The array reduced to these sensors; ConfigError names one that it does not have."""

@@ -136,3 +136,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
     }
 )
+
+SENSITIVITIES: Mapping[str, Mapping[float, float]] = MappingProxyType(
+    {name: spec.sensitivity for name, spec in CHIPS.items()}
+)
+"""Counts per unit by range, by chip."""

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from firmware_emulator.mechanisms.fitted import FittedBoard
-from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
 from firmware_emulator.mechanisms.site import Site
 
 ROUNDS = 8

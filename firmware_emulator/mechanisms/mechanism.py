@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from firmware_emulator.board import MUXES, Board, named
+from firmware_emulator.chip import Chip, Target
+from firmware_emulator.clock import Clock
+from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit, stream
+from firmware_emulator.mechanisms.element import MountedElement
+from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
+from firmware_emulator.mechanisms.line import Line
 from firmware_emulator.mechanisms.site import INERTIAL, Site
+from firmware_emulator.mux import Pca9544a
+from firmware_emulator.units import TOLERANCES, Spread, drawn_unit, typical, unit_of
+from firmware_emulator.wire import Wire
+from firmware_emulator.world import Delayed, World
 
 if TYPE_CHECKING:
-    from firmware_emulator.array import SensorLike
-    from firmware_emulator.mechanisms.fitted import FittedBoard
+    from firmware_emulator.description import ArrayLike, SensorLike
 
 
 @dataclass(frozen=True)
@@ -58,3 +69,202 @@ class SensorMechanism(Mechanism):
     @abstractmethod
     def put_on(self, site: Site) -> None:
         """Put it to work on one sensor."""
+
+
+UNITS = ("paper", "drawn", "toleranced")
+"""The paper's; drawn, but only in what everybody expects of a part; drawn in all that a data sheet leaves to it."""
+TURN_ON_SHARE = 0.003
+"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: what
+the paper's parts have (left half of its Table 11: up to 0.65 mg and 0.036 dps).
+"""
+RATE_ERROR: Mapping[str, Spread] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
+"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an
+ADXL345 is exact.
+"""
+LEAST_SENSORS = {"pair": 2, "design": 2}
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """A mechanism and the names of the sensors on which it is put."""
+
+    mechanism: Mechanism
+    sensors: tuple[str, ...]
+
+
+def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
+    """A part drawn from its data sheet's tolerances, but only in what everybody expects of one.
+
+    Noise, bias, its slope with temperature, scale, alignment; no scale that changes with temperature, no g-sensitivity
+    and no thermometer that is off: those are mechanisms.
+    """
+    drawn = drawn_unit(chip, name, full_scale, seed)
+    return replace(drawn, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
+
+
+def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> Unit:
+    """A part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to power-up."""
+    drawn, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
+    allowed = [spread.limit for spread in TOLERANCES[chip](full_scale).bias]
+    scattered = [
+        bias + TURN_ON_SHARE * limit * float(random.standard_normal())
+        for bias, limit in zip(drawn.bias, allowed, strict=True)
+    ]
+    return replace(drawn, bias=(scattered[0], scattered[1], scattered[2]))
+
+
+def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
+    """The sensors of a fitting; ValueError for one that isn't there or on which the mechanism can't be put."""
+    mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
+    what = type(mechanism).__name__
+    allowed = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
+    for name in fitting.sensors:
+        if name not in by_name or name not in allowed:
+            raise ValueError(f"sensor {name!r} for {what}; allowed are {', '.join(allowed)}")
+    chosen = [by_name[name] for name in fitting.sensors]
+    least = LEAST_SENSORS.get(mechanism.place, 1)
+    if len(chosen) < least or (mechanism.place == "pair" and len(chosen) != least):
+        raise ValueError(f"{what} needs {'exactly' if mechanism.place == 'pair' else 'at least'} {least} sensors")
+    if mechanism.place in LEAST_SENSORS and len({sensor.chip for sensor in chosen}) > 1:
+        raise ValueError(f"{what} needs sensors of one chip: name them, not {', '.join(fitting.sensors)}")
+    return chosen
+
+
+@dataclass
+class Host:
+    """What acts on the host and on the multiplexer; see `firmware_emulator.mechanisms.host`.
+
+    `clocks` are pairs (shown, when), each reading what the one before shows. `mux` is there when the array is soldered,
+    if a mechanism acts on it.
+    """
+
+    waits_ns: list[Callable[[], int]] = field(default_factory=list)
+    clocks: list[tuple[Reading, Reading]] = field(default_factory=list)
+    obeys: list[Callable[[int], bool]] = field(default_factory=list)
+    switched: list[Callable[[int], None]] = field(default_factory=list)
+    mux: WatchedMux | None = None
+
+
+class FittedBoard(Board):
+    """The board of `array` after power-up number `run`, with `fittings` at work; `units` as in `UNITS`.
+
+    `notes` collects what mechanisms did that parameters don't tell, `touched` the sensors of which readings were false,
+    of mechanisms that leave that to chance; `crossed` says whose wiring leads to whom. ValueError for mechanisms that
+    this array has no place for.
+    """
+
+    def __init__(
+        self,
+        array: ArrayLike,
+        world: World,
+        seed: int,
+        fittings: Sequence[Fitting] = (),
+        *,
+        run: int = 0,
+        units: str = "paper",
+    ) -> None:
+        super().__init__(array.name, world, seed)
+        if units not in UNITS:
+            raise ValueError(f"units={units}; allowed are {', '.join(UNITS)}")
+        self.run, self.units = run, units
+        self.sensors = {sensor.name: sensor for sensor in array.sensors}
+        self.notes: list[str] = []
+        self.touched: dict[Mechanism, set[str]] = {}
+        self.crossed: dict[str, str] = {}
+        self.host = Host()
+        self.powered_on_ns = world.start_ns if isinstance(world, Delayed) else 0
+        self._sites: dict[str, Site] = {}
+        for fitting in fittings:
+            fitting.mechanism.fit(self, [self.site(sensor) for sensor in sites_of(array, fitting)])
+        if array.mux is None and (self.host.obeys or self.host.switched):
+            raise ValueError(f"array {array.name} has no multiplexer for a mechanism to act on")
+        for site in self._sites.values():
+            if len(site.kinds) > 1:
+                raise ValueError(f"sensor {site.name}: two mechanisms would change the inside of its {site.chip}")
+
+    def site(self, sensor: SensorLike) -> Site:
+        """Where mechanisms act on that sensor."""
+        if sensor.name not in self._sites:
+            self._sites[sensor.name] = Site(
+                sensor.name,
+                sensor.chip,
+                sensor.range or 0.0,
+                IDENTITY if sensor.orientation is None else sensor.orientation,
+                self.world.world if isinstance(self.world, Delayed) else self.world,
+                self.seed,
+                self.run,
+                self.notes,
+                self.touched,
+            )
+        return self._sites[sensor.name]
+
+    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+        """One adapter, late if the host makes it so."""
+        if self.host.waits_ns:
+            return LatentWire(clock, bit_rate_hz, nack_errno, host_ns, self.host.waits_ns)
+        return super().wire(clock, bit_rate_hz, nack_errno, host_ns)
+
+    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+        """The multiplexer, watched if a mechanism wants to."""
+        if not (self.host.obeys or self.host.switched):
+            return super().router(chip, address, channels, powered_on_ns)
+        named(chip, MUXES, "mux")
+        self.host.mux = WatchedMux(address, channels, powered_on_ns, self.host.obeys, self.host.switched)
+        return self.host.mux
+
+    def element(self, sensor: SensorLike) -> SensingElement:
+        """The sensing element that is found at that sensor's place, with its unit and what acts on it."""
+        there = self.sensors[self.crossed.get(sensor.name, sensor.name)]
+        orientation = IDENTITY if there.orientation is None else there.orientation
+        site = self._sites.get(sensor.name)
+        key = f"{there.name}, run {self.run}" if self.run else there.name
+        if site is None or there.chip not in INERTIAL:
+            return SensingElement(self.world, there.chip, key, orientation, self.unit(there), self.seed)
+        unit, start_ns = self.unit(there), self.powered_on_ns
+        return MountedElement(self.world, there.chip, key, orientation, unit, self.seed, site.chain, start_ns)
+
+    def unit(self, sensor: SensorLike) -> Unit:
+        """The imperfections of one unit."""
+        if self.units == "drawn":
+            return plain_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed)
+        if self.units == "toleranced":
+            return toleranced_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed, self.run)
+        return unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
+
+    def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
+        """What builds the chip, changed by mechanisms inside it."""
+        kind = super().kind(sensor)
+        for change in self._sites[sensor.name].kinds if sensor.name in self._sites else ():
+            kind = change(kind)
+        return kind
+
+    def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
+        """What mechanisms set, and the oscillator of a toleranced part."""
+        own: dict[str, Any] = {}
+        if self.units == "toleranced" and sensor.chip in RATE_ERROR:
+            own["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))
+        return {**own, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
+
+    def generator_key(self, sensor: SensorLike) -> str:
+        """Another noise after each power-up."""
+        return f"{self.seed} {sensor.name} {self.run}" if self.run else super().generator_key(sensor)
+
+    def device(self, sensor: SensorLike, chip: Chip) -> Target:
+        """The chip, behind its wiring if something acts there."""
+        site = self._sites.get(sensor.name)
+        if site is None or site.links.idle:
+            return chip
+        return Line(chip, sensor.chip, site.links, self.powered_on_ns)
+
+    def host_clock(self, clock: Clock) -> Clock:
+        """The world's clock, or what the host takes for it."""
+        for shown, when in self.host.clocks:
+            clock = HostClock(clock, shown, when, self.powered_on_ns)
+        return clock
+
+
+def chosen(name: str, known: Mapping[str, type[Mechanism]], severity: float) -> Mechanism:
+    """The mechanism of that name at `severity`; ValueError for a name or a severity that isn't possible."""
+    if not severity > 0:
+        raise ValueError(f"severity={severity}; allowed is anything above 0")
+    return named(name, known, "mechanism").at(severity)

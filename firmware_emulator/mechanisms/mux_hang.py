@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from firmware_emulator.element import stream
-from firmware_emulator.mechanisms.fitted import FittedBoard
 from firmware_emulator.mechanisms.line import Codes, Latch
-from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
 from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site
 
 if TYPE_CHECKING:
-    from firmware_emulator.array import SensorLike
+    from firmware_emulator.description import SensorLike
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from firmware_emulator.mechanisms import MECHANISMS
-from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting, chosen, sites_of
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, chosen, sites_of
 
 if TYPE_CHECKING:
-    from firmware_emulator.array import ArrayLike, BoardKind
+    from firmware_emulator.board import BoardKind
+    from firmware_emulator.description import ArrayLike
     from firmware_emulator.world import World
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from firmware_emulator.element import stream
-from firmware_emulator.mechanisms.fitted import FittedBoard
-from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
 from firmware_emulator.mechanisms.site import Site
 
 

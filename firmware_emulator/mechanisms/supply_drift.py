@@ -11,8 +11,7 @@ import numpy as np
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
-from firmware_emulator.mechanisms.fitted import FittedBoard
-from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
 from firmware_emulator.mechanisms.site import Site, plus
 from firmware_emulator.world import Stimulus
 

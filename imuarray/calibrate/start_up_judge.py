@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.array import ArrayConfig
 from imuarray.calibrate.model import Calibration
+from imuarray.calibrate.runs import Ranges
 from imuarray.calibrate.start_up import StartUp, in_states, in_this_pose, state_of
 
 PARTS = 10
@@ -33,11 +33,11 @@ class StartUpJudge:
     """
 
     def __init__(
-        self, array: ArrayConfig, calibration: Calibration, tell: Callable[[str], None] = lambda text: None
+        self, calibration: Calibration, ranges: Ranges, tell: Callable[[str], None] = lambda text: None
     ) -> None:
+        """`ranges` are the sensitivities of each sensor's chip by range, by sensor (`ArrayConfig.sensitivities`)."""
         self.sentences: list[str] = []
-        self._calibration, self._tell = calibration, tell
-        self._ranges = {sensor.name: sensor.spec.sensitivity for sensor in array.sensors if sensor.spec.sensitivity}
+        self._calibration, self._ranges, self._tell = calibration, ranges, tell
         self._means: dict[str, npt.NDArray[Any]] = {}
         self._starts: dict[str, StartUp] = {}
 

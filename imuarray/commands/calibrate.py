@@ -127,12 +127,11 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     imuarray calibrate turn-on boot_*.h5 -o cal.toml --update
     """
     from imuarray.calibrate import calibrate_turn_on
-    from imuarray.chips import CHIPS
+    from imuarray.chips import SENSITIVITIES
     from imuarray.commands.calibrate_turn_on import print_report, report_of
 
-    ranges = {name: spec.sensitivity for name, spec in CHIPS.items()}
     with _opened(runs, output, update, force) as logs:
-        calibration, results = calibrate_turn_on(logs, ranges, seed)
+        calibration, results = calibrate_turn_on(logs, SENSITIVITIES, seed)
         report = report_of(results)
     _finish(calibration, report, print_report, output, update, force, as_json)
 

@@ -94,6 +94,7 @@ def command(
     imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
     """
     from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.inputs import prepare_inputs
     from imuarray.log import open_log
 
@@ -108,6 +109,7 @@ def command(
             calibration,
             technique=None if evaluate else technique,
             only=[log[name].name for name in only.split(",")] if only else (),
+            ranges=SENSITIVITIES,
             calibration_file=str(calibration_file or ""),
         )
         for remark in inputs.remarks:
@@ -156,10 +158,10 @@ class _Work:
         progress: Callable[[float], None] = lambda share: None,
     ) -> Iterator[FusedBlock]:
         """The result; `found` hears of sensors that fail, `told` what the technique has to say at the end."""
-        from imuarray.chips import CHIPS
+        from imuarray.chips import SENSITIVITIES
         from imuarray.fuse import Watch, fuse
 
-        watch = Watch(self.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, found)
+        watch = Watch(self.watch, SENSITIVITIES, found)
         return fuse(
             self.log,
             self.calibration,

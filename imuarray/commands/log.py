@@ -233,7 +233,7 @@ def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
 
     if options.calibration is None:
         return None
-    judge = StartUpJudge(array, load_calibration(options.calibration), _remark)
+    judge = StartUpJudge(load_calibration(options.calibration), array.sensitivities, _remark)
     return judge if judge.knows_states or not options.fuse else None
 
 
@@ -244,6 +244,7 @@ def _remark(text: str) -> None:
 def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
     """The fusion that runs while the log is recorded."""
     from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions, default_path
 
     calibration = load_calibration(options.calibration) if options.calibration else Calibration()
@@ -255,7 +256,12 @@ def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
         rotate_s=options.rotate_s,
         force=options.force,
     )
-    how = LiveFusionOptions(options.rate_hz, watch=options.watch, start_calibration=judge.in_states if judge else None)
+    how = LiveFusionOptions(
+        options.rate_hz,
+        watch=options.watch,
+        ranges=SENSITIVITIES,
+        start_calibration=judge.in_states if judge else None,
+    )
     fusion = LiveFusion(output, calibration, how, _remark)
     refuse_existing(fusion.first_path, options.force, source=options.output)
     return fusion

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.calibrate.start_up import came_up
-from imuarray.chips import CHIPS
 from imuarray.errors import FusionError
 from imuarray.fuse.element_temperature import (
     element_temperatures,
@@ -19,6 +19,8 @@ from imuarray.fuse.element_temperature import (
 from imuarray.fuse.fuse import NEEDS_NOISE
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
+
+_NO_RANGES: Mapping[str, Mapping[float, float]] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -45,23 +47,26 @@ def prepare_inputs(
     *,
     technique: str | None = None,
     only: Sequence[str] = (),
+    ranges: Mapping[str, Mapping[float, float]] = _NO_RANGES,
     calibration_file: str = "",
 ) -> FusionInputs:
     """Prepare `calibration` for fusing `log` by `technique` (None: by any of them); `only` these sensors, if any are
     named.
 
-    Biases become those of the states in which the sensors started, and sensors that started wrong are left out. Noise
+    Biases become those of the states in which the sensors started, and sensors that started wrong are left out: in
+    another range, too, for chips whose sensitivities by range are in `ranges` (`imuarray.chips.SENSITIVITIES`). Noise
     that the technique needs and the calibration lacks is measured where the log is at rest. FusionError if a
     `calibration_file` knows none of the sensors.
 
     >>> from imuarray import load_calibration, open_log
+    >>> from imuarray.chips import SENSITIVITIES
     >>> from imuarray.fuse import fuse
     >>> with open_log("run.h5") as log:
-    ...     inputs = prepare_inputs(log, load_calibration("cal.toml"), technique="planes")
+    ...     inputs = prepare_inputs(log, load_calibration("cal.toml"), technique="planes", ranges=SENSITIVITIES)
     ...     blocks = list(fuse(log, inputs.calibration, "planes", only=inputs.only))
     """
     uncalibrated = _uncalibrated(log, calibration, only, calibration_file)
-    calibration, start_up, chosen = _in_start_states(log, calibration, only)
+    calibration, start_up, chosen = _in_start_states(log, calibration, only, ranges)
     sensors = _inertial(log, chosen)
     sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
     warm = element_temperatures(log, sloped, calibration)
@@ -104,11 +109,11 @@ def _uncalibrated(log: Log, calibration: Calibration, only: Sequence[str], file:
 
 
 def _in_start_states(
-    log: Log, calibration: Calibration, only: Sequence[str]
+    log: Log, calibration: Calibration, only: Sequence[str], ranges: Mapping[str, Mapping[float, float]]
 ) -> tuple[Calibration, list[str], Sequence[str]]:
     """The calibration with the biases of the states in which sensors started; sentences; the sensors to fuse."""
-    ranges = {name: CHIPS[sensor.chip].sensitivity for name, sensor in log.sensors.items() if sensor.chip in CHIPS}
-    chosen, starts = came_up(log, calibration, ranges)
+    by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
+    chosen, starts = came_up(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
     sentences = [start.sentence(name, calibration) for name, start in starts.items()]
     if wrong:

@@ -16,14 +16,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from imuarray.calibrate import Calibration
-from imuarray.chips import CHIPS
 from imuarray.errors import ImuArrayError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import FusedBlock
@@ -144,13 +143,16 @@ def _part(block: FusedBlock, rows: slice) -> FusedBlock:
 class LiveFusionOptions:
     """How rows are fused while they are recorded at `rate_hz` frames per second.
 
-    `watch`: whether failing sensors are left out (None: by `optimal` only). `start_calibration` returns, once the first
-    inertial rows are there, the calibration for the states in which the sensors started (None: the given one). A sensor
-    is waited for `timeout_s` (None: by the frame rate); `queue_blocks` may wait to be fused (None: 30 s of them).
+    `watch`: whether failing sensors are left out (None: by `optimal` only); `ranges` are the sensitivities of chips by
+    range, for a sensor that fell back to another one (`imuarray.chips.SENSITIVITIES`). `start_calibration` returns,
+    once the first inertial rows are there, the calibration for the states in which the sensors started (None: the given
+    one). A sensor is waited for `timeout_s` (None: by the frame rate); `queue_blocks` may wait to be fused (None: 30 s
+    of them).
     """
 
     rate_hz: float
     watch: bool | None = None
+    ranges: Mapping[str, Mapping[float, float]] = field(default_factory=dict)
     start_calibration: Callable[[], Calibration] | None = None
     timeout_s: float | None = None
     queue_blocks: int | None = None
@@ -171,7 +173,7 @@ class LiveFusion:
         self.frames = 0
         self._calibration, self._options, self.tell = calibration, options, tell
         self._start_calibration = options.start_calibration or (lambda: calibration)
-        self._watch = Watch(options.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, self._failed)
+        self._watch = Watch(options.watch, options.ranges, self._failed)
         self._faults: deque[FaultEvent] = deque(maxlen=_FAULTS_KEPT)
         self._unwritten: list[FaultEvent] = []
         self._notes = FusionNotes()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from firmware_emulator.cases import Case, main
-from firmware_emulator.mechanisms.fitted import RATE_ERROR, TURN_ON_SHARE, toleranced_part
+from firmware_emulator.mechanisms.mechanism import RATE_ERROR, TURN_ON_SHARE, toleranced_part
 from firmware_emulator.sessions import Motion, Pose, Room, Stretch, Vibration, session, sessions, turn_to
 from imuarray.log import open_log
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.element import Unit
-from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
-from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, Mechanism
 from firmware_emulator.world import UPRIGHT, Still, Stimulus, World
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -14,7 +14,7 @@ import pytest
 import firmware_emulator
 from firmware_emulator.array import open_bus
 from firmware_emulator.mechanisms import MECHANISMS
-from firmware_emulator.mechanisms.fitted import FittedBoard
+from firmware_emulator.mechanisms.mechanism import FittedBoard
 from firmware_emulator.mechanisms.query import fittings_from
 from firmware_emulator.world import Heating, Shaking
 from tests.emulator.mechanisms.mechanism_bench import ARRAY, errors, every

@@ -12,10 +12,10 @@ from firmware_emulator.mechanisms.board_to_die import BoardToDie
 from firmware_emulator.mechanisms.crossed_wiring import CrossedWiring
 from firmware_emulator.mechanisms.drive_imbalance import DriveImbalance
 from firmware_emulator.mechanisms.dropped_box import DroppedBox
-from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
 from firmware_emulator.mechanisms.gain_resistor import GainResistor
 from firmware_emulator.mechanisms.lever_arm import LeverArm
 from firmware_emulator.mechanisms.log_creep import LogCreep
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.mechanisms.package_tilt import PackageTilt
 from firmware_emulator.mechanisms.pipeline_delay import PipelineDelay
 from firmware_emulator.mechanisms.plate_gap import PlateGap

@@ -13,10 +13,10 @@ from firmware_emulator.mechanisms.brown_out import BrownOut
 from firmware_emulator.mechanisms.cable_bit_errors import CableBitErrors
 from firmware_emulator.mechanisms.coarse_timestamps import CoarseTimestamps
 from firmware_emulator.mechanisms.converter_hold import ConverterHold
-from firmware_emulator.mechanisms.fitted import Fitting
 from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.host_resonator import HostResonator
 from firmware_emulator.mechanisms.loose_contact import LooseContact
+from firmware_emulator.mechanisms.mechanism import Fitting
 from firmware_emulator.mechanisms.missing_codes import MissingCodes
 from firmware_emulator.mechanisms.mux_crosstalk import MuxCrosstalk
 from firmware_emulator.mechanisms.mux_hang import MuxHang
