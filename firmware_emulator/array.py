@@ -20,7 +20,7 @@ from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import WORLDS, Delayed, Phase, PhasedWorld, Still, World, WorldKind
+from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
 
 TRUNK = ""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
@@ -104,7 +104,7 @@ def open_array(
         raise ValueError(f"switches for {', '.join(sorted(unknown))}: allowed are sensors of the array and chips")
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
-    begun = Delayed(world or Still(), now_ns) if now_ns else world or Still()
+    begun = DelayedWorld(world or Still(), now_ns) if now_ns else world or Still()
     parts = board(array.name, begun, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}

@@ -33,7 +33,7 @@ from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment, kn
 from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.mechanisms.query import checked, fitting_of, split
-from firmware_emulator.sessions import Course, Recorder, Room, Told, of_table, sessions
+from firmware_emulator.sessions import Course, Recorder, ReferenceWorld, Room, of_table, sessions
 from firmware_emulator.world import Phase, World
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
@@ -157,7 +157,7 @@ class Case:
 
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
         if isinstance(experiment.world, Course):
-            bus.truth = Told(experiment.world)
+            bus.truth = ReferenceWorld(experiment.world)
         if not self.reference:
             del bus.truth  # nobody is told
         summary = record(
@@ -214,7 +214,7 @@ def call_it_reference(path: Path) -> None:
 def read_reference(path: Path, experiment: Experiment, begun_ns: int) -> None:
     """The reference at its own rate, by a clock of its own that is right, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
-    world = Told(experiment.world) if isinstance(experiment.world, Course) else experiment.world
+    world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
     felt = [world(begun_ns + at_ns) for at_ns in times.tolist()]
     columns = {
         "time": times,

@@ -42,7 +42,7 @@ def device_files(adapters: Mapping[str, Adapter]) -> Iterator[None]:
         return served.opened(real_open(served.stand_in(path), *args, **keywords))
 
     with tempfile.TemporaryDirectory() as folder:
-        served = _Served(adapters, Path(folder))
+        served = _DeviceFolder(adapters, Path(folder))
         replace_everywhere("ioctl", real_ioctl, ioctl)
         replace_everywhere("open", real_open, opened)
         try:
@@ -59,7 +59,7 @@ def replace_everywhere(name: str, old: object, new: object) -> None:
             setattr(module, name, new)
 
 
-class _Served:
+class _DeviceFolder:
     """The adapters of one block: which file stands for which, and what has been opened."""
 
     def __init__(self, adapters: Mapping[str, Adapter], folder: Path) -> None:

@@ -14,7 +14,6 @@ from firmware_emulator.faulty_bus import FaultyMux, FaultyWires
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import Delayed
 
 
 def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:
@@ -32,7 +31,7 @@ class FaultyBoard(Board):
     def __init__(self, inner: Board, faults: Sequence[Fault]) -> None:
         super().__init__(inner.array, inner.world, inner.seed)
         self._inner = inner
-        self._powered_on_ns = inner.world.start_ns if isinstance(inner.world, Delayed) else 0
+        self._powered_on_ns = inner.world.start_ns if isinstance(inner.world, DelayedWorld) else 0
         self.chip_faults: dict[str, list[ChipFault]] = {}
         by_kind: dict[str, list[Times]] = {kind: [] for kind in BUS_FAULTS}
         self._orders: list[tuple[Times, int | None, bool]] = []

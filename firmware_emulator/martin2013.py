@@ -18,7 +18,7 @@ NAME = "martin2013"
 
 
 @dataclass(frozen=True)
-class Published:
+class PublishedUnit:
     """One triad of Tables 4, 8 and 10, rows x, y, z. `counts_per_unit` is the typical scale of the data sheet.
 
     An accelerometer's `faces` are the readings with +X, +Y, +Z, -X, -Y, -Z up; a gyroscope's `bias` and `differences`
@@ -45,8 +45,8 @@ BMA180_LOW = ("bma180", 1.5, 5460.0, 150.0)  # BMA-71
 L3G4200D_HIGH = ("l3g4200d", 2000.0, 1000 / 70, 35.0)  # L3G-42; 0.18 dps is L3G-74 over 35 Hz
 L3G4200D_LOW = ("l3g4200d", 250.0, 1000 / 8.75, 35.0)  # L3G-40
 
-TABLES: dict[str, Published] = {
-    "ADXL1": Published(
+TABLES: dict[str, PublishedUnit] = {
+    "ADXL1": PublishedUnit(
         *ADXL345,
         slope=(-0.024, 0.019, -0.352),
         noise=(5.811277, 6.560084, 12.28892),
@@ -57,7 +57,7 @@ TABLES: dict[str, Published] = {
         ),
         step=2.0,
     ),
-    "ADXL2": Published(
+    "ADXL2": PublishedUnit(
         *ADXL345,
         slope=(-0.011, -0.067, -0.194),
         noise=(5.481664, 6.40681, 12.03305),
@@ -68,7 +68,7 @@ TABLES: dict[str, Published] = {
         ),
         step=2.0,
     ),
-    "BMA1": Published(
+    "BMA1": PublishedUnit(
         *BMA180_HIGH,
         slope=(-0.034, -0.199, 0.192),
         noise=(8.14338, 9.199038, 8.723506),
@@ -79,7 +79,7 @@ TABLES: dict[str, Published] = {
         ),
         thermometer_offset_degc=-0.47,
     ),
-    "BMA2": Published(
+    "BMA2": PublishedUnit(
         *BMA180_HIGH,
         slope=(0.205, -0.258, 0.496),
         noise=(7.901824, 10.07948, 8.315939),
@@ -90,7 +90,7 @@ TABLES: dict[str, Published] = {
         ),
         thermometer_offset_degc=3.00,
     ),
-    "BMA3": Published(
+    "BMA3": PublishedUnit(
         *BMA180_LOW,
         slope=(-0.548, -0.121, 4.516),
         noise=(40.04875, 51.06081, 49.97539),
@@ -101,7 +101,7 @@ TABLES: dict[str, Published] = {
         ),
         thermometer_offset_degc=1.76,
     ),
-    "BMA4": Published(
+    "BMA4": PublishedUnit(
         *BMA180_LOW,
         slope=(0.946, -1.714, -2.235),
         noise=(46.12221, 68.80461, 56.33199),
@@ -112,7 +112,7 @@ TABLES: dict[str, Published] = {
         ),
         thermometer_offset_degc=2.44,
     ),
-    "Gyro1": Published(
+    "Gyro1": PublishedUnit(
         *L3G4200D_HIGH,
         slope=(0.235, 0.265, 0.221),
         noise=(2.626539, 2.517964, 2.72343),
@@ -120,7 +120,7 @@ TABLES: dict[str, Published] = {
         differences=((0.006, -0.545, -0.073), (-0.160, -0.146, -0.023), (-0.094, -0.009, -0.202)),
         thermometer_offset_degc=2.15,
     ),
-    "Gyro2": Published(
+    "Gyro2": PublishedUnit(
         *L3G4200D_HIGH,
         slope=(0.521, 0.261, 0.187),
         noise=(2.456826, 2.432673, 3.008718),
@@ -128,7 +128,7 @@ TABLES: dict[str, Published] = {
         differences=((0.007, 0.385, -0.501), (0.236, 0.209, -0.260), (-0.221, 0.097, 0.007)),
         thermometer_offset_degc=-3.07,
     ),
-    "Gyro3": Published(
+    "Gyro3": PublishedUnit(
         *L3G4200D_LOW,
         slope=(0.904, 2.133, -2.782),
         noise=(19.90578, 20.25934, 19.69882),
@@ -146,14 +146,14 @@ MOUNTED: dict[str, Matrix] = {
 """Table 1, box = matrix @ sensor; those of accelerometers follow from Table 10."""
 
 
-def bias_of(published: Published) -> Triple:
+def bias_of(published: PublishedUnit) -> Triple:
     """Mean of the six faces, or what Table 4 says, in the data sheet's unit."""
     counts = [sum(row) / 6 for row in published.faces] if published.faces else published.bias
     x, y, z = (count / published.counts_per_unit for count in counts)
     return x, y, z
 
 
-def force_response(published: Published, mounted: Matrix | None = None) -> Matrix:
+def force_response(published: PublishedUnit, mounted: Matrix | None = None) -> Matrix:
     """Half differences of opposite faces: data sheet units per g, rows the sensor's axes, columns those of the sensor.
 
     `mounted` is the ideal orientation, box = `mounted` @ sensor; without it, the nearest one for an accelerometer.
@@ -176,7 +176,7 @@ def nearest_orientation(by_box_axis: Matrix) -> Matrix:
     return x, y, z
 
 
-def noise_of(published: Published) -> Triple:
+def noise_of(published: PublishedUnit) -> Triple:
     """Noise before the converter's rounding, in the data sheet's unit; rounding adds step**2 / 12 to the variance."""
     rounding = published.step**2 / 12
     x, y, z = (math.sqrt(rms**2 - rounding) / published.counts_per_unit for rms in published.noise)

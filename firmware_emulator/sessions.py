@@ -269,7 +269,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Told:
+class ReferenceWorld:
     """What a course told the box to do: the world of a reference instrument."""
 
     course: Course

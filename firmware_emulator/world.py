@@ -309,7 +309,7 @@ class Shaking:
 
 
 @dataclass(frozen=True)
-class Delayed:
+class DelayedWorld:
     """A world whose time 0 is `start_ns` of the clock."""
 
     world: World

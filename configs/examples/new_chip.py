@@ -16,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.chips import ChipSpec
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, flagged, registers_for, saturated
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, flagged, registers_for, saturated
 from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import OVERRUN, STALE
 
@@ -84,11 +84,11 @@ class Lis3dh:
         """Status and the three axes, one instant."""
         return self.registers.bus.transfer(self.registers.address, bytes([STATUS.address | AUTO_INCREMENT]), self.burst)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 12 bits; stale without ZYXDA (bit 3), overrun with ZYXOR (bit 7)."""
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16) >> 4
         fresh = flagged(~bursts[:, 0], 0x08, STALE) | flagged(bursts[:, 0], 0x80, OVERRUN)
-        return Decoded(counts, None, fresh | saturated(counts, -2048, 2047))
+        return DecodedBursts(counts, None, fresh | saturated(counts, -2048, 2047))
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Elapsed, Site
+from firmware_emulator.mechanisms.site import Site, Stopwatch
 from firmware_emulator.world import Stimulus
 
 
@@ -31,7 +31,7 @@ class BoardToDie(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """The two nodes begin at the temperature that is first felt."""
-        elapsed = Elapsed()
+        elapsed = Stopwatch()
         board = die = math.nan
 
         def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:

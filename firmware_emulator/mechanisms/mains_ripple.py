@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Elapsed, Site, plus
+from firmware_emulator.mechanisms.site import Site, Stopwatch, plus
 from firmware_emulator.world import Stimulus
 
 
@@ -37,7 +37,7 @@ class MainsRipple(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """The ripple reaches every axis in the same phase."""
-        random, elapsed = site.run_random("mains"), Elapsed()
+        random, elapsed = site.run_random("mains"), Stopwatch()
         direction, peak = site.direction("mains"), site.by_unit(self.peak_g, self.peak_dps)
         phase, wander = random.uniform(0.0, 2 * math.pi), random.normal(0.0, self.wander_hz)
         second, third = self.harmonics

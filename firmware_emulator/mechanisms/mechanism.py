@@ -20,7 +20,7 @@ from firmware_emulator.mechanisms.site import INERTIAL, Site
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.units import TOLERANCES, Spread, drawn_unit, typical, unit_of
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import Delayed, World
+from firmware_emulator.world import DelayedWorld, World
 
 if TYPE_CHECKING:
     from firmware_emulator.description import ArrayLike, SensorLike
@@ -172,7 +172,7 @@ class FittedBoard(Board):
         self.touched: dict[Mechanism, set[str]] = {}
         self.crossed: dict[str, str] = {}
         self.host = Host()
-        self.powered_on_ns = world.start_ns if isinstance(world, Delayed) else 0
+        self.powered_on_ns = world.start_ns if isinstance(world, DelayedWorld) else 0
         self._sites: dict[str, Site] = {}
         for fitting in fittings:
             fitting.mechanism.fit(self, [self.site(sensor) for sensor in sites_of(array, fitting)])
@@ -190,7 +190,7 @@ class FittedBoard(Board):
                 sensor.chip,
                 sensor.range or 0.0,
                 IDENTITY if sensor.orientation is None else sensor.orientation,
-                self.world.world if isinstance(self.world, Delayed) else self.world,
+                self.world.world if isinstance(self.world, DelayedWorld) else self.world,
                 self.seed,
                 self.run,
                 self.notes,

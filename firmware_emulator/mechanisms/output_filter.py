@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Elapsed, Site
+from firmware_emulator.mechanisms.site import Site, Stopwatch
 from firmware_emulator.world import Stimulus
 
 NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
@@ -65,7 +65,7 @@ class OutputFilter(SensorMechanism):
         site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))  # others' noise comes later
 
     def _signal(self) -> Callable[[int, Triple, Stimulus], Triple]:
-        elapsed = Elapsed()
+        elapsed = Stopwatch()
         state: list[tuple[float, float]] = []
         before: Triple = (0.0, 0.0, 0.0)
 
@@ -90,7 +90,7 @@ class OutputFilter(SensorMechanism):
         return sensed
 
     def _noise(self, draw: Callable[[], float]) -> Callable[[int, Triple, Triple, float], Triple]:
-        elapsed = Elapsed()
+        elapsed = Stopwatch()
         unit = [(draw(), draw() * math.sqrt(2) * self.decay) for _ in range(3)]  # of variance 1
         steps: dict[float, tuple[Step, Triple]] = {}
 

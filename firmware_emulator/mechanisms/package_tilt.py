@@ -31,10 +31,10 @@ class PackageTilt(SensorMechanism):
         length = math.sqrt(x * x + y * y + z * z)
         axis = x / length, y / length, z / length
         cosine, sine = math.cos(math.radians(self.tilt_deg)), math.sin(math.radians(self.tilt_deg))
-        site.chain.felt.append(Turned(axis, cosine, sine))
+        site.chain.felt.append(Rotation(axis, cosine, sine))
 
 
-class Turned:
+class Rotation:
     """stimulus -> stimulus, seen after a turn about `axis`; a box at rest goes on feeling the very same object."""
 
     def __init__(self, axis: tuple[float, float, float], cosine: float, sine: float) -> None:

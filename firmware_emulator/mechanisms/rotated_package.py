@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.package_tilt import Turned
 from firmware_emulator.mechanisms.site import Site
 
 
@@ -30,4 +29,4 @@ class RotatedPackage(SensorMechanism):
         """The sensor's z axis in the box is the last column of its orientation."""
         x, y, z = (row[2] for row in site.orientation)
         cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[self.quarters % 4]
-        site.chain.felt.append(Turned((x, y, z), cosine, sine))
+        site.chain.felt.append(Rotation((x, y, z), cosine, sine))

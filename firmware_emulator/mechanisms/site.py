@@ -75,7 +75,7 @@ class Site:
         self.notes.append(f"{self.name}: {what}")
 
 
-class Elapsed:
+class Stopwatch:
     """Seconds since the previous call; 0 at the first."""
 
     def __init__(self) -> None:

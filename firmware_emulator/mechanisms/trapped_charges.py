@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Elapsed, Site
+from firmware_emulator.mechanisms.site import Site, Stopwatch
 from firmware_emulator.world import Stimulus
 
 
@@ -37,7 +37,7 @@ class TrappedCharges(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """A bank for each axis."""
-        random, elapsed = site.run_random("traps"), Elapsed()
+        random, elapsed = site.run_random("traps"), Stopwatch()
         each = site.by_unit(self.rms_g, self.rms_dps) / self.traps**0.5
         constants_s = np.geomspace(self.fastest_s, self.slowest_s, self.traps)
         bank = np.where(random.random((3, self.traps)) < 0.5, -each, each)

@@ -7,7 +7,7 @@ from typing import Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Elapsed, Site, plus
+from firmware_emulator.mechanisms.site import Site, Stopwatch, plus
 from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
 
 
@@ -31,7 +31,7 @@ class VibrationRectification(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Along axes of the part's own."""
         direction, factor = site.direction("stops"), site.by_unit(self.per_g2_g, self.per_g2_dps)
-        elapsed = Elapsed()
+        elapsed = Stopwatch()
         mean: Triple | None = None
         square = 0.0
 

@@ -23,6 +23,7 @@ from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.array import SensorConfig
+from imuarray.arrays import Booleans, Times
 from imuarray.drivers import FifoDriver, OnDemandDriver
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.rotate import Writer
@@ -447,7 +448,7 @@ class Intake:
         self._faults.of(name, "refused").happened(now_ns, text, count)
 
 
-def in_order(times: npt.NDArray[np.int64], newest_ns: int | None, latest_ns: int) -> npt.NDArray[np.bool_]:
+def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
     """(n,) which of the `times` (n,) can be stored behind `newest_ns` (None: nothing is stored yet): those that are at
     most `latest_ns` and later than all such before them.
     """
@@ -458,7 +459,7 @@ def in_order(times: npt.NDArray[np.int64], newest_ns: int | None, latest_ns: int
     return np.asarray(possible & (times > np.maximum.accumulate(before)), np.bool_)
 
 
-def selected(block: Block, kept: npt.NDArray[np.bool_], inherited: np.uint16) -> tuple[Block, np.uint16]:
+def selected(block: Block, kept: Booleans, inherited: np.uint16) -> tuple[Block, np.uint16]:
     """The rows of `block` that are `kept` (n,), and the flags that its next row inherits.
 
     The first row takes over the flags `inherited` from before the block; each row takes over those of refused rows

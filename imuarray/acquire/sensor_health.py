@@ -25,6 +25,7 @@ from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
 from imuarray.acquire.start_up import StartUp
 from imuarray.array import SensorConfig
+from imuarray.arrays import Booleans, Times
 from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
@@ -40,9 +41,7 @@ class Freshness:
         self.longest_ns = round(1e9 / (sensor.chip_rate_hz * (1 - TOLERANCE))) + 2 * SLACK_NS
         self._fetched_ns: int | None = None
 
-    def overdue(
-        self, times_ns: npt.NDArray[np.int64], status: npt.NDArray[np.uint16], doubtful: npt.NDArray[np.bool_]
-    ) -> npt.NDArray[np.bool_]:
+    def overdue(self, times_ns: Times, status: npt.NDArray[np.uint16], doubtful: Booleans) -> Booleans:
         """(n,) True for rows that are stale though the chip must have had something new.
 
         `times_ns` (n,) are the times of the reads, `status` (n,) their flags; `doubtful` (n,) marks reads whose time is
@@ -272,7 +271,7 @@ class SensorHealth:
             _tell_at(overrun, state.overrun, "samples passed unread: the chip had nowhere to keep them")
 
 
-def _tell_at(times_ns: npt.NDArray[np.int64], episode: FaultEpisode, message: str) -> None:
+def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:
     """One episode at all these times, or several if it was over in between."""
     for part in np.split(times_ns, np.flatnonzero(np.diff(times_ns) > QUIET_NS) + 1):
         if len(part):

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.acquire.sensor_routes import SensorRoute
+from imuarray.arrays import Integers
 from imuarray.bus.protocol import MuxChannel
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, PollList, Request
@@ -172,8 +173,6 @@ def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: 
     return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))
 
 
-Numbers = npt.NDArray[np.int64]
-
 _WHY = {
     AGE_NOBODY: "nobody acknowledges (errno 121)",
     AGE_HELD: "the clock is held (errno 110)",
@@ -188,8 +187,8 @@ class Readings(NamedTuple):
     the burst (n, size). `failure` says why the last one that is missing is missing, in the words of an event.
     """
 
-    numbers: Numbers
-    times_ns: Numbers
+    numbers: Integers
+    times_ns: Integers
     parts: npt.NDArray[np.uint8]
     failure: str
 
@@ -209,7 +208,7 @@ def readings_at(place: Place, samples: Samples, rate: float) -> Readings:
     return Readings(samples.numbers[good], times_ns[good], payload[good, place.start : place.stop], failure)
 
 
-def _ages(payload: npt.NDArray[np.uint8], position: int) -> npt.NDArray[np.int64]:
+def _ages(payload: npt.NDArray[np.uint8], position: int) -> Integers:
     """(n,) ages at this position."""
     return payload[:, position].astype(np.int64) | payload[:, position + 1].astype(np.int64) << 8
 
@@ -274,4 +273,4 @@ class Rows:
         )
 
 
-_NONE: Numbers = np.empty(0, np.int64)
+_NONE: Integers = np.empty(0, np.int64)

@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.bus import serial_link as link
 from imuarray.bus.serial_link import Frame, PollList
 
@@ -43,16 +43,13 @@ MEANINGLESS = "of no kind and no list that was asked for"
 UNASKED = "an answer to no question"
 
 
-Numbers = npt.NDArray[np.int64]
-
-
-class Admitted(NamedTuple):
+class FrameSelection(NamedTuple):
     """Data frames of the running stream in its order: their widened `numbers` (n,) and their `places` (n,) among those
     that arrived.
     """
 
-    numbers: Numbers
-    places: Numbers
+    numbers: Integers
+    places: Integers
 
 
 class Admission:
@@ -76,11 +73,11 @@ class Admission:
         self._usual_us = started_us
         """When frame 0 would have been sent, from the newest frame."""
 
-    def admit(self, frames: Sequence[Frame], sent_us: Numbers) -> Admitted:
+    def admit(self, frames: Sequence[Frame], sent_us: Integers) -> FrameSelection:
         """The frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened counter; the
         others are counted in `refused`.
 
-        Admitted numbers with their lists strictly increase, their times do not decrease, over all calls.
+        FrameSelection numbers with their lists strictly increase, their times do not decrease, over all calls.
         """
         names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
         sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
@@ -100,16 +97,16 @@ class Admission:
         if len(places):
             self._usual_us = int(sent_us[places[-1]] - numbers[places[-1]] * self._period_us)
             self._remember(sent_us[places] - numbers[places] * self._period_us, int(sent_us[places[-1]]))
-        return Admitted(numbers[places], places)
+        return FrameSelection(numbers[places], places)
 
-    def _numbers(self, sequences: Numbers, sent_us: Numbers) -> Numbers:
+    def _numbers(self, sequences: Integers, sent_us: Integers) -> Integers:
         """(n,) the largest frame numbers that can have been begun by `sent_us` and are sent as `sequences`."""
         early_us = EARLY_US + (PERIOD_ERROR * np.maximum(sent_us - self._newest_us, 0)).astype(np.int64)
         begun = (sent_us - min(self._grid_us, self._earlier_grid_us) + early_us) // self._period_us
-        numbers: Numbers = begun - (begun - sequences) % link.SEQUENCES
+        numbers: Integers = begun - (begun - sequences) % link.SEQUENCES
         return numbers
 
-    def _increasing(self, order: Numbers, sent_us: Numbers, places: Numbers) -> Numbers:
+    def _increasing(self, order: Integers, sent_us: Integers, places: Integers) -> Integers:
         """The `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest of before."""
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
         if not follows.all():  # one that does not may stand before others that do
@@ -124,7 +121,7 @@ class Admission:
             self._newest, self._newest_us = int(order[kept[-1]]), int(sent_us[kept[-1]])
         return places[kept]
 
-    def _remember(self, grid_us: Numbers, sent_us: int) -> None:
+    def _remember(self, grid_us: Integers, sent_us: int) -> None:
         """Where the grid lies by frames of which the newest was sent at `sent_us`."""
         earliest_us = int(grid_us.min())
         if sent_us - self._grid_since_us > MEMORY_US:

@@ -18,6 +18,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers, Times
 from imuarray.bus import serial_link as link
 from imuarray.bus.protocol import Bus
 from imuarray.bus.serial_clock import ClockFit
@@ -40,8 +41,8 @@ class Samples(NamedTuple):
     was sent (n, size), the list's number left out.
     """
 
-    numbers: npt.NDArray[np.int64]
-    sent_ns: npt.NDArray[np.int64]
+    numbers: Integers
+    sent_ns: Times
     payload: npt.NDArray[np.uint8]
 
 

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 
-Times = npt.NDArray[np.int64]
+from imuarray.arrays import Floats, Times
 
 MAX_DRIFT = 0.01
 """Ceramic resonators are good to half a percent; what a fit says beyond twice that is the fault of its data."""
@@ -126,7 +125,7 @@ class ClockFit:
             self._slew = (int(given[0]), float(before - int(self._mapped(given)[0])))
 
 
-def line_under(sent: npt.NDArray[np.float64], arrived: npt.NDArray[np.float64]) -> tuple[float, float]:
+def line_under(sent: Floats, arrived: Floats) -> tuple[float, float]:
     """Slope and intercept of the line under all points (n,), in ns, with the least sum of distances to them.
 
     Slope 1 where the points span too little to tell; never further from 1 than `MAX_DRIFT`.

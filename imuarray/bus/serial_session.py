@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Times
 from imuarray.bus import serial_link as link
 from imuarray.bus.serial_admission import ANOTHER_TIME, MEANINGLESS, UNASKED, Admission
-from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, Times, nearest
+from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, nearest
 from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
 from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.units import READABLE
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _line(line: NoiseLine) -> dict[str, Any]:
     return {**vars(line), "range_hz": _listed(line.range_hz) or None}
 
 
-def _listed(values: npt.NDArray[np.float64] | None) -> list[float]:
+def _listed(values: Floats | None) -> list[float]:
     return [] if values is None else [float(value) for value in values]
 
 

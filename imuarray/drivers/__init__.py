@@ -7,11 +7,11 @@ from __future__ import annotations
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
-from imuarray.drivers.driver import Decoded, Driver, FifoDriver, OnDemandDriver, SelfTest
+from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 
-__all__ = ["DRIVERS", "FIFO_DRIVERS", "Decoded", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
+__all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
 
 DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,

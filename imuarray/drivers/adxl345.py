@@ -11,12 +11,21 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, compared, flagged, registers_for, saturated
+from imuarray.drivers.driver import (
+    Bytes,
+    DecodedBursts,
+    SelfTest,
+    carry_out,
+    compared,
+    flagged,
+    registers_for,
+    saturated,
+)
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Setting
@@ -95,7 +104,7 @@ class Adxl345:
         text = f"deflects {{change}} g; limits {limits} g"
         return compared(before, during, _SELF_TEST_G, text, still=_SELF_TEST_STILL_G)
 
-    def _readings_g(self) -> npt.NDArray[np.float64]:
+    def _readings_g(self) -> Floats:
         """Specific forces (n, 3) in g, after the four samples that the filter needs (ADX-58)."""
         sleep_for(self.clock, 5 / 400)
         counts = []
@@ -108,19 +117,19 @@ class Adxl345:
         """0x30 ... 0x37: what happened, how the data is formatted, x, y, z."""
         return self.registers.peek(facts.INT_SOURCE, self.burst)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts at 256 per g; stale where DATA_READY was clear, overrun where a set was replaced unread (ADX-52)."""
         decoded, source = self._triads(bursts[:, 2:8]), bursts[:, 0]
         stale = flagged(~source, facts.DATA_READY.mask, STALE)
         overrun = flagged(source, facts.OVERRUN.mask, OVERRUN)
         return decoded._replace(status=decoded.status | stale | overrun)
 
-    def _triads(self, data: Bytes) -> Decoded:
+    def _triads(self, data: Bytes) -> DecodedBursts:
         """Counts from (n, 6) data bytes."""
         counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47
-        return Decoded(counts, None, saturated(counts, -half_span, highest))
+        return DecodedBursts(counts, None, saturated(counts, -half_span, highest))
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""
@@ -158,6 +167,6 @@ class Adxl345Fifo(Adxl345):
         self.queue.times(len(sets), at_ns - round(unread * self.queue.period_ns), overrun=entries >= _FIFO_DEPTH)
         return b"".join(sets)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts at 256 per g; a set in the queue is always new."""
         return self._triads(bursts)

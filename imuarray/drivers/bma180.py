@@ -11,12 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for, saturated
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for, saturated
 from imuarray.facts import bma180 as facts
 from imuarray.facts.registers import Setting
 from imuarray.log.format import STALE
@@ -123,7 +123,7 @@ class Bma180:
             return SelfTest(None, f"{text}; {slow}, and the deflection lasts 10 ms at most")
         return SelfTest(passed, text)
 
-    def _counts_after(self, seconds: float) -> npt.NDArray[np.float64]:
+    def _counts_after(self, seconds: float) -> Floats:
         """One reading (3,) in counts, after a wait."""
         sleep_for(self.clock, seconds)
         burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)
@@ -133,13 +133,13 @@ class Bma180:
         """0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps each axis whole."""
         return self.registers.peek(facts.ACC_X_LSB, self.burst)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale where no axis was new."""
         words = np.ascontiguousarray(bursts[:, 0:6]).view("<i2")
         counts = (words >> 2).astype(np.int16)
         fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)
         status = saturated(counts, -8192, 8191) | np.where(fresh, 0, STALE).astype(np.uint16)
-        return Decoded(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
+        return DecodedBursts(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""

@@ -18,7 +18,7 @@ from imuarray.array import SensorConfig
 from imuarray.barometer import Words, compensate
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
 from imuarray.errors import SensorError
 from imuarray.facts import bmp180 as facts
 from imuarray.facts.registers import Setting
@@ -150,13 +150,13 @@ class Bmp180:
             raise OSError(errno.EIO, f"{self.registers.label}: conversion not finished in time")
         return block[2:]
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """UT and UP as counts, temperature in degC and pressure in Pa beside them (BMP-47)."""
         wide = bursts.astype(np.int64)
         ut = wide[:, 0] << 8 | wide[:, 1]
         up = (wide[:, 2] << 16 | wide[:, 3] << 8 | wide[:, 4]) >> 8 - _OVERSAMPLING
         temperature_degc, pressure_pa = compensate(ut, up, self.words, _OVERSAMPLING)
-        return Decoded(
+        return DecodedBursts(
             np.stack([ut, up], axis=1).astype(np.int32),
             None,
             np.zeros(len(bursts), np.uint16),

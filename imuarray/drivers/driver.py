@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.fifo_clock import FifoClock
@@ -78,7 +79,7 @@ Limits = tuple[tuple[float, float], ...]
 """Lowest and highest value of each axis."""
 
 
-class Decoded(NamedTuple):
+class DecodedBursts(NamedTuple):
     """What n bursts say.
 
     counts (n, 3) int16 for triads, (n, 2) int32 for the barometer; temperature_counts (n,) int16 where the chip has a
@@ -89,7 +90,7 @@ class Decoded(NamedTuple):
     counts: npt.NDArray[np.int16] | npt.NDArray[np.int32]
     temperature_counts: npt.NDArray[np.int16] | None
     status: npt.NDArray[np.uint16]
-    compensated: Mapping[str, npt.NDArray[np.float64]] = {}
+    compensated: Mapping[str, Floats] = {}
 
 
 class SelfTest(NamedTuple):
@@ -101,9 +102,7 @@ class SelfTest(NamedTuple):
     text: str
 
 
-def compared(
-    before: npt.NDArray[np.float64], during: npt.NDArray[np.float64], limits: Limits, text: str, *, still: float
-) -> SelfTest:
+def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
     """The verdict on (n, 3) readings before a self-test and (m, 3) during it: do their means differ by what `limits`
     allow?
 
@@ -117,7 +116,7 @@ def compared(
     return SelfTest(within(change, limits), said)
 
 
-def within(values: npt.NDArray[np.float64], limits: Limits) -> bool:
+def within(values: Floats, limits: Limits) -> bool:
     """Whether each of three values lies within its limits."""
     return all(low <= value <= high for value, (low, high) in zip(values, limits, strict=True))
 
@@ -170,7 +169,7 @@ class Driver(Protocol):
         A driver that drains a queue (`FifoDriver`) gives any number of bursts.
         """
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Pure: what (n, burst) bytes say; the chip is not asked."""
 
     def header(self) -> Mapping[str, int]:

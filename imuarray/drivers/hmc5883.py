@@ -11,14 +11,14 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import (
     Bytes,
-    Decoded,
+    DecodedBursts,
     SelfTest,
     carry_out,
     compared,
@@ -101,7 +101,7 @@ class Hmc5883:
             return SelfTest(False, f"{verdict.text}; fits an {name}: is it one?")
         return verdict
 
-    def _settled(self) -> npt.NDArray[np.float64]:
+    def _settled(self) -> Floats:
         """A few readings (n, 3) in counts, the first ones thrown away."""
         readings = []
         for _ in range(7):
@@ -113,11 +113,11 @@ class Hmc5883:
         """0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""
         return self.registers.peek(facts.DATA_X_MSB, self.burst)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts in the order x, y, z; saturated where the converter overflowed."""
         words = np.ascontiguousarray(bursts).view(">i2").astype(np.int16)
         counts = words[:, [0, 2, 1]]
-        return Decoded(counts, None, saturated(counts, -2048, 2047))
+        return DecodedBursts(counts, None, saturated(counts, -2048, 2047))
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""

@@ -11,12 +11,21 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, compared, flagged, registers_for, saturated
+from imuarray.drivers.driver import (
+    Bytes,
+    DecodedBursts,
+    SelfTest,
+    carry_out,
+    compared,
+    flagged,
+    registers_for,
+    saturated,
+)
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
@@ -101,7 +110,7 @@ class L3g4200d:
         text = f"changes by {{change}} dps; {typical:+.0f} is typical"
         return compared(before, during, ((typical / 3, typical * 3),) * 3, text, still=typical / 12)
 
-    def _readings_dps(self) -> npt.NDArray[np.float64]:
+    def _readings_dps(self) -> Floats:
         """Angular rates (n, 3) in dps, once the filter has settled."""
         sleep_for(self.clock, 0.1)
         counts = []
@@ -119,7 +128,7 @@ class L3g4200d:
         """0x26 ... 0x2D with the count-on bit: temperature, status, x, y, z."""
         return self._read(facts.OUT_TEMP, self.burst)
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, low byte first; temperature falls by one count per degC (L3G-60).
 
         Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced data that nobody had read (L3G-52).
@@ -127,7 +136,9 @@ class L3g4200d:
         triads, source = _triads(bursts[:, 2:8]), bursts[:, 1]
         stale = flagged(~source, facts.ZYX_AVAILABLE.mask, STALE)
         overrun = flagged(source, facts.ZYX_OVERRUN.mask, OVERRUN)
-        return Decoded(triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | stale | overrun)
+        return DecodedBursts(
+            triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | stale | overrun
+        )
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""
@@ -165,12 +176,12 @@ class L3g4200dFifo(L3g4200d):
         self.queue.times(level, at_ns, overrun=bool(overrun))
         return sets
 
-    def decode(self, bursts: Bytes) -> Decoded:
+    def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, low byte first; a set in the queue is always new."""
         return _triads(bursts)
 
 
-def _triads(data: Bytes) -> Decoded:
+def _triads(data: Bytes) -> DecodedBursts:
     """Counts from (n, 6) data bytes."""
     counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
-    return Decoded(counts, None, saturated(counts, -32768, 32767))
+    return DecodedBursts(counts, None, saturated(counts, -32768, 32767))

@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.errors import LogError
 from imuarray.log.journal import JournalReader, Mark
 from imuarray.log.layout import NOTES, Columns, Group
@@ -51,7 +52,7 @@ def width(groups: Sequence[Group]) -> int:
     return _FIXED + len(groups) + 1
 
 
-def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> npt.NDArray[np.int64]:
+def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> Integers:
     """A commit as a row of the table."""
     words = np.array([*mark, crc, *rows], "<i8")
     return np.append(words, _own_crc(words, identity))
@@ -77,7 +78,7 @@ def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[Group]
     return commits
 
 
-def _own_crc(words: npt.NDArray[np.int64], identity: str) -> int:
+def _own_crc(words: Integers, identity: str) -> int:
     return zlib.crc32(words.tobytes(), zlib.crc32(identity.encode()))
 
 

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.errors import LogBusyError, LogError
 from imuarray.log.layout import Columns, Group, groups_of
 from imuarray.log.preamble import Preamble
@@ -282,7 +282,7 @@ class JournalReader:
             raise LogError(f"{self.path}: bytes {mark.position} to {end.position - 1} are damaged")
         return records
 
-    def _times(self, record: Record) -> npt.NDArray[np.int64]:
+    def _times(self, record: Record) -> Integers:
         """The times of a sensor's block, none of another's."""
         rows = record.rows if self.groups[record.group].path.startswith("sensors/") else 0
         return np.frombuffer(record.payload, "<i8", rows)

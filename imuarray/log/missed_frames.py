@@ -16,9 +16,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from imuarray.arrays import Times
 from imuarray.log.format import Event
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
@@ -84,7 +82,7 @@ def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: i
     return bool(keeps_up and rate_hz <= _OWN_PACE * frame_rate_hz)
 
 
-def missing_rows(first_ns: int, last_ns: npt.NDArray[np.int64], rows: int, frame_period_ns: int) -> int:
+def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int) -> int:
     """Of a sensor that is read once a frame and has `rows`: how many are missing between its first and its newest one.
 
     `last_ns` (1 or 2,) are the times of its newest rows. Sensors are read there and back: a row that has as many before

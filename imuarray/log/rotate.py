@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers, Times
 from imuarray.errors import DiskFullError, ImuArrayError
 from imuarray.log.disk_space import WATERMARK
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
@@ -37,7 +37,7 @@ def part_of(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}_{number:03d}{path.suffix}")
 
 
-def runs_of(numbers: npt.NDArray[np.int64]) -> list[tuple[int, slice]]:
+def runs_of(numbers: Integers) -> list[tuple[int, slice]]:
     """The runs of equal numbers (n,), n > 0: which number, and its rows."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return [(int(numbers[start]), slice(start, end)) for start, end in pairwise(edges)]
@@ -171,7 +171,7 @@ class RotatingWriter:
             self._last_ns[name] = int(part.time[-1])
         self._turn()
 
-    def _split(self, time: npt.NDArray[np.int64]) -> list[tuple[int, slice]]:
+    def _split(self, time: Times) -> list[tuple[int, slice]]:
         """Number of a part, and the rows that belong to it."""
         if len(time) == 0:
             return []

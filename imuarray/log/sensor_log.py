@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
@@ -21,7 +22,7 @@ from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 _EDGE_ROWS = 4096
 
 
-class Opened(Protocol):
+class OpenLog(Protocol):
     """An open log, as its sensors know it."""
 
     path: Path
@@ -35,7 +36,7 @@ class SensorLog:
     """
 
     def __init__(
-        self, group: h5py.Group | LiveGroup, where: str, log: Opened, opened: Callable[[Path], Opened]
+        self, group: h5py.Group | LiveGroup, where: str, log: OpenLog, opened: Callable[[Path], OpenLog]
     ) -> None:
         """Check the group; LogError. `where` is what it is called in errors; `opened` opens the log at a path, in the
         process that the sensor is sent to.
@@ -81,7 +82,7 @@ class SensorLog:
             raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is wanted")
         return number
 
-    def _numbers(self, attribute: str, default: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _numbers(self, attribute: str, default: Floats) -> Floats:
         """An attribute of several numbers, shaped as its default."""
         value = self._group.attrs.get(attribute, default)
         try:
@@ -93,7 +94,7 @@ class SensorLog:
             raise LogError(f"{self.where}: attribute {attribute} is not {kind}")
         return numbers
 
-    def _orientation(self) -> npt.NDArray[np.float64]:
+    def _orientation(self) -> Floats:
         """The stored matrix if there is one (a fused or foreign log may have finer ones), else that of `axes`."""
         try:
             named = np.array(orientation_of(self.axes))
@@ -204,7 +205,7 @@ class SensorLog:
         return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
 
 
-def _again(opened: Callable[[Path], Opened], path: Path, name: str) -> SensorLog:
+def _again(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorLog:
     return opened(path)[name]
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray import __version__
+from imuarray.arrays import Floats, Times
 from imuarray.errors import DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
 from imuarray.log.disk_space import WATERMARK
 from imuarray.log.draft import Draft
@@ -39,11 +40,11 @@ class Block(NamedTuple):
     besides.
     """
 
-    time: npt.NDArray[np.int64]
+    time: Times
     counts: npt.NDArray[Any]
     status: npt.NDArray[np.uint16]
     temperature_counts: npt.NDArray[np.int16] | None = None
-    compensated: Mapping[str, npt.NDArray[np.float64]] = {}
+    compensated: Mapping[str, Floats] = {}
 
 
 class Stimulus(NamedTuple):
@@ -51,10 +52,10 @@ class Stimulus(NamedTuple):
     box frame, temperature (n,) degC.
     """
 
-    time: npt.NDArray[np.int64]
-    specific_force: npt.NDArray[np.float64]
-    angular_rate: npt.NDArray[np.float64]
-    temperature: npt.NDArray[np.float64]
+    time: Times
+    specific_force: Floats
+    angular_rate: Floats
+    temperature: Floats
 
 
 def _no_log(path: Path) -> NoReturn:

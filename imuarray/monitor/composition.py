@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
@@ -27,7 +28,7 @@ from imuarray.log.format import FLAGS
 from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
 from imuarray.monitor.log_source import Source
 from imuarray.monitor.memory_log import MemoryLog
-from imuarray.monitor.snapshot import WRITTEN, Disk, Floats, FusedView, SensorView, Snapshot
+from imuarray.monitor.snapshot import WRITTEN, Disk, FusedView, SensorView, Snapshot
 from imuarray.monitor.window import Gaps, Rows, Window
 from imuarray.units import INERTIAL
 

@@ -35,8 +35,9 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.arrays import Floats, Times
 from imuarray.monitor.event_counts import HARMLESS
-from imuarray.monitor.snapshot import Floats, FusedView, SensorView, Snapshot, Times
+from imuarray.monitor.snapshot import FusedView, SensorView, Snapshot
 from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI
 

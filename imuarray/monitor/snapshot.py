@@ -6,14 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
+from imuarray.arrays import Floats, Times
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.log.format import Event
-
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 WAITING, WRITTEN, FINISHED, INTERRUPTED = "waiting", "being written", "finished", "interrupted"
 """The states of a log that is watched."""

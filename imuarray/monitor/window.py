@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Times = npt.NDArray[np.int64]
+from imuarray.arrays import Floats, Times
+
 Rows = Mapping[str, npt.NDArray[Any]]
 """Columns of equal length by name, as a log has them."""
 
@@ -77,7 +78,7 @@ class Window:
         self.newest: Times = np.empty(0, np.int64)
         self.period_ns = 0.0
         self._earlier_ns = 0.0
-        self.peak_lsb: npt.NDArray[np.float64] | None = None
+        self.peak_lsb: Floats | None = None
 
     @property
     def time(self) -> Times:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.array import SensorConfig
-from imuarray.drivers import DRIVERS, Decoded
+from imuarray.drivers import DRIVERS, DecodedBursts
 
 STALE, SATURATED = 1, 4
 OVERRUN = 2
@@ -25,7 +25,7 @@ class NoBus:
         raise AssertionError("decoding touched the bus")
 
 
-def decoded(chip: str, *bursts: str, **settings: Any) -> Decoded:
+def decoded(chip: str, *bursts: str, **settings: Any) -> DecodedBursts:
     """What bursts, written as hexadecimal digits, decode to."""
     settings = settings or {
         "range": {"bma180": 2, "adxl345": 16, "l3g4200d": 250, "hmc5883": 1.2, "hmc5883l": 1.3}.get(chip)

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from firmware_emulator.world import WORLDS, Delayed, Heating, Phase, Shaking, Still, Stimulus, Tumble
+from firmware_emulator.world import WORLDS, DelayedWorld, Heating, Phase, Shaking, Still, Stimulus, Tumble
 
 G = 9.80665
 S = 10**9
@@ -119,10 +119,10 @@ def test_shaking_stays_within_its_bounds_and_uses_them() -> None:
 
 
 def test_a_delayed_world_begins_later() -> None:
-    world = Delayed(Tumble(face_s=10.0, turn_s=2.0), 100 * S)
+    world = DelayedWorld(Tumble(face_s=10.0, turn_s=2.0), 100 * S)
     assert world(113 * S).force_box == Tumble(face_s=10.0, turn_s=2.0)(13 * S).force_box
     assert world.phases[1] == Phase(112 * S, 122 * S, "x_up", "+X")
-    assert Delayed(lambda at_ns: Stimulus(), 5).phases == ()
+    assert DelayedWorld(lambda at_ns: Stimulus(), 5).phases == ()
 
 
 def test_worlds_have_phases_in_order() -> None:

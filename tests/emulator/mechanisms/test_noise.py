@@ -19,7 +19,7 @@ from firmware_emulator.mechanisms.single_trap import SingleTrap
 from firmware_emulator.mechanisms.spinning_motor import SpinningMotor
 from firmware_emulator.mechanisms.stress_relaxation import StressRelaxation
 from firmware_emulator.mechanisms.trapped_charges import TrappedCharges
-from firmware_emulator.world import Delayed, Still
+from firmware_emulator.world import DelayedWorld, Still
 from tests.emulator.mechanisms.mechanism_bench import MS, S, board, errors, every, samples, turning
 
 
@@ -180,6 +180,6 @@ def test_time_since_power_on_is_what_counts():
     early = errors(SpinningMotor(peak_dps=1.0), "Gyro", every(7, 3000))
 
     late = errors(
-        SpinningMotor(peak_dps=1.0), "Gyro", [begun + at for at in every(7, 3000)], world=Delayed(Still(), begun)
+        SpinningMotor(peak_dps=1.0), "Gyro", [begun + at for at in every(7, 3000)], world=DelayedWorld(Still(), begun)
     )
     assert np.allclose(early, late)
