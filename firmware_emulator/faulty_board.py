@@ -14,6 +14,7 @@ from firmware_emulator.faulty_bus import FaultyMux, FaultyWires
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.wire import Wire
+from firmware_emulator.world import DelayedWorld
 
 
 def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
+from firmware_emulator.mechanisms.package_tilt import Rotation
 from firmware_emulator.mechanisms.site import Site
 
 

@@ -1,4 +1,4 @@
-"""From an array on a bus to a log: connect, poll, record; and look what answers."""
+"""Acquisition: detects the sensors of an array on a bus, connects them and records them into a log."""
 
 from imuarray.acquire.detect import Detection, detect, explore
 from imuarray.acquire.record import record

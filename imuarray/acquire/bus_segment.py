@@ -50,7 +50,7 @@ class Adapter:
 
     @property
     def down(self) -> bool:
-        """Whether nothing that is behind it can be asked."""
+        """True if nothing behind it can be reached."""
         return self.hangs or self.removed
 
     def was_removed(self, now_ns: int) -> bool:
@@ -85,8 +85,8 @@ class Adapter:
         return ended
 
     def start_of(self, begun_ns: int, ended_ns: int, clocks: int) -> tuple[int, bool]:
-        """When a burst of so many clocks that was asked for and given between these times was on the wire, and whether
-        that is certain.
+        """Return when a burst of so many clocks, requested and received between these times, was on the wire, and
+        whether that is certain.
 
         A clock takes what it took in the quickest burst so far. The rest of the time is the machine's: if that is more
         than `SLACK_NS` the middle of what is possible is wrong by half of it at most.
@@ -222,7 +222,7 @@ class BusSegment:
         return self._clock.now_ns()
 
     def failed(self, error: OSError) -> None:
-        """What an error says about the bus: that it hangs, that its adapter was removed, or that it works."""
+        """Conclude from an error that the bus hangs, that its adapter was removed, or that it works."""
         now_ns = self._clock.now_ns()
         if error.errno in REMOVED:
             if self.adapter.was_removed(now_ns):
@@ -236,14 +236,14 @@ class BusSegment:
                 self._hang.begin(now_ns, f"hangs: {error.strerror or error} (errno {error.errno})")
 
     def answered(self) -> None:
-        """The bus works, and did not before, maybe."""
+        """Note that the bus works."""
         now_ns = self._clock.now_ns()
         self._return(now_ns)
         if self.adapter.answered():
             self._hang.over(now_ns, "works again")
 
     def _return(self, now_ns: int) -> None:
-        """The adapter is there, and was not before, maybe."""
+        """Note that the adapter is there."""
         if not self.adapter.removed:
             return
         self.adapter.returned()
@@ -267,7 +267,8 @@ class BusSegment:
         return not self.adapter.removed
 
     def confirm(self, readback: ConfigurationReadback, lost: dict[str, int]) -> bool:
-        """Was it the right channel up to now? If not, what its twins said is thrown away, and counted in `lost`.
+        """Verify that the right channel was connected; if not, discard the readings of its twins and count them in
+        `lost`.
 
         Where a hung bus can't be asked nothing is believed either.
         """

@@ -82,13 +82,13 @@ class ConfigurationReadback:
         return again + turn
 
     def saw(self, witness: Witness) -> None:
-        """Somebody has read that register, and it is right."""
+        """Note that this register was read elsewhere, and is right."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = 0
         check.good_rows = len(check.buffer.times_ns)
 
     def doubts(self, witness: Witness) -> None:
-        """Somebody has read that register, and it is not as configured."""
+        """Note that this register was read elsewhere, and is not as configured."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = max(check.wrong, 1)
 
@@ -111,7 +111,7 @@ class ConfigurationReadback:
             self._wrong(check, "configuration", text)
 
     def _ask(self, check: _Check) -> None:
-        """Whose is the address? One answer is enough."""
+        """Ask the kernel who owns the address. One answer is enough."""
         try:
             check.buffer.route.claim()
         except SensorError as error:
@@ -130,7 +130,7 @@ class ConfigurationReadback:
             self._report(check.buffer, kind, message)
 
     def restart(self, buffer: SampleBuffer) -> None:
-        """All of its registers have just been seen to be right, or it was set up."""
+        """Note that all registers of a chip are right: they were just read, or configured."""
         for check in self._of[id(buffer)]:
             check.wrong = 0
             check.good_rows = len(buffer.times_ns)
@@ -146,17 +146,17 @@ class ConfigurationReadback:
             self.give_up(checks[0].buffer)
 
     def give_up(self, buffer: SampleBuffer) -> None:
-        """Nobody can vouch for the rows that wait: flag them."""
+        """Flag the waiting rows that no check has verified."""
         trusted = self.trusted_rows(buffer)
         if trusted < len(buffer.times_ns):
             buffer.flag_suspect(trusted, len(buffer.times_ns))
             self.restart(buffer)
 
     def trusted_rows(self, buffer: SampleBuffer) -> int:
-        """How many of the waiting rows have been vouched for by a later check of every register."""
+        """Return how many waiting rows were followed by a successful check of every register."""
         return min(check.good_rows for check in self._of[id(buffer)])
 
     def taken(self, buffer: SampleBuffer, count: int) -> None:
-        """The oldest `count` rows were written and are gone."""
+        """Note that the oldest `count` rows were written."""
         for check in self._of[id(buffer)]:
             check.good_rows = max(check.good_rows - count, 0)

@@ -1,6 +1,6 @@
-"""What answers on a bus, and is it what the configuration says; nothing is changed unless a self-test is asked for.
+"""Detects which chips answer on a bus and compares them with the configuration; only a self-test changes anything.
 
-An address that a driver of the kernel has answers as well: whose it is must be asked first.
+An address that a kernel driver owns answers as well, so that the owner must be asked for first.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: 
 
 
 def owner_of(address: int, bus: OpenBus) -> str:
-    """Who has that address of the root bus, or a place behind it: a driver of the kernel; empty for nobody, and for a
-    bus that can't tell (LNX-12).
+    """Return who has that address of the root bus, or a place behind it: a driver of the kernel; empty for nobody, and
+    for a bus that can't tell (LNX-12).
     """
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     try:
@@ -113,7 +113,7 @@ def _owned(bus: OpenBus) -> list[Detection]:
 
 
 def _ask(route: SensorRoute, self_test: bool) -> Detection:
-    """Is it the chip that the configuration says, is it free, and does it pass its self-test?"""
+    """Ask one sensor: is it the configured chip, is its address free, and does it pass its self-test?"""
     sensor = route.sensor
     try:
         route.claim()
@@ -136,7 +136,7 @@ def _ask(route: SensorRoute, self_test: bool) -> Detection:
 
 
 def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
-    """Does the multiplexer answer, and is it free?"""
+    """Ask the multiplexer: does it answer, and is its address free?"""
     if owner:
         return Detection(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
     try:
@@ -170,8 +170,8 @@ def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
 
 
 def _keeps_control(bus: OpenBus, address: int) -> bool:
-    """Does it read as it was written (PCA-02), with channel 1 connected and then with none? To a chip with registers
-    the byte is where to read next.
+    """Return whether it reads as it was written (PCA-02), with channel 1 connected and then with none. To a chip with
+    registers the byte is where to read next.
     """
     for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
         bus.transfer(address, bytes([control.value]))
@@ -185,7 +185,7 @@ def _keeps_control(bus: OpenBus, address: int) -> bool:
 
 
 def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Detection]:
-    """Known chips at places, channel and address, that are not `taken`.
+    """Find known chips at places (channel and address) that are not `taken`.
 
     The trunk is asked while no channel is connected; what answers there answers on every channel, and is not asked
     again. Nothing is sent to the mux's own address but its control byte.
@@ -205,7 +205,7 @@ def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus:
 
 
 def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Detection]:
-    """Chips that answer on one segment at addresses that are not `known`."""
+    """Find chips that answer on one segment at addresses that are not `known`."""
     where = "trunk" if channel is None else f"channel {channel}"
     return [
         Detection(f"{where} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
@@ -220,7 +220,7 @@ def _is_found(detections: Sequence[Detection], address: int) -> bool:
 
 
 def _answers(segment: Bus, address: int, register: Register) -> bool:
-    """Does a chip with this identity sit at `address`?"""
+    """Return whether a chip with this identity answers at `address`."""
     try:
         return segment.transfer(address, bytes([register.address]), 1)[0] == register.reset
     except OSError:

@@ -29,7 +29,7 @@ I2C_FUNCS = 0x0705  # LNX-03
 
 
 class Check(NamedTuple):
-    """What was looked at, whether it is well, what was found, and what to do if it isn't."""
+    """The result of a check: its subject, whether it passed, what was observed, and advice if it failed."""
 
     name: str
     ok: bool
@@ -60,7 +60,7 @@ def free_bytes(folder: Path) -> int:
 
 @dataclass(frozen=True)
 class Machine:
-    """What is asked of a machine: its file tree, who asks, and what only a living kernel can tell."""
+    """A machine: its file tree, the user, and what only a running kernel can tell."""
 
     root: Path = Path("/")
     user: int = field(default_factory=os.getuid)
@@ -69,7 +69,7 @@ class Machine:
     free_bytes: Callable[[Path], int] = free_bytes
 
     def path(self, absolute: str) -> Path:
-        """Where something of this machine is."""
+        """The path of a file of this machine."""
         return self.root / absolute.lstrip("/")
 
     def text(self, absolute: str) -> str:
@@ -197,7 +197,7 @@ def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> 
 
 
 def bound(machine: Machine, device: str) -> Iterator[Check]:
-    """Which drivers of the kernel have addresses on this bus? One is in the way of a sensor at its own alone."""
+    """Check for kernel drivers that own addresses on this bus. One blocks a sensor only at the same address."""
     number = _number(machine, device)
     places = sorted(path for path in machine.path(DEVICES).glob(f"{number}-*") if (path / "driver").is_symlink())
     for path in places:
@@ -219,7 +219,7 @@ def _channels(machine: Machine, place: str) -> str:
 
 
 def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: float) -> Check:
-    """How fast is the bus, and is that enough for frames at `rate_hz`?"""
+    """Check that the bus is fast enough for frames at `rate_hz`."""
     path = machine.path(f"{DEVICES}/i2c-{_number(machine, device)}/of_node/clock-frequency")
     try:
         clock_hz = int.from_bytes(path.read_bytes()[:4], "big")
@@ -270,7 +270,7 @@ def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_h
 
 
 def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
-    """How long can this array be logged before a log ends itself for want of room? Without one: is there any room?"""
+    """Check how long this array can be logged before the disk is full; without an array, whether there is any space."""
     free = machine.free_bytes(folder)
     advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
     if array is None:
@@ -283,7 +283,7 @@ def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: flo
 
 
 def _about(hours: float) -> str:
-    """As precisely as such a guess can be."""
+    """Format hours, rounded to the precision of the estimate."""
     if hours < 10:
         return f"{hours:.1f} h"
     return f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"
@@ -356,7 +356,7 @@ def _heard(talk: Callable[[], list[Check]]) -> list[Check]:
 
 
 def serial_checks(machine: Machine, device: str) -> list[Check]:
-    """A microcontroller's port: is it there, may it be opened, does another program talk to it?"""
+    """Check a microcontroller's port: it exists, may be opened, and no other program uses it."""
     folder = machine.path("/dev")
     there = sorted(f"/dev/{path.name}" for kind in ("ttyACM*", "ttyUSB*") for path in folder.glob(kind))
     if not device or not machine.path(device).exists():

@@ -1,7 +1,7 @@
-"""Conditions that last, told twice: when they begin, and when they are over, with their count and duration.
+"""Episodes of faults, reported by two events: one when it begins, one with count and duration when it is over.
 
-A fault that comes and goes is one condition as well: each time it comes back soon, it must stay away for longer before
-it is told to be over. So no fault, however persistent, fills a log with events: see `MOST_EVENTS_AN_HOUR`.
+An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before it counts as
+over. So no fault, however persistent, fills a log with events: see `MOST_EVENTS_AN_HOUR`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 class FaultEpisode:
-    """One kind of episode of one sensor; `tell` hears of it.
+    """The episodes of one kind of fault of one sensor; `tell` receives the events.
 
     `happened` is for what happens now and then and is over when it stays away, `begin` and `over` for what lasts in
     between. What happened once has no end of its own: the event says it all.
@@ -58,7 +58,7 @@ class FaultEpisode:
         self._reported = False
 
     def happened(self, at_ns: int, message: str, count: int = 1, until_ns: int | None = None) -> None:
-        """It happened at `at_ns`, for the first time or again; `count` times until `until_ns`."""
+        """Note an occurrence at `at_ns`, the first or another one; `count` of them until `until_ns`."""
         if not self.on:
             self.on, self._since_ns, self.last_ns = True, at_ns, at_ns
             relapse = self._ended_ns is not None and at_ns - self._ended_ns <= RELAPSE_NS
@@ -70,16 +70,17 @@ class FaultEpisode:
 
     @property
     def lasts(self) -> bool:
-        """Whether it has begun and is not over."""
+        """True between `begin` and `over`."""
         return self._lasts
 
     def begin(self, at_ns: int, message: str) -> None:
-        """It is so from now on, until `over`."""
+        """Begin a lasting episode, until `over`."""
         self.happened(at_ns, message)
         self._lasts = True
 
     def over(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
-        """It is over now; told at once unless it comes and goes, and not at all if another event has `reported` it."""
+        """End a lasting episode; reported at once unless it recurs, and not at all if another event has `reported` it.
+        """
         self._lasts, self._reported = False, reported
         if self.on:
             self.last_ns, self._end = max(self.last_ns, at_ns), message
@@ -87,12 +88,12 @@ class FaultEpisode:
                 self._close()
 
     def settle(self, now_ns: int) -> None:
-        """Tell that it is over if it has not happened for long enough."""
+        """Report the end if it has not occurred for long enough."""
         if self.on and not self._lasts and now_ns - self.last_ns > self._quiet_ns:
             self._close()
 
     def close(self, now_ns: int) -> None:
-        """The log ends."""
+        """End the episode with the log."""
         if self._lasts:
             self._lasts, self.last_ns, self._end, self._reported = False, now_ns, "still so when the log ended", False
         if self.on:
@@ -111,14 +112,14 @@ class FaultEpisode:
 
 
 class FaultEpisodes:
-    """All faults of a recording; `tell` hears of them."""
+    """All fault episodes of a recording; `tell` receives their events."""
 
     def __init__(self, tell: Note) -> None:
         self._tell = tell
         self._all: dict[tuple[str, str, Hashable], FaultEpisode] = {}
 
     def of(self, sensor: str, kind: str, which: Hashable = None) -> FaultEpisode:
-        """The episode of this kind of `sensor` ("": the array); of several of a kind `which`."""
+        """The episode of this kind of `sensor` ("": the array); `which` tells several of a kind apart."""
         key = sensor, kind, which
         if key not in self._all:
             self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), self._teller(sensor))

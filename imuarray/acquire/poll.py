@@ -85,8 +85,8 @@ class Poll:
         self.truth_rows: list[tuple[int, Any]] = []
 
     def _segments(self, routes: Sequence[SensorRoute]) -> list[BusSegment]:
-        """In the order of the configuration. Channels of one multiplexer, and its trunk, are one adapter; a bus of its
-        own is another.
+        """Group the sensors in the order of the configuration. Channels of one multiplexer, and its trunk, are one
+        adapter; a bus of its own is another.
         """
         shared, everybody = Adapter(), list(self.buffers.values())
         return [
@@ -103,7 +103,7 @@ class Poll:
         ]
 
     def lose(self, adapter: Adapter, at_ns: int) -> None:
-        """An adapter was removed: what is behind it is set up when it is there again."""
+        """Configure the sensors behind a removed adapter once it is back."""
         for segment in self.orders[0]:
             if segment.adapter is adapter:
                 for buffer in segment.items:
@@ -138,7 +138,7 @@ class Poll:
             self.finish()
 
     def skip(self, frames: int) -> int:
-        """So many frames were missed: what is polled has lost readings, what is queued has not."""
+        """Count `frames` missed frames: polled sensors have lost readings, sensors with a queue have not."""
         if frames:
             self.summary.missed += frames
             text = f"{counted(frames, 'frame')} missed: the one before ended too late"
@@ -174,7 +174,7 @@ class Poll:
                 return
 
     def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
-        """When a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
+        """Return when a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
 
         The result of a conversion would be too old by then, and a chip that is being set up would be away for many
         frames: a set-up has up to ten pieces.
@@ -272,24 +272,24 @@ class Poll:
         buffer.add(burst, start_ns, doubtful=again or not certain)
 
     def tick(self) -> None:
-        """What need not be looked at every frame."""
+        """Do what is not due in every frame."""
         now_ns = self.clock.now_ns()
         self.clocks.tick(now_ns)
         self.health.tick(now_ns)
         self.faults.settle(now_ns)
 
     def note(self, at_ns: int, kind: str, text: str) -> None:
-        """Something happened to the array as a whole."""
+        """Note an event of the array as a whole."""
         self.faults.of("", kind).happened(at_ns, text)
 
     def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
-        """Note that something happened to a sensor, or to the array."""
+        """Write and report an event of a sensor, or of the array."""
         event = Event(at_ns - self.epoch_ns, sensor, kind, text)
         self.log.event(event)
         self.options.tell(event)
 
     def finish(self) -> None:
-        """Vouch for what was read, or flag it; write it; tell the end of what events began."""
+        """Verify the rows that wait, or flag them; write them; end all fault episodes."""
         self.readback.finish()
         self.health.finish(self.clock.now_ns())
         self.write(last=True)
@@ -298,7 +298,7 @@ class Poll:
         self.summary.silent = [item.route.sensor.name for item in self.buffers.values() if item.silent(now_ns)]
 
     def write(self, *, last: bool = False) -> None:
-        """Decode and write what waits and is trusted."""
+        """Decode and write the waiting rows that are trusted."""
         now_ns = self.clock.now_ns()
         for buffer in self.buffers.values():
             count = len(buffer.times_ns) if last else self.health.trusted_rows(buffer, now_ns)
@@ -314,7 +314,7 @@ class Poll:
 
 
 def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:
-    """What an emulated world says of itself, as rows of `/truth`."""
+    """The true state of an emulated world as rows of `/truth`."""
     return Stimulus(
         np.array([at_ns for at_ns, _ in rows], np.int64) - epoch_ns,
         np.array([felt.force_box for _, felt in rows]),

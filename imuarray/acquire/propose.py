@@ -1,4 +1,4 @@
-"""A configuration of what answered on a bus, ready to log with; `calibrate axes` finds which way sensors point."""
+"""Proposes a configuration of the chips that answered on a bus; `calibrate axes` finds the directions of their axes."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ _HEAD = """\
 
 
 def tell_apart(detections: Sequence[Detection], bus: OpenBus) -> list[Detection]:
-    """What was found, with chips that identify themselves alike named by which of their self-tests they pass; those
-    that pass none, or can't be asked often enough, stay as they are. Their settings are lost.
+    """Distinguish chips that identify themselves alike by which of their self-tests they pass;
+    those that pass none, or can't be asked often enough, stay as they are. Their settings are lost.
     """
     mux = next((line.address for line in detections if line.found == MUX), None)
     return [replace(line, found=_passing(line, mux, bus) or line.found) for line in detections]
 
 
 def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
-    """The chip among those that are alike whose self-test this one passes."""
+    """The chip, among those with the same identity, whose self-test this one passes."""
     if line.address is None:
         return None
     segment: Bus = bus if line.channel is None or mux is None else Pca9544a(bus, mux).channel(line.channel)
@@ -68,7 +68,7 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
 
 
 def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> str:
-    """A configuration's text from what `explore` found on a bus; SensorError if there was no chip that we know."""
+    """The text of a configuration for the detections of `explore`; SensorError if there is no known chip."""
     chips = [
         (_ALIKE.get(line.found, (line.found,))[0], line) for line in detections if line.found != MUX and not line.owner
     ]
@@ -90,7 +90,7 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
 
 
 def _sensor(name: str, chip: str, line: Detection, settings: Mapping[str, Any]) -> str:
-    """One [[sensor]] table."""
+    """The text of one [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     own = "".join(f"{key} = {value}\n" for key, value in settings.items())
     remark = f"  # {_REMARKS[line.found]}" if line.found in _REMARKS else ""

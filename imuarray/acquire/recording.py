@@ -15,7 +15,7 @@ from imuarray.log.writer import Block
 
 @dataclass
 class Summary:
-    """What happened while a log was recorded."""
+    """Counts of what happened while a log was recorded."""
 
     frames: int = 0
     late: int = 0
@@ -38,7 +38,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """How to record, and who is told while it goes on."""
+    """The options of a recording, and the callbacks that follow it."""
 
     rate_hz: float
     """Frames per second; a frame reads every sensor once."""

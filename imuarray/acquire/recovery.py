@@ -1,4 +1,4 @@
-"""A sensor's way back to good readings, a piece a frame, in its own place in the frame: nobody else waits for it.
+"""The recovery of a sensor, one step per frame in its own place in the frame, so that no other sensor waits for it.
 
 Ask whether it is there and ours, again and again, ever less often while it isn't; look whether it still is as it was
 configured; if not, set it up from the start, and let its filters settle while the others are read.
@@ -17,7 +17,7 @@ LONGEST_PAUSE_NS = 3_200_000_000
 
 
 class Recovery:
-    """One sensor's. `intact` once it is found as it was configured, `done` when it can be read again.
+    """The recovery of one sensor. `intact` once it is found as it was configured, `done` when it can be read again.
 
     `look` tries for that; without it the chip is set up anew whatever it says.
     """
@@ -36,16 +36,16 @@ class Recovery:
         self._way: Iterator[float] | None = None
 
     def waits(self, now_ns: int) -> bool:
-        """Whether the sensor is to be left alone for the moment."""
+        """Return whether nothing is due at the moment."""
         return now_ns < self._next_ns
 
     @property
     def goes_on_ns(self) -> int | None:
-        """When the next piece of a set-up that has begun can follow; None if none has."""
+        """The time of the next step of a configuration in progress; None if there is none."""
         return None if self._way is None or self.done else self._next_ns
 
     def go_on(self, now_ns: int) -> None:
-        """One piece. What fails is kept in `failure`, and everything begins anew after a pause."""
+        """Do one step. An error is kept in `failure`, and the recovery starts again after a pause."""
         self._way = self._way or self._steps()
         self.failure = None
         try:

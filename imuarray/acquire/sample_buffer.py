@@ -113,7 +113,7 @@ class SampleBuffer:
 
     @property
     def has_failed(self) -> bool:
-        """Whether a visit has failed since the last reading, of a sensor that converts on demand."""
+        """True if a visit has failed since the last reading, of a sensor that converts on demand."""
         return self._failed
 
     def mark_lost(self) -> None:
@@ -125,7 +125,7 @@ class SampleBuffer:
         self._recovery = Recovery(self.route, at_ns, look=look)
 
     def end_recovery(self) -> None:
-        """The sensor is read again."""
+        """Return to reading the sensor."""
         self._recovery = None
         self._silent_since_ns = None
 
@@ -137,7 +137,7 @@ class SampleBuffer:
 
     @property
     def is_silent(self) -> bool:
-        """Whether the last read failed."""
+        """True if the last read failed."""
         return self._silent_since_ns is not None
 
     def end_silence(self) -> None:
@@ -149,8 +149,8 @@ class SampleBuffer:
         self._condemned = True
 
     def _frames_of_a_reading(self) -> int:
-        """In how many frames a chip that converts on demand is visited for one reading. A result that would be too old
-        by the next frame is fetched between the frames (`conversion_before`).
+        """The number of frames in which a chip that converts on demand is visited for one reading. A result that would
+        be too old by the next frame is fetched between the frames (`conversion_before`).
         """
         if self._converter is None:
             return 1
@@ -162,7 +162,8 @@ class SampleBuffer:
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
-        """When the conversion is over whose result would be too old in the frame at `due_ns`; None if there is none."""
+        """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None if there is none.
+        """
         if self._converter is None or self._recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
@@ -170,11 +171,12 @@ class SampleBuffer:
 
     @property
     def held_rows(self) -> int:
-        """How many of the newest rows wait until it is known whether the reading still changes."""
+        """The number of newest rows that wait until it is known whether the reading still changes."""
         return min(self.frozen_rows * 5 // 4, math.ceil(HELD_S * self.row_rate_hz))
 
     def due(self, now_ns: int) -> bool:
-        """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
+        """Return whether to read in this frame; False for a slow chip whose next sample the next frame will not miss.
+        """
         if self.always_due:
             return True
         if now_ns + _NEXT_FRAME / self.rate_hz <= self._visited_ns + 1e9 / self.route.sensor.chip_rate_hz:
@@ -183,7 +185,7 @@ class SampleBuffer:
         return True
 
     def overdue(self, at_ns: int) -> int:
-        """How many more readings are lost now that a visit at `at_ns` gave none: one per visit; of a sensor that
+        """Return how many more readings are lost now that a visit at `at_ns` gave none: one per visit; of a sensor that
         converts on demand the number that its reading period promised since its last reading.
         """
         if not self._on_demand:
@@ -196,12 +198,12 @@ class SampleBuffer:
         return max(self._overdue - known, 0)
 
     def silent(self, now_ns: int) -> bool:
-        """Whether no reading of the last seconds, or of the last few that were due, was taken by `take`."""
+        """Return whether `take` took none of the readings of the last seconds, or of the last few that were due."""
         longest_ns = max(_SILENT_S, _SILENT_READINGS / self.row_rate_hz) * 1e9
         return self.newest_ns is None or now_ns - self.newest_ns > longest_ns
 
     def add(self, burst: bytes, at_ns: int, *, doubtful: bool = False) -> None:
-        """One fetch: a reading taken at `at_ns`, or as many as a queue held."""
+        """Add the readings of one fetch: one taken at `at_ns`, or those of a queue."""
         if doubtful:
             self._doubtful.append(len(self._times_ns))
         if self._missing:
@@ -250,20 +252,20 @@ class SampleBuffer:
         return count
 
     def distrust(self, row: int) -> None:
-        """Rows from `row` on are suspect, until `trust`."""
+        """Flag rows from `row` on as suspect, until `trust`."""
         self._suspect.append((max(row, 0), None))
 
     def flag_suspect(self, first: int, end: int) -> None:
-        """Rows from `first` up to `end`, not included, are suspect."""
+        """Flag rows from `first` up to `end`, not included, as suspect."""
         self._suspect.append((first, end))
 
     def trust(self) -> None:
-        """Rows from now on are good again, unless the sensor is condemned."""
+        """Stop flagging rows from now on, unless the sensor is condemned."""
         if not self._condemned:
             self._suspect = [(first, len(self._times_ns) if last is None else last) for first, last in self._suspect]
 
     def begin_anew(self) -> None:
-        """The chip was set up: its next reading says so, and may be what its last one was."""
+        """Note that the chip was configured: its next reading is flagged, and may equal its last one."""
         self._set_up_again = True
         self._since_set_up = self._still = len(self._times_ns)
         self._written_run = 0
@@ -289,17 +291,19 @@ class SampleBuffer:
         return first if rows - first + before >= enough and enough_s else None
 
     def still_since_ns(self, row: int) -> int:
-        """When the reading that has not changed from `row` on came for the first time."""
+        """Return when the reading that is constant from `row` on was read first."""
         goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
         return self._written_since_ns if goes_on else self._times_ns[row]
 
     def thaw(self) -> None:
-        """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
+        """Note that it is frozen. If configuring did not change that, wait longer before the next time: it may be
+        quiet.
+        """
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
         self.frozen_reading = self._reading(len(self._times_ns) - 1)
 
     def flag_what_is_frozen_still(self) -> None:
-        """Rows after a set-up that say what the frozen chip said before it are no better."""
+        """Flag rows after a configuration that still repeat the frozen reading."""
         while self._watch_still and self._still < len(self._times_ns):
             self._watch_still = self._reading(self._still) == self.frozen_reading
             if self._watch_still:
@@ -308,7 +312,7 @@ class SampleBuffer:
 
     @property
     def moves(self) -> bool:
-        """Whether there is a reading since it was set up, other than the one with which it stood still."""
+        """True if a reading since the configuration differs from the frozen one."""
         return not self._watch_still and len(self._times_ns) > self._since_set_up
 
     def _reading(self, row: int) -> bytes:
@@ -316,7 +320,7 @@ class SampleBuffer:
         return bytes(self._bursts[start + part.start : start + part.stop])
 
     def counts(self) -> npt.NDArray[Any]:
-        """What waits since the chip was set up, as counts."""
+        """Return the counts of the waiting rows since the chip was configured."""
         return self.driver.decode(self._bytes(len(self._times_ns))).counts[self._since_set_up :]
 
     def _bytes(self, count: int) -> npt.NDArray[np.uint8]:
@@ -354,7 +358,7 @@ class SampleBuffer:
         return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
 
     def _count_run(self, count: int) -> None:
-        """How often the last of the oldest `count` rows, which are being written, repeats its reading."""
+        """Return how often the last of the oldest `count` rows, which are being written, repeats its reading."""
         oldest = min(self._since_set_up, count)
         if oldest == count:
             return
@@ -382,20 +386,20 @@ class SampleBuffer:
         ]
 
     def _repeated(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
-        """STALE where a triad equals the one before it; all that a chip without a ready bit lets us know."""
+        """Return STALE where a triad equals the one before it, the only evidence of a chip without a data-ready bit."""
         before = np.concatenate([counts[:1] - 1 if self._last is None else self._last, counts[:-1]])
         self._last = counts[-1:]
         return np.where((counts == before).all(axis=1), STALE, 0).astype(np.uint16)
 
 
 def _frozen_s(sensor: SensorConfig) -> float:
-    """How long a reading must stand still before the sensor is taken for frozen."""
+    """Return how long a reading must stay constant before the sensor counts as frozen."""
     bandwidth_hz = sensor.chip_bandwidth_hz
     return max(_FROZEN_S, _FROZEN_BANDWIDTHS / bandwidth_hz if bandwidth_hz else 0.0)
 
 
 def _later(rows: Sequence[int], count: int) -> list[int]:
-    """Row numbers after the oldest `count` rows are gone."""
+    """Return row numbers as they are after the oldest `count` rows were removed."""
     return [row - count for row in rows if row >= count]
 
 

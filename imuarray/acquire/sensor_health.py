@@ -35,7 +35,7 @@ _UNRELATED = LOST_BEFORE | RECONFIGURED | SUSPECT
 
 
 class Freshness:
-    """Of one sensor, block after block."""
+    """The freshness of one sensor's readings, block after block."""
 
     def __init__(self, sensor: SensorConfig) -> None:
         self.longest_ns = round(1e9 / (sensor.chip_rate_hz * (1 - TOLERANCE))) + 2 * SLACK_NS
@@ -71,7 +71,7 @@ IDLE_NS = 1_000_000_000
 
 
 class _SensorState:
-    """What is told about one sensor, and when."""
+    """The fault episodes of one sensor."""
 
     def __init__(self, buffer: SampleBuffer, faults: FaultEpisodes) -> None:
         self.name = buffer.route.sensor.name
@@ -86,22 +86,22 @@ class _SensorState:
         self.rows = 0
 
     def tell(self, at_ns: int, kind: str, message: str) -> None:
-        """Something happened to it."""
+        """Report an event of this sensor."""
         self._faults.of(self.name, kind).happened(at_ns, message)
 
     def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
-        """It is not well until it was set up again."""
+        """Begin a fault that lasts until the sensor is configured again."""
         episode = self._faults.of(self.name, kind)
         episode.begin(at_ns, message)
         self.unwell.append(episode)  # a kernel driver that takes a chip configures it too: two at once
 
     def is_ill(self, kind: str) -> bool:
-        """Whether it was told that it is not well in that way."""
+        """Return whether a fault of this kind lasts."""
         return self._faults.of(self.name, kind) in self.unwell
 
 
 class SensorHealth:
-    """All sensors'. `lost` counts readings that never arrived, by sensor."""
+    """The health of all sensors. `lost` counts readings that did not arrive, by sensor."""
 
     def __init__(
         self,
@@ -120,7 +120,9 @@ class SensorHealth:
     # In a frame -----------------------------------------------------------------------------------------------------
 
     def lost(self, buffer: SampleBuffer, at_ns: int, error: OSError | None) -> None:
-        """A reading did not arrive; None: it was not even asked for, the bus hangs or its adapter was removed."""
+        """Note that a reading did not arrive; `error` None: it was not requested, as the bus hangs or its adapter is
+        gone.
+        """
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
         if error is None:
@@ -132,11 +134,11 @@ class SensorHealth:
             buffer.recover(at_ns, look=True)
 
     def set_up_later(self, buffer: SampleBuffer, at_ns: int) -> None:
-        """Its adapter was removed: it may lose its supply, and is set up when the adapter is there again."""
+        """Configure a sensor once its removed adapter is back: it may have lost its supply."""
         buffer.recover(at_ns, look=False)
 
     def step(self, buffer: SampleBuffer, now_ns: int) -> OSError | None:
-        """In place of a reading: a piece of the way back. What the bus said, if it failed."""
+        """Do one step of a recovery in place of a reading; returns the bus's error, if there is one."""
         recovery = buffer.recovery
         state = self._states[id(buffer)]
         count = self._count(buffer, now_ns)
@@ -152,14 +154,14 @@ class SensorHealth:
         return recovery.failure if isinstance(recovery.failure, OSError) else None
 
     def arrived(self, buffer: SampleBuffer, at_ns: int) -> None:
-        """The first reading after a visit that failed, before it is added: what it came too late for is lost."""
+        """Count the readings that are lost, at the first reading after a failed visit and before it is added."""
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
         if state.lost.on:
             state.lost.count += count
 
     def _count(self, buffer: SampleBuffer, at_ns: int) -> int:
-        """Readings that are now known to be lost."""
+        """Count and return the readings that are now known to be lost."""
         count = buffer.overdue(at_ns)
         self._lost[self._states[id(buffer)].name] += count
         if count:
@@ -186,14 +188,14 @@ class SensorHealth:
         self._readback.restart(buffer)
 
     def not_as_it_was(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
-        """The watch found that a chip is not configured as it was, or not ours; its rows are flagged already."""
+        """Handle a chip that has lost its configuration or its address; its rows are flagged already."""
         self._states[id(buffer)].falls_ill(at_ns, kind, message)
         buffer.recover(at_ns, look=False)
 
     # Now and then ---------------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int) -> None:
-        """Who stands still, who came up wrong, what is over."""
+        """Look for frozen sensors and wrong starts."""
         for buffer in self._buffers:
             state = self._states[id(buffer)]
             if buffer.recovery is None:
@@ -232,7 +234,7 @@ class SensorHealth:
                 buffer.recover(now_ns, look=False)
 
     def finish(self, now_ns: int) -> None:
-        """The log ends: judge what there is."""
+        """Judge what is left at the end of the log."""
         for buffer in self._buffers:
             buffer.flag_what_is_frozen_still()
             if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
@@ -244,8 +246,8 @@ class SensorHealth:
     # Writing --------------------------------------------------------------------------------------------------------
 
     def trusted_rows(self, buffer: SampleBuffer, now_ns: int) -> int:
-        """How many of the waiting rows can be written: later checks found the chip as configured, and later readings
-        that it doesn't stand still.
+        """Return how many of the waiting rows can be written: later checks found the chip as configured, and later
+        readings that it doesn't stand still.
         """
         if self._start_up is not None and self._start_up.holds(buffer):
             return 0
@@ -259,7 +261,7 @@ class SensorHealth:
         return min(self._readback.trusted_rows(buffer), rows - held)
 
     def written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
-        """Tell of what only the decoded status shows."""
+        """Report what only the decoded status shows."""
         state = self._states[id(buffer)]
         state.rows -= len(block.time)
         if buffer.queue is None and buffer.driver.tells_fresh:
@@ -272,7 +274,7 @@ class SensorHealth:
 
 
 def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:
-    """One episode at all these times, or several if it was over in between."""
+    """Note occurrences at all these times, as several episodes if there are long gaps."""
     for part in np.split(times_ns, np.flatnonzero(np.diff(times_ns) > QUIET_NS) + 1):
         if len(part):
             episode.settle(int(part[0]))

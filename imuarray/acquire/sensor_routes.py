@@ -18,7 +18,7 @@ from imuarray.facts.registers import Setting
 
 
 def _nobody_asks() -> None:
-    """A bus that can't tell whose an address is."""
+    """Do nothing, for a bus that can't tell who owns an address."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Witness(NamedTuple):
 
 
 def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
-    """A route for every sensor of `array`; nothing is sent yet."""
+    """Make a route to every sensor of `array`; nothing is sent yet."""
     mux = Pca9544a(bus, array.mux.address) if array.mux else None
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     routes = []
@@ -89,8 +89,8 @@ def connect(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
 
 
 def _claim_mux(array: ArrayConfig, bus: OpenBus) -> None:
-    """Where the bus can tell who else drives an address, ask for the multiplexer's: SensorError for one of the kernel's
-    own (LNX-12).
+    """Claim the multiplexer's address where the bus knows the owners of addresses; SensorError if the kernel owns it
+    (LNX-12).
     """
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     if ask is not None and array.mux is not None:
@@ -98,7 +98,7 @@ def _claim_mux(array: ArrayConfig, bus: OpenBus) -> None:
 
 
 def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None:
-    """Behind a multiplexer the root bus is asked."""
+    """Claim the address of a sensor; behind a multiplexer, on the root bus."""
     try:
         ask(sensor.address, sensor.bus)
     except SensorError as error:
@@ -127,7 +127,7 @@ def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute
 
 
 def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
-    """Stations at the same address of other channels."""
+    """The routes at the same address of other channels."""
     if not isinstance(route.driver.registers.bus, MuxChannel):
         return []
     return [

@@ -18,7 +18,7 @@ _STATUS_NS = 10_000_000_000
 
 
 class Service:
-    """What the service manager is told; `environment` is that of the process, `now_ns` a clock that never steps."""
+    """Messages to the service manager; `environment` is that of the process, `now_ns` a clock that never steps."""
 
     def __init__(
         self,
@@ -35,8 +35,8 @@ class Service:
         self._ready = False
 
     def stored(self, rows: int) -> None:
-        """So many rows are stored by now, all sensors together: the first ones say READY=1, more of them WATCHDOG=1,
-        as often as it is needed.
+        """Note the number of stored rows, all sensors together: the first ones send READY=1, more of them WATCHDOG=1 as
+        often as needed.
         """
         if self._address is None or rows <= self._rows:
             return
@@ -54,11 +54,13 @@ class Service:
         self._send(words)
 
     def stopping(self, status: str = "finishing the log") -> None:
-        """The recording has ended, and its log is being finished: TimeoutStopSec= counts from now on, no watchdog."""
+        """Note that the recording has ended and its log is being finished: TimeoutStopSec= counts from now on, no
+        watchdog.
+        """
         self._send(["STOPPING=1", f"STATUS={' '.join(status.split())}"])
 
     def _send(self, words: list[str]) -> None:
-        """One datagram; whether anybody is there is not our business."""
+        """Send one datagram; whether it is received does not matter here."""
         if self._address is None or not words:
             return
         try:
@@ -70,14 +72,16 @@ class Service:
 
 
 def _address(name: str) -> str | bytes | None:
-    """Of a socket by its path, or of an abstract one ("@..."); None for no socket, and for kinds that are not local."""
+    """The address of a socket by its path, or of an abstract one ("@..."); None for none, and for sockets that aren't
+    local.
+    """
     if name.startswith("@") and len(name) > 1:
         return b"\0" + os.fsencode(name[1:])
     return name if name.startswith("/") else None
 
 
 def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
-    """After how long without a word this process is killed; None if nobody watches it."""
+    """The time without a message after which this process is killed; None without a watchdog."""
     allowed, whose = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(process))
     if not (allowed.isascii() and allowed.isdigit() and int(allowed)) or whose != str(process):
         return None

@@ -1,7 +1,7 @@
-"""In which state did each sensor come up? Its first seconds are held back until somebody who knows its states has said.
+"""The start-up states of sensors: first seconds are held back until a judge who knows the states has given a verdict.
 
-Some chips start with another bias than last time (the paper's Gyro3 has two), or in another range, and say nothing.
-What is known of a sensor's states is in its calibration, which is not for this package to read: a `Judge` is asked.
+Some chips start with another bias than last time (the paper's Gyro3 has two), or in another range, and do not report
+it. The states of a sensor are in its calibration, which this package does not read: it asks a `Judge`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ SECONDS = 10.0
 FEWEST_READINGS = 10
 """The mean of fewer is too uncertain to be judged: noise would pass for another state."""
 ATTEMPTS = 3
-"""How often a sensor that came up wrong is set up again before nothing of it is trusted."""
+"""How often a sensor that started wrong is configured again before none of its readings are trusted."""
 
 
 class Verdict(NamedTuple):
-    """What there is to say of a sensor's start: an empty `text` if nothing, `fault` if its readings can't be used."""
+    """A verdict on a sensor's start: `fault` if its readings can't be used, and a sentence (empty: nothing to report).
+    """
 
     fault: bool
     text: str = ""
@@ -32,7 +33,7 @@ class StartVerdict(Protocol):
 
     @property
     def fault(self) -> bool:
-        """Whether its readings can't be used."""
+        """True if its readings can't be used."""
 
     @property
     def text(self) -> str:
@@ -44,7 +45,7 @@ Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
 
 
 class StartUp:
-    """The sensors that are still to be judged. `tell` hears each verdict that says something."""
+    """The sensors that are still to be judged."""
 
     def __init__(self, buffers: Sequence[SampleBuffer], judge: Judge, now_ns: int) -> None:
         self._judge = judge
@@ -53,16 +54,16 @@ class StartUp:
         self._buffers = [item for item in buffers if id(item) in self._since_ns]
 
     def holds(self, buffer: SampleBuffer) -> bool:
-        """Whether nothing of this sensor may be written yet."""
+        """Return whether the rows of this sensor must wait."""
         return id(buffer) in self._since_ns
 
     def again(self, buffer: SampleBuffer, now_ns: int) -> None:
-        """It was set up anew because it had come up wrong: so it is judged again."""
+        """Judge a sensor again that was configured again because it had started wrong."""
         if id(buffer) in self._attempts:
             self._since_ns[id(buffer)] = now_ns
 
     def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[SampleBuffer, StartVerdict]]:
-        """Who came up how, of those whose first seconds are over (or at the end of the log, `last`)."""
+        """Return the verdicts on sensors whose first seconds are over (or all, at the end of the log, `last`)."""
         ripe = [
             item
             for item in self._buffers
@@ -83,5 +84,5 @@ class StartUp:
         return judged
 
     def hopeless(self, buffer: SampleBuffer) -> bool:
-        """Whether it was set up often enough."""
+        """Return whether all attempts to configure it are used up."""
         return self._attempts.get(id(buffer), 0) >= ATTEMPTS

@@ -1,4 +1,4 @@
-"""Recording an array on a microcontroller: it polls by itself, and is listened to.
+"""Records an array on a microcontroller, which polls by itself and sends what it reads.
 
 The host tells it once what to read in which frame (`stream_plan`), takes what comes in bulk, and decodes it with the
 drivers that configured the chips (`stream_rows`). A row is written once every register of its chip was read back right
@@ -41,8 +41,8 @@ PAUSE_NS = 3_000_000_000
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
-    """Whether `Streaming` records these routes: on a microcontroller, and no queue among them, whose chip keeps the
-    time itself and can be polled through the link.
+    """Return whether `Streaming` records these routes: on a microcontroller, and no queue among them, whose chip keeps
+    the time itself and can be polled through the link.
     """
     return isinstance(bus, SerialBus) and not any(route.sensor.fifo for route in routes)
 
@@ -104,7 +104,7 @@ class Streaming:
             self._finish()
 
     def _complete(self) -> bool:
-        """Whether the last visit of the last frame that is wanted has come."""
+        """Return whether the last visit of the last requested frame has arrived."""
         if self._periods is None:
             return False
         split = self._plan.split
@@ -119,7 +119,7 @@ class Streaming:
         self._heard_ns = self._bus.clock.now_ns()
 
     def _step(self) -> None:
-        """Listen once; see to whoever is ill, and write, when it is time to."""
+        """Receive once; configure failed sensors and write, when it is time to."""
         try:
             if not self._bus.streaming:
                 raise LinkError("it does not answer")
@@ -138,14 +138,14 @@ class Streaming:
             self._write()
 
     def _longest_pause_s(self) -> float:
-        """Between two frames in which the microcontroller sends something."""
+        """The time between two frames in which the microcontroller sends something."""
         return min(asked.every for asked in self._plan.lists) / self._period_rate_hz
 
     def _count_frames(self) -> None:
         self.summary.frames = -(-(self._begun + self._newest + 1) // self._plan.split)
 
     def _receive(self) -> Mapping[int, Samples]:
-        """What the microcontroller sent of the running stream; frames that were refused are told."""
+        """Return the samples of the running stream, and report rejected frames."""
         samples = self._bus.receive()
         refused = Counter(self._bus.refused) - self._refused_before
         count = refused.total()
@@ -158,7 +158,7 @@ class Streaming:
         return samples
 
     def _take(self, samples_by_list: Mapping[int, Samples]) -> None:
-        """Put what came where it belongs; frames after the last that is wanted are left out."""
+        """Distribute the samples to the sensors; frames after the last requested one are left out."""
         if not samples_by_list:
             return
         self._heard_ns = self._bus.clock.now_ns()
@@ -181,7 +181,7 @@ class Streaming:
         lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
 
     def _set_up_again(self) -> None:
-        """Stop, set up who is ill, and go on."""
+        """Stop the stream, configure the failed sensors, and resume."""
         self._bus.stop()
         self._take(self._receive())
         self._repair()
@@ -226,7 +226,7 @@ class Streaming:
                 bus.mux.selected = None
 
     def _finish(self) -> None:
-        """Take what is left, vouch for it or flag it, and write it all."""
+        """Take the last samples, verify or flag them, and write all."""
         lost = not self._bus.streaming
         try:
             self._bus.stop()
@@ -258,7 +258,7 @@ class Streaming:
         self._count_frames()
 
     def _write(self, *, last: bool = False) -> None:
-        """Decode and write what is trusted."""
+        """Decode and write the trusted rows."""
         self._written_ns = self._bus.clock.now_ns()
         for rows in self._rows:
             count = len(rows.buffer.times_ns) if last else self._health.trusted_rows(rows)
@@ -269,21 +269,21 @@ class Streaming:
         self._options.progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
-        """Something happened to a sensor."""
+        """Note an event of a sensor."""
         self._faults.of(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
 
     def _note_of_all(self, at_ns: int, kind: str, text: str) -> None:
-        """Something happened to the array as a whole."""
+        """Note an event of the array as a whole."""
         self._faults.of("", kind).happened(at_ns, text)
 
     def _event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
-        """Write an event down, and tell it."""
+        """Write and report an event."""
         event = Event(at_ns - self._epoch_ns, sensor, kind, text)
         self._log.event(event)
         self._options.tell(event)
 
 
 def _until(samples: Samples, number: int) -> Samples:
-    """Frames before `number`."""
+    """The samples of frames before `number`."""
     count = int((samples.numbers < number).sum())
     return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.payload[:count])

@@ -1,4 +1,4 @@
-"""Which chips of a streamed array can be believed: registers read back in turn, readings that move, a known start.
+"""The health of the chips of a streamed array: registers read back in turn, frozen readings, start-up states.
 
 The microcontroller reads the registers among its lists; two wrong reads in a row count. A chip that is found `ill` is
 set up again while the stream is stopped.
@@ -31,7 +31,7 @@ class _Check:
 
 
 class StreamHealth:
-    """All sensors'. `ill` are those that must be set up again."""
+    """The health of all sensors. `ill` are those that must be configured again."""
 
     def __init__(
         self, rows: Sequence[Rows], watched: Sequence[ReadbackPlace], start_up: StartUp | None, note: Note
@@ -45,7 +45,7 @@ class StreamHealth:
         }
 
     def look(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
-        """Registers that were read back."""
+        """Check the registers that were read back."""
         for rows in self._rows:
             for check in self._checks[id(rows)]:
                 place = check.watched.place
@@ -55,7 +55,9 @@ class StreamHealth:
                         self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
     def _judge(self, rows: Rows, check: _Check, value: int, before: int) -> None:
-        """One value of one register, and how many rows waited before it was read. Twice wrong is wrong."""
+        """Judge one value of one register that was read after `before` of the waiting rows; two wrong values in a row
+        count.
+        """
         setting = check.watched.setting
         if value & setting.mask == setting.value:
             check.wrong, check.good_rows = 0, before
@@ -70,7 +72,7 @@ class StreamHealth:
             self._note(rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}")
 
     def tick(self, now_ns: int) -> None:
-        """Who stands still, and who came up wrong."""
+        """Look for frozen sensors and wrong starts."""
         for rows in self._rows:
             row = rows.buffer.frozen_since()
             if row is not None and id(rows) not in self.ill:
@@ -96,7 +98,7 @@ class StreamHealth:
                     self.ill[id(rows)] = rows
 
     def set_up_again(self, now_ns: int) -> None:
-        """Configure the ill; the stream is stopped. One that can't be stays ill."""
+        """Configure the failed sensors while the stream is stopped; one that can't be configured remains failed."""
         for key, rows in list(self.ill.items()):
             try:
                 rows.buffer.driver.identify()
@@ -120,7 +122,7 @@ class StreamHealth:
             self.ill[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
-        """How many of the waiting rows can be written; as suspect if nobody could vouch for them in `HELD_S`."""
+        """Return how many of the waiting rows can be written; as suspect if nobody could vouch for them in `HELD_S`."""
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer
@@ -135,7 +137,7 @@ class StreamHealth:
         return max(0, min(self._vouched(rows), waiting - held))
 
     def _vouched(self, rows: Rows) -> int:
-        """Rows that were followed by a look at every register which found it right."""
+        """The rows that were followed by a successful check of every register."""
         return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
 
     def written(self, rows: Rows, count: int) -> None:

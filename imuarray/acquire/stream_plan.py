@@ -1,4 +1,4 @@
-"""What a microcontroller reads in which frame, where each sensor's bytes are in its answers, and how they become rows.
+"""The plan of what a microcontroller reads in which frame, and the conversion of its answers into rows of the sensors.
 
 Sensors that are read in the same frames share a list; a chip slower than the frames is read as often as it has a new
 value. Every list selects its own channels: a lost switch spoils one list only. Registers are read back in turn, each
@@ -58,7 +58,7 @@ class Place:
 
 @dataclass(frozen=True)
 class ReadbackPlace:
-    """Where one register of one route is read back."""
+    """The place where one register of one sensor is read back."""
 
     route: SensorRoute
     setting: Setting
@@ -100,7 +100,7 @@ class _Lists:
         )
 
     def _select(self, key: tuple[int, int], route: SensorRoute) -> int:
-        """Where it is told whether the channel of `route` could be selected."""
+        """Return the position of the age that shows whether the channel of `route` could be selected."""
         bus = route.driver.registers.bus
         if not isinstance(bus, MuxChannel):
             raise TypeError(f"{route.sensor.name} is behind no multiplexer")
@@ -155,14 +155,14 @@ def _read_back(route: SensorRoute, setting: Setting) -> Visit:
 
 
 def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
-    """Into how many periods a frame is split: one if no result of a conversion is too old a frame later."""
+    """Return the number of periods in a frame: one if no result of a conversion is too old a frame later."""
     drivers = [route.driver for route in routes if isinstance(route.driver, OnDemandDriver)]
     return max((math.ceil(1e9 / rate_hz / driver.lasting_ns - 1e-6) for driver in drivers), default=1)
 
 
 def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
-    """In which period after the first each visit is, and after how many periods it all begins anew; `split` of them
-    are a frame.
+    """Return the period of each visit after the first, and the number of periods after which it repeats; `split` of
+    them are a frame.
     """
     period_ns = 1e9 / (rate_hz * split)
     waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
@@ -194,7 +194,7 @@ class Readings(NamedTuple):
 
 
 def readings_at(place: Place, samples: Samples, rate: float) -> Readings:
-    """What is at `place`; `rate` is that of the host's clock over the microcontroller's."""
+    """Return the readings at `place`; `rate` is that of the host's clock over the microcontroller's."""
     payload = samples.payload
     ages = np.stack([_ages(payload, position) for position in place.ages], axis=1)
     worst = ages.max(axis=1)

@@ -43,7 +43,7 @@ class Identity:
         return f"{self.device}{f' at port {self.place}' if self.place else ''}{f', {self.part}' if self.part else ''}"
 
     def elsewhere(self, other: Identity) -> bool:
-        """Whether the other could be this device, plugged into another port."""
+        """Return whether the other could be this device, plugged into another port."""
         return (self.device, self.part) == (other.device, other.part)
 
 
@@ -118,7 +118,7 @@ def search(wanted: Identity, listed: Mapping[str, Entry], known: Mapping[str, in
 
 
 def is_alone(wanted: Identity, listed: Mapping[str, Entry]) -> bool:
-    """Whether no other device among those listed says the same of itself."""
+    """Return whether no other device among those listed says the same of itself."""
     return not any(entry.identity != wanted and entry.identity.elsewhere(wanted) for entry in listed.values())
 
 

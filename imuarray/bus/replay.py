@@ -30,7 +30,7 @@ class ReplayClock:
         self._seen_ns: deque[int] = deque()
 
     def now_ns(self) -> int:
-        """What the program saw then; else when the last transaction ended, or the last sleep."""
+        """Return what the program saw then; else when the last transaction ended, or the last sleep."""
         if self._seen_ns:
             self._now_ns = max(self._now_ns, self._seen_ns.popleft())
         return self._now_ns

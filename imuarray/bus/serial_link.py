@@ -196,7 +196,7 @@ def start_payload(period_us: int) -> bytes:
 
 
 def capacity_of(payload: bytes) -> Capacity:
-    """What the answer to HELLO says; LinkError for a payload that can't be one."""
+    """Return what the answer to HELLO says; LinkError for a payload that can't be one."""
     if len(payload) < _HELLO.size:
         raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are wanted")
     return Capacity(*_HELLO.unpack_from(payload))

@@ -141,7 +141,7 @@ class Session:
         self.fit.latency_ns = min(trips_ns) // 2
 
     def _forget(self) -> None:
-        """What came before belongs to another session, perhaps to another boot of the microcontroller."""
+        """Return what came before belongs to another session, perhaps to another boot of the microcontroller."""
         self._answers: list[_Answer] = []
         self._pieces: list[_Piece] = []
         self._newest: tuple[int, int] | None = None
@@ -255,7 +255,9 @@ class Session:
         return None if latest_ns is None else latest_ns // 1000
 
     def _early_us(self, at_ns: int) -> int:
-        """How much later than `_latest_us` a frame may have been sent: the counter's drift is known only so well."""
+        """Return how much later than `_latest_us` a frame may have been sent: the counter's drift is known only so
+        well.
+        """
         return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
     def _bound_us(self, latest_us: int, arrived_ns: int) -> int:

@@ -52,7 +52,7 @@ class _Notes:
         self.standing_ns = max(self.standing_ns, at_ns)
 
     def take(self, at_ns: int) -> list[int]:
-        """How long before `at_ns` it looked; nothing if a clock that stands still would have shown the same."""
+        """Return how long before `at_ns` it looked; nothing if a clock that stands still would have shown the same."""
         seen = [at_ns - stamp for stamp in self._seen] if self._moved else []
         self._seen, self._moved = [], False
         return seen

@@ -255,7 +255,7 @@ def _finish(
 
 
 def _tell(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
-    """What was found and written, for a person or a program."""
+    """Return what was found and written, for a person or a program."""
     from imuarray.characterise.result import json_ready
 
     known = json_ready(report)

@@ -29,7 +29,7 @@ def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """What changed, largest first; what is common; what opposing cancels."""
+    """Return what changed, largest first; what is common; what opposing cancels."""
     for number, name in enumerate(report["calibrations"], start=1):
         click.echo(printable(f"{number}: {name}"))
     _print_changes(report["changes"])

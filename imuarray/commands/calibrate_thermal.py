@@ -28,7 +28,7 @@ def report_of(result: ThermalResult) -> dict[str, Any]:
 
 
 def _sensor(sensor: SensorCalibration) -> dict[str, Any]:
-    """What the calibration file keeps."""
+    """Return what the calibration file keeps."""
     from imuarray.calibrate.entries import to_table
 
     return {"name": sensor.name, "unit": sensor.unit, **to_table(sensor.thermal)}

@@ -240,7 +240,7 @@ def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
-    """What the technique treats otherwise than the average does, of both quantities."""
+    """Return what the technique treats otherwise than the average does, of both quantities."""
     from imuarray.fuse import axes_of, changes
 
     sentences = []
@@ -304,7 +304,7 @@ class _Noise:
 
 
 def _quality_of(log: Log) -> _Errors | _Noise:
-    """What measures how good results on this log are."""
+    """Return what measures how good results on this log are."""
     return _Errors(log) if log.truth or log.reference else _Noise()
 
 
@@ -342,7 +342,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
 
 
 def _print_results(report: dict[str, Any]) -> None:
-    """What the technique changed, and its errors beside those of the average."""
+    """Return what the technique changed, and its errors beside those of the average."""
     technique = report["technique"]
     for fault in report["faults"]:
         click.echo(f"  {fault['sentence']}")

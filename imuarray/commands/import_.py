@@ -82,7 +82,7 @@ def command(
 
 
 def _exported(source: Path) -> Importer | None:
-    """Who reads what `imuarray export` wrote; None for any other file. SourceError."""
+    """Return who reads what `imuarray export` wrote; None for any other file. SourceError."""
     from imuarray.importers.exported import importer_of
 
     return importer_of(source) if not source.is_dir() else None
@@ -106,7 +106,7 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
 
 
 def _tell(summary: Summary, output: Path, as_json: bool) -> None:
-    """What was imported and what it is like, for a person or a program."""
+    """Return what was imported and what it is like, for a person or a program."""
     from imuarray.importers.plausibility import report_of
     from imuarray.log import open_log
 

@@ -42,7 +42,7 @@ class Screen:
         self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
 
     def counted(self, summary: Summary) -> None:
-        """How far it is, now and then: a line that is written over. Nobody watches what is no terminal."""
+        """Return how far it is, now and then: a line that is written over. Nobody watches what is no terminal."""
         now_s = time.monotonic()
         if not self._terminal or now_s - self._counted_s < _PAUSE_S:
             return

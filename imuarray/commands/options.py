@@ -193,7 +193,7 @@ class Steps:
 
 
 def progress_line(label: str, done: int, length: int, took_s: float) -> str:
-    """How far a step is (`length` 0: nobody knows), and how long its rest takes if it goes on like that."""
+    """Return how far a step is (`length` 0: nobody knows), and how long its rest takes if it goes on like that."""
     if not length:
         return f"{label}: {_span(took_s)}"
     remaining = f", {_span(took_s * (length - done) / done)} left" if done else ""

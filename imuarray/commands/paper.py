@@ -82,7 +82,7 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
 
 
 def _gap(output: Path | None, as_json: bool, force: bool) -> None:
-    """What of the paper's tables the data sheets do not foretell."""
+    """Return what of the paper's tables the data sheets do not foretell."""
     import json
 
     from imuarray.studies.paper import findings

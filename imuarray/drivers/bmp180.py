@@ -132,7 +132,7 @@ class Bmp180:
         return self._temperature + pressure
 
     def _lasting_ns(self, now_ns: int) -> int:
-        """How old a result may be in this call: where calls are seldom, as old as that makes it."""
+        """Return how old a result may be in this call: where calls are seldom, as old as that makes it."""
         seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
         if self._called_ns is not None:
             self._intervals_ns.append(now_ns - self._called_ns)

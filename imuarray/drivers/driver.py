@@ -35,7 +35,7 @@ class Registers:
         return self.bus.transfer(self.address, bytes([register.address]), count)
 
     def read_back(self, register: Register) -> int:
-        """What the register holds, of a chip that goes on measuring."""
+        """Return what the register holds, of a chip that goes on measuring."""
         return self.peek(register, register.readback_bytes)[0]
 
     def poke(self, register: Register, value: int) -> None:
@@ -117,7 +117,7 @@ def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still
 
 
 def within(values: Floats, limits: Limits) -> bool:
-    """Whether each of three values lies within its limits."""
+    """Return whether each of three values lies within its limits."""
     return all(low <= value <= high for value, (low, high) in zip(values, limits, strict=True))
 
 

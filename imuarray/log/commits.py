@@ -116,7 +116,7 @@ class CommittedRows:
         self._count()
 
     def _count(self) -> None:
-        """Where the segments begin and end, of each group."""
+        """Return where the segments begin and end, of each group."""
         table = np.cumsum([[0] * len(self._groups), *map(self._lengths, self._segments)], axis=0)
         self._edges: list[list[int]] = table.T.tolist()
         self.rows = tuple(edges[-1] for edges in self._edges)
@@ -144,7 +144,7 @@ class CommittedRows:
         return [f"damaged, and in no journal: {', '.join(counts)}"] if counts else []
 
     def _salvaged(self, segment: Segment) -> list[Columns]:
-        """What the journal has of a commit that is damaged in both places, by group."""
+        """Return what the journal has of a commit that is damaged in both places, by group."""
         if self._journal is None:
             return [group.joined([]) for group in self._groups]
         begin, end = self._marks(segment)
@@ -152,7 +152,7 @@ class CommittedRows:
         return self._journal.columns(takewhile(lambda record: record.after.position <= end.position, records))
 
     def _marks(self, segment: Segment) -> tuple[Mark | None, Mark]:
-        """Where the journal has the rows of a commit."""
+        """Return where the journal has the rows of a commit."""
         begin = self._commits[segment.number - 1].mark if segment.number else None
         return begin, self._commits[segment.number].mark
 
@@ -193,7 +193,7 @@ class CommittedRows:
         return np.asarray(column[start:stop])
 
     def _fits(self, segment: Segment) -> bool:
-        """Whether the rows of a commit are those that were written."""
+        """Return whether the rows of a commit are those that were written."""
         if segment.number not in self._is_good:
             try:
                 crc = self._commits[segment.number].crc

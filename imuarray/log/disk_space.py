@@ -55,7 +55,7 @@ def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
 
 @contextlib.contextmanager
 def write_errors(path: Path, *kept: str) -> Iterator[None]:
-    """What the system or HDF5 says of a failed write inside becomes the error of `path` (`unwritable`)."""
+    """Return what the system or HDF5 says of a failed write inside becomes the error of `path` (`unwritable`)."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 uses both
@@ -109,14 +109,14 @@ class Allowance:
         self._allocated = wanted
 
     def sync(self) -> None:
-        """What was written is on the disk when this returns; LogError."""
+        """Return what was written is on the disk when this returns; LogError."""
         try:
             os.fsync(self.fd)
         except OSError as error:
             raise unwritable(self._name, error) from None
 
     def settle(self) -> None:
-        """What was asked for, written and flushed took less where it was compressed: count what it took."""
+        """Return what was asked for, written and flushed took less where it was compressed: count what it took."""
         self._used = min(self._used, self._end() or self._used)
 
     def trim(self) -> None:
@@ -126,7 +126,9 @@ class Allowance:
             os.ftruncate(self.fd, end)
 
     def _end(self) -> int | None:
-        """Where the file ends for HDF5: its superblock says so (HDF5 file format, version 3: 64 bits at byte 28)."""
+        """Return where the file ends for HDF5: its superblock says so (HDF5 file format, version 3: 64 bits at byte
+        28).
+        """
         head = os.pread(self.fd, 36, 0)
         return int.from_bytes(head[28:36], "little") if len(head) == 36 and head[8] == 3 and head[9] == 8 else None
 
@@ -158,7 +160,7 @@ class Reserve:
 
 
 def reserve_of(path: Path) -> Path:
-    """Where the reserve file of the log at `path` is."""
+    """Return where the reserve file of the log at `path` is."""
     return path.with_name(f".{path.name}.reserve")
 
 

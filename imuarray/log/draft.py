@@ -77,7 +77,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _is_locked(path: Path) -> bool:
-    """Whether HDF5 has the file open somewhere, perhaps on another machine: it locks what it writes."""
+    """Return whether HDF5 has the file open somewhere, perhaps on another machine: it locks what it writes."""
     if sys.platform == "win32":
         return False
     try:

@@ -74,8 +74,8 @@ def recover(
 
 
 def _is_journal_of(log: Log) -> bool:
-    """Whether the journal beside a finished log is its own, as a kill just before its removal leaves it, and not that
-    of another log: epoch and sensors are the same.
+    """Return whether the journal beside a finished log is its own, as a kill just before its removal leaves it, and not
+    that of another log: epoch and sensors are the same.
     """
     try:
         with JournalReader(log.path) as journal:
@@ -101,7 +101,7 @@ def _end_ns(log: Log) -> int:
 
 
 def _losses(log: Log) -> tuple[Event, ...]:
-    """What of an unfinished log could not be had, for its events."""
+    """Return what of an unfinished log could not be had, for its events."""
     return tuple(Event(_end_ns(log), "", "damaged", loss) for loss in log.losses)
 
 

@@ -79,7 +79,7 @@ class HeapCheckedFile(io.RawIOBase):
 
 
 def _adds_up(fd: int, at: int) -> bool:
-    """Whether the objects of the heap at this place fill it and no more."""
+    """Return whether the objects of the heap at this place fill it and no more."""
     length = int.from_bytes(os.pread(fd, _HEAD, at)[8:], "little")
     if not _HEAD <= length <= LONGEST:
         return False

@@ -23,7 +23,7 @@ _LENGTH = 44
 
 
 def is_marked_open(path: Path) -> bool:
-    """Whether a file says that it was open for writing when it was last heard of."""
+    """Return whether a file says that it was open for writing when it was last heard of."""
     with path.open("rb") as file:
         head = file.read(_LENGTH)
     return _is_version_3(head) and head[_FLAGS] != 0

@@ -95,7 +95,7 @@ class _Damage:
 
     @contextmanager
     def noted(self, path: bytes) -> Iterator[None]:
-        """What is damaged inside is the object at `path`."""
+        """Return what is damaged inside is the object at `path`."""
         try:
             yield
         except DAMAGE:
@@ -182,8 +182,8 @@ def _linked(group: _Place, where: str) -> list[bytes]:
 
 
 def _is_plot(group: _Place, name: bytes) -> bool:
-    """Whether a soft link is one of `/plots`, for viewers: to the column of this name, of the sensor that its group is
-    called after. It is not followed here; the column is looked at where it is.
+    """Return whether a soft link is one of `/plots`, for viewers: to the column of this name, of the sensor that its
+    group is called after. It is not followed here; the column is looked at where it is.
     """
     _, *path = group.path.split(b"/")
     target: bytes = group.item.links.get_val(name)
@@ -191,7 +191,7 @@ def _is_plot(group: _Place, name: bytes) -> bool:
 
 
 def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
-    """What one object is and what its header declares; where its texts are."""
+    """Return what one object is and what its header declares; where its texts are."""
     if isinstance(node.item, h5d.DatasetID):
         return _look_at_dataset(node, place, file_bytes)
     if not isinstance(node.item, h5g.GroupID):
@@ -263,7 +263,7 @@ def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:
-    """How long the texts of a column say they are, together; 0 where it does not stand in the file in one piece.
+    """Return how long the texts of a column say they are, together; 0 where it does not stand in the file in one piece.
 
     Each is a descriptor: length (32 bits), address of its heap, number in it (HDF5 file format, III.E and IV.A.2.d).
     """
@@ -292,7 +292,7 @@ def _read(inspected: h5py.File, text: _Text, where: str) -> None:
 
 
 def _look_at_filters(plan: Any, place: str) -> bool:
-    """Whether data are packed; LogError for filters that no log has, or one twice."""
+    """Return whether data are packed; LogError for filters that no log has, or one twice."""
     filters = [plan.get_filter(index)[0] for index in range(plan.get_nfilters())]
     if not _FILTERS.issuperset(filters) or len(set(filters)) < len(filters) or len(_PACKERS.intersection(filters)) > 1:
         raise LogError(f"{place}: data stored outside the file or behind an unknown filter")

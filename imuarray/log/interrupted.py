@@ -153,7 +153,7 @@ def open_interrupted(
 
 
 def _marks(path: Path, file: h5py.File | None) -> tuple[bool, Preamble | None]:
-    """Whether the file is that of an unfinished log, as far as HDF5 can tell, and the preamble in it."""
+    """Return whether the file is that of an unfinished log, as far as HDF5 can tell, and the preamble in it."""
     try:
         is_live = file is not None and is_unfinished(file)
         return is_live, stored_preamble(path) if is_live else None
@@ -180,7 +180,7 @@ def _open(path: Path) -> h5py.File | None:
 
 
 def is_unfinished(file: h5py.File) -> bool:
-    """Whether a file was begun as one that grows, and never finished: finished ones have neither mark."""
+    """Return whether a file was begun as one that grows, and never finished: finished ones have neither mark."""
     return PREAMBLE in file.attrs or file.get(COMMITS, getlink=True) is not None
 
 
@@ -203,7 +203,7 @@ def stored_preamble(path: Path) -> Preamble | None:
 
 
 def _is_sound(path: Path, file: h5py.File) -> bool:
-    """Whether a finished file can be read: else its journal, if it is still there, has all of it."""
+    """Return whether a finished file can be read: else its journal, if it is still there, has all of it."""
     try:
         return not inspect(path, file)
     except LogError:
@@ -211,7 +211,7 @@ def _is_sound(path: Path, file: h5py.File) -> bool:
 
 
 def may_be_unfinished(path: Path) -> bool:
-    """Whether a log should be looked at so: it says so, it has a journal, or HDF5 can't open it."""
+    """Return whether a log should be looked at so: it says so, it has a journal, or HDF5 can't open it."""
     try:
         return journal_of(path).is_file() if not path.is_file() else is_marked_open(path) or journal_of(path).is_file()
     except OSError:

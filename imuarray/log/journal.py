@@ -59,17 +59,17 @@ class Record(NamedTuple):
 
 
 def journal_of(path: Path) -> Path:
-    """Where the journal of the log at `path` stands while it is written."""
+    """Return where the journal of the log at `path` stands while it is written."""
     return path.with_name(f"{path.name}.journal")
 
 
 def tag_of(identity: str) -> int:
-    """What every block in the journal of a log with this identity bears."""
+    """Return what every block in the journal of a log with this identity bears."""
     return zlib.crc32(identity.encode()) & 0xFFFF or 1
 
 
 def is_running(path: Path) -> bool:
-    """Whether somebody is writing the log at `path` now."""
+    """Return whether somebody is writing the log at `path` now."""
     try:
         fd = os.open(journal_of(path), os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0))
     except OSError:
@@ -128,7 +128,7 @@ class JournalLock:
 
     @property
     def is_named(self) -> bool:
-        """Whether the journal still has its name: another process may have removed or replaced it."""
+        """True if the journal still has its name: another process may have removed or replaced it."""
         try:
             return os.path.samestat(os.fstat(self.fd), self.path.stat())
         except FileNotFoundError:
@@ -195,7 +195,7 @@ class JournalWriter:
         self.mark = Mark(self.mark.position + len(data), chain)
 
     def sync(self) -> None:
-        """What was appended is on the disk when this returns."""
+        """Return what was appended is on the disk when this returns."""
         getattr(os, "fdatasync", os.fsync)(self._fd)  # macOS has no fdatasync
 
 
@@ -288,8 +288,8 @@ class JournalReader:
         return np.frombuffer(record.payload, "<i8", rows)
 
     def _behind(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
-        """Where blocks go on behind a bad one at `end`, and that block if it could be restored; None at the end of the
-        journal. What is lost is noted in `damage`.
+        """Return where blocks go on behind a bad one at `end`, and that block if it could be restored; None at the end
+        of the journal. What is lost is noted in `damage`.
         """
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:

@@ -256,8 +256,8 @@ class Live:
             raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
 
     def _has_lost_journal(self) -> bool:
-        """Whether the journal can't be found under its name any more, so that a crash would leave the HDF5 file alone:
-        then each sync commits. An event says so once.
+        """Return whether the journal can't be found under its name any more, so that a crash would leave the HDF5 file
+        alone: then each sync commits. An event says so once.
         """
         if self.lock.is_named:
             return False

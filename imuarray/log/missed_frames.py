@@ -41,12 +41,12 @@ class FrameTiming(NamedTuple):
 
 
 def frames_in(seconds: float, rate_hz: float) -> int:
-    """How many frames begin in `seconds`, at least one; a millionth of a frame is none."""
+    """Return how many frames begin in `seconds`, at least one; a millionth of a frame is none."""
     return max(1, math.ceil(seconds * rate_hz - 1e-6))
 
 
 def duration_s(frames: int, missed: int, rate_hz: float) -> float:
-    """How long a recording is that consists of so many frames at `rate_hz`."""
+    """Return how long a recording is that consists of so many frames at `rate_hz`."""
     return (frames + missed) / rate_hz
 
 
@@ -72,8 +72,8 @@ def frame_period_ns(source: str, frame_rate_hz: float) -> int:
 
 
 def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: int) -> bool:
-    """Whether a sensor that gives `rate_hz` rows a second, of a chip that has `chip_rate_hz` values a second (0: not
-    known), gives one in every frame.
+    """Return whether a sensor that gives `rate_hz` rows a second, of a chip that has `chip_rate_hz` values a second (0:
+    not known), gives one in every frame.
     """
     if frame_period_ns <= 0:
         return False

@@ -108,7 +108,7 @@ class Log:
 
     @property
     def has_journal(self) -> bool:
-        """Whether an unfinished log has the journal that belongs to it; True for one that is finished."""
+        """True if an unfinished log has the journal that belongs to it; True for one that is finished."""
         return not isinstance(self._file, LiveView) or self._file.has_journal
 
     @property
@@ -118,7 +118,7 @@ class Log:
 
     @property
     def is_rebuilt(self) -> bool:
-        """Whether the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
+        """True if the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
         return isinstance(self._file, RebuiltFile)
 
     @property
@@ -194,7 +194,7 @@ class Log:
         return self._file.get(name)
 
     def _is_damaged(self, path: str) -> bool:
-        """Whether the object at this path, or one below it, is damaged."""
+        """Return whether the object at this path, or one below it, is damaged."""
         return any(bad == path or bad.startswith(f"{path}/") for bad in self._damaged)
 
     @property
@@ -222,7 +222,7 @@ class Log:
 
     @property
     def is_open(self) -> bool:
-        """Whether it can be read."""
+        """True if it can be read."""
         return bool(self._file)
 
     def close(self) -> None:

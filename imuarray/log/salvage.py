@@ -91,11 +91,11 @@ class Salvage:
 
     @property
     def is_spent(self) -> bool:
-        """Whether the budget is used up: behind the last place that was searched there may be more good blocks."""
+        """True if the budget is used up: behind the last place that was searched there may be more good blocks."""
         return self._search_bytes <= 0 or self._check_bytes <= 0
 
     def is_good(self, position: int, chain: int) -> bool:
-        """Whether a good block stands at `position` and goes on from `chain`."""
+        """Return whether a good block stands at `position` and goes on from `chain`."""
         self._check_bytes -= _LEAST_CHECK
         if self._check_bytes <= 0:
             return False
@@ -117,8 +117,8 @@ class Salvage:
         return int(rows * self._row_bytes[group])
 
     def resume(self, position: int, chain: int) -> Resumption | None:
-        """Where good blocks go on behind the bad one at `position`, which should go on from `chain`; None if nowhere
-        that the budget reaches.
+        """Return where good blocks go on behind the bad one at `position`, which should go on from `chain`; None if
+        nowhere that the budget reaches.
         """
         chains = self._chains(position, chain)
         for at in self._heads(position):
@@ -170,7 +170,8 @@ class Salvage:
         return None
 
     def _chains(self, position: int, chain: int) -> list[int]:
-        """What the block behind the bad one may go on from: the bad one's check sum as it should be, and as it stands.
+        """Return what the block behind the bad one may go on from: the bad one's check sum as it should be, and as it
+        stands.
 
         As it stands only if it is this log's for certain: written in one sector with the end of the block before it.
         """
@@ -197,8 +198,8 @@ class Salvage:
             length = next(windows, length)
 
     def is_torn(self, position: int) -> bool:
-        """Whether the bytes from `position` to the end are what a crash or a power cut leaves there: the first bytes of
-        a block, and zeros of pages that never reached the disk.
+        """Return whether the bytes from `position` to the end are what a crash or a power cut leaves there: the first
+        bytes of a block, and zeros of pages that never reached the disk.
         """
         length = self._end - position
         size = self._declared(self._read(OVERHEAD, position))
@@ -212,7 +213,7 @@ class Salvage:
         return self._is_zero(page_end if page_end < position + OVERHEAD else position)
 
     def _is_zero(self, position: int) -> bool:
-        """Whether nothing but zeros stands from `position` on."""
+        """Return whether nothing but zeros stands from `position` on."""
         while piece := self._read(1 << 20, position):
             if piece.count(0) < len(piece):
                 return False
@@ -220,7 +221,8 @@ class Salvage:
         return True
 
     def has_hole(self, start: int, end: int) -> bool:
-        """Whether a page between two positions is nothing but zeros: a power cut may have kept it from the disk."""
+        """Return whether a page between two positions is nothing but zeros: a power cut may have kept it from the disk.
+        """
         data = self._read(min(end - start, SEARCH_BYTES), start)
         ends = range(_PAGE - start % _PAGE, len(data) + 1, _PAGE)
         return any(not any(data[max(0, stop - _PAGE) : stop]) for stop in ends)

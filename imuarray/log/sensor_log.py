@@ -170,7 +170,7 @@ class SensorLog:
         return self._columns[name]
 
     def has_compensated(self, name: str) -> bool:
-        """Whether there is such a column."""
+        """Return whether there is such a column."""
         dataset = self._group.get(name)
         return isinstance(dataset, DATASET) and dataset.shape == self.time.shape
 
@@ -192,7 +192,7 @@ class SensorLog:
         return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
 
     def flagged(self) -> dict[str, int]:
-        """How many rows bear each flag of `imuarray.log.format`."""
+        """Return how many rows bear each flag of `imuarray.log.format`."""
         counts = dict.fromkeys(FLAGS, 0)
         for block in self.blocks():
             status = np.asarray(self.status[block])

@@ -30,7 +30,7 @@ _TOKEN_BYTES = 24
 
 
 def is_own(host: str) -> bool:
-    """Whether only this machine can reach an address."""
+    """Return whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -38,13 +38,14 @@ def is_own(host: str) -> bool:
 
 
 def new_token() -> str:
-    """What nobody guesses, fit for an address."""
+    """Return what nobody guesses, fit for an address."""
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
 def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> str | None:
-    """Why a request is refused; None: it is not. `token` "" is for pages that only this machine can reach: then `host`,
-    the name under which it was asked for, has to be one of its own, or else a foreign name was made to lead here.
+    """Return why a request is refused; None: it is not. `token` "" is for pages that only this machine can reach: then
+    `host`, the name under which it was asked for, has to be one of its own, or else a foreign name was made to lead
+    here.
     """
     if headers.get("Sec-Fetch-Site", "") not in _OWN_SITE:
         return "asked for by another page"

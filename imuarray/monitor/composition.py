@@ -46,9 +46,9 @@ _PRESSURE = "pressure"
 def view_of(
     sensor: SensorLog, window: Window, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
 ) -> SensorView:
-    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent` are
-    the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none that
-    is known).
+    """Return what is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent`
+    are the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none
+    that is known).
     """
     time = window.time
     values, unit, columns = _values(sensor, window)
@@ -87,7 +87,7 @@ def _reach_ns(window: Window) -> float:
 
 
 def _silence(window: Window, extent: tuple[int, int]) -> int:
-    """How long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
+    """Return how long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
     begins_ns, ends_ns = extent
     since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
     return since_ns if since_ns > _reach_ns(window) else 0
@@ -229,7 +229,9 @@ _COPIES = 2
 def snapshot_of(
     source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
 ) -> Snapshot:
-    """What is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is written."""
+    """Return what is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is
+    written.
+    """
     windows, events = source.read_rows.windows, source.read_rows.events
     begins_ns, ends_ns = _extent(windows.values())
     for window in windows.values():

@@ -50,7 +50,7 @@ class LogMonitor:
         self._remark = ""
 
     def refresh(self, now_s: float) -> Snapshot:
-        """What is to be seen now; `now_s` is a monotonic time. What is wrong with a log is told, not raised."""
+        """Return what is to be seen now; `now_s` is a monotonic time. What is wrong with a log is told, not raised."""
         start_s = self._stopwatch()
         try:
             self._look(now_s)
@@ -152,7 +152,7 @@ def _parts_behind(path: Path) -> list[Path]:
 
 
 def _has_begun(path: Path) -> bool:
-    """Whether a log is there and has rows: the next part of one is begun seconds before it is wanted."""
+    """Return whether a log is there and has rows: the next part of one is begun seconds before it is wanted."""
     if not path.exists():
         return False
     if not is_running(path):

@@ -120,7 +120,7 @@ class Source(Protocol):
 
 
 def identity(path: Path) -> tuple[int, int] | None:
-    """Which file has that name now."""
+    """Return which file has that name now."""
     try:
         stat = path.stat()
     except OSError:
@@ -129,7 +129,7 @@ def identity(path: Path) -> tuple[int, int] | None:
 
 
 def look(path: Path) -> tuple[object, ...]:
-    """What is there under the name of a log, to see whether that changed: its file, and that of its journal."""
+    """Return what is there under the name of a log, to see whether that changed: its file, and that of its journal."""
     unclosed = False
     with contextlib.suppress(OSError):
         unclosed = is_marked_open(path)
@@ -247,7 +247,7 @@ class Growing:
             raise
 
     def read(self) -> int:
-        """What came into the journal since; where nothing did, whether anybody writes it still."""
+        """Return what came into the journal since; where nothing did, whether anybody writes it still."""
         count = self._drain()
         if not count and not (self._is_ours() and is_running(self.path)):
             count = self._drain()  # what was written between the two looks
@@ -270,7 +270,7 @@ class Growing:
         return rows
 
     def _is_ours(self) -> bool:
-        """Whether the journal by that name is the one that is read."""
+        """Return whether the journal by that name is the one that is read."""
         return identity(journal_of(self.path)) == self._journal_file
 
     def close(self) -> None:

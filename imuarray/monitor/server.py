@@ -106,7 +106,7 @@ async def _serve(path: Path, listening: socket.socket, token: str, options: Page
 
 
 def address_of(host: str, port: int, token: str) -> str:
-    """What to open in a browser."""
+    """Return what to open in a browser."""
     anywhere = host in ("0.0.0.0", "::", "")  # noqa: S104  # compared, not bound
     bare = host.strip("[]")
     name = socket.gethostname() if anywhere else (f"[{bare}]" if ":" in bare else bare)

@@ -55,7 +55,7 @@ def period_of(time: Times) -> float:
 
 
 def gaps_of(time: Times, period_ns: float) -> Gaps:
-    """What the times (n,) of a sensor's rows say, where neighbours are usually `period_ns` apart."""
+    """Return what the times (n,) of a sensor's rows say, where neighbours are usually `period_ns` apart."""
     if period_ns <= 0 or len(time) <= STRIDE:
         return Gaps()
     periods = (time[STRIDE:] - time[:-STRIDE]) / period_ns
