@@ -1,4 +1,4 @@
-"""What a device is, whatever number the kernel gives it: its identity in sysfs.
+"""The identity of a device in sysfs, whatever number the kernel gives it.
 
 /dev/i2c-3 and /dev/ttyACM0 are numbers in the order of appearance (LNX-02): an adapter that was unplugged and plugged
 in again may come back under another one, and another adapter may have taken the old one. What stays is the USB device
@@ -39,7 +39,7 @@ class Identity:
 
     @property
     def text(self) -> str:
-        """For messages: "USB 0403:c631 serial A1 at port 1-1.2, interface 1.0"."""
+        """The text for messages: "USB 0403:c631 serial A1 at port 1-1.2, interface 1.0"."""
         return f"{self.device}{f' at port {self.place}' if self.place else ''}{f', {self.part}' if self.part else ''}"
 
     def elsewhere(self, other: Identity) -> bool:
@@ -149,7 +149,7 @@ def _adapter_identity(devices: Path, name: str) -> Identity | None:
 
 
 def _channel_identity(devices: Path, real: Path, mux: Path) -> Identity | None:
-    """Of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as 1-0070."""
+    """The identity of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as 1-0070."""
     try:
         device = mux.resolve(strict=True)
     except (OSError, RuntimeError):

@@ -173,8 +173,8 @@ class LinuxBus:
             raise self._removed() from error
 
     def transfer_all(self, requests: Sequence[Request]) -> list[bytes]:
-        """Return what `transfer` gives for each of `requests`, in one transaction where the adapter allows it, joined
-        by repeated STARTs; otherwise one after the other.
+        """Return the answers to `requests`, each as of `transfer`, in one transaction where the adapter allows it,
+        joined by repeated STARTs; otherwise one after the other.
 
         When one fails nothing comes back, and which it was is not known (LNX-13). What depends on a STOP, the
         multiplexer's channel for one (LNX-07), must not be among them.

@@ -149,7 +149,7 @@ class ReplayBus:
         return recorded
 
     def _go_on(self, end_ns: int) -> None:
-        """To the next line, from one that ended then."""
+        """Go on to the next line, from one that ended then."""
         self._asked = 0
         try:
             self._next = self._read()

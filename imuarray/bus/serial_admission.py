@@ -1,4 +1,4 @@
-"""Which frames of the link belong to the stream that is running, from their numbers, times and lists.
+"""Decides which frames of the link belong to the running stream, by their numbers, times and lists.
 
 A whole frame with a good checksum may still be old, repeated, out of order or of an earlier boot of the
 microcontroller: a driver or a hub sends a buffer twice, a buffer survives a reset. The link says enough to tell:
@@ -122,7 +122,7 @@ class Admission:
         return places[kept]
 
     def _remember(self, grid_us: Integers, sent_us: int) -> None:
-        """Return where the grid lies by frames of which the newest was sent at `sent_us`."""
+        """Remember the position of the grid, from frames of which the newest was sent at `sent_us`."""
         earliest_us = int(grid_us.min())
         if sent_us - self._grid_since_us > MEMORY_US:
             self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, earliest_us, sent_us

@@ -37,8 +37,8 @@ BUSY_BYTES = 8192
 
 
 class Samples(NamedTuple):
-    """What came of one list: numbers of the frames (n,), when each was sent (n,) in ns on the host's clock, and what
-    was sent (n, size), the list's number left out.
+    """The frames of one list that arrived: numbers of the frames (n,), when each was sent (n,) in ns on the host's
+    clock, and what was sent (n, size), the list's number left out.
     """
 
     numbers: Integers
@@ -67,12 +67,12 @@ class SerialBus:
 
     @property
     def fit(self) -> ClockFit:
-        """From the microcontroller's clock to the host's."""
+        """The fit of the microcontroller's clock to the host's."""
         return self._session.fit
 
     @property
     def capacity(self) -> Capacity:
-        """What there is room for."""
+        """The capacity of the microcontroller."""
         return self._session.capacity
 
     @property

@@ -1,4 +1,4 @@
-"""From the microcontroller's counters to the host's clock.
+"""Converts the microcontroller's counters to the host's clock.
 
 Counters on the link are 16 and 32 bits wide and start over; `nearest` says which turn is meant.
 
@@ -66,7 +66,8 @@ class ClockFit:
         self._given_ns: int | None = None
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
-        """Return what was sent at `sent_ns` of the microcontroller's time had arrived by `arrived_ns` of ours."""
+        """Add a frame that was sent at `sent_ns` of the microcontroller's time and had arrived by `arrived_ns` of ours.
+        """
         if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
             self._block_ns = sent_ns
             self._sent_ns.append(sent_ns)
@@ -76,7 +77,7 @@ class ClockFit:
 
     @property
     def newest_arrival_ns(self) -> int:
-        """When the newest thing that was added had arrived; ValueError before anything was added."""
+        """The arrival time of the newest frame; ValueError before any was added."""
         if not self._arrived_ns:
             raise ValueError("a clock fit without data")
         return self._arrived_ns[-1]

@@ -75,7 +75,7 @@ _ERRNO = {NOBODY: errno.EREMOTEIO, HELD: errno.ETIMEDOUT, REFUSED: errno.EOPNOTS
 
 
 class LinkError(OSError):
-    """What came over the link has no meaning, or nothing came; errno is EPROTO (71)."""
+    """An answer over the link is meaningless or missing; errno is EPROTO (71)."""
 
     def __init__(self, text: str) -> None:
         super().__init__(errno.EPROTO, text)
@@ -91,7 +91,8 @@ class Frame(NamedTuple):
 
 
 class Capacity(NamedTuple):
-    """What HELLO tells: the version that is spoken, how many lists there can be, and how many bytes of requests."""
+    """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that there is room for.
+    """
 
     version: int
     lists: int
@@ -109,7 +110,7 @@ class Request:
 
 @dataclass(frozen=True)
 class PollList:
-    """What is asked in frames number `offset`, `offset` + `every`, ..."""
+    """The requests of frames number `offset`, `offset` + `every`, ..."""
 
     every: int
     offset: int
@@ -196,7 +197,7 @@ def start_payload(period_us: int) -> bytes:
 
 
 def capacity_of(payload: bytes) -> Capacity:
-    """Return what the answer to HELLO says; LinkError for a payload that can't be one."""
+    """Decode the answer to HELLO; LinkError for a payload that can't be one."""
     if len(payload) < _HELLO.size:
         raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are wanted")
     return Capacity(*_HELLO.unpack_from(payload))

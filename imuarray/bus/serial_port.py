@@ -26,7 +26,7 @@ WRITE_S = 0.25
 
 
 class Port(Protocol):
-    """What is used of pyserial's `Serial`; reading gives up after a while and gives what there is."""
+    """The part of pyserial's `Serial` that is used; a read that times out returns what there is."""
 
     @property
     def in_waiting(self) -> int:

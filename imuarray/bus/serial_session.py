@@ -71,14 +71,14 @@ class _Piece(NamedTuple):
     tight: bool
 
     def since(self, sent_us: int) -> _Piece:
-        """Those that were sent from `sent_us` on, whose arrival says nothing of the way here."""
+        """The frames that were sent from `sent_us` on, whose arrival does not show the transit time."""
         places = np.flatnonzero(self.sent_us >= sent_us)
         frames = [self.frames[place] for place in places.tolist()]
         return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
 
 
 class Session:
-    """With whoever is on the port that `open_port` opens; LinkError if that is nobody who speaks the link.
+    """A session with the device at the port that `open_port` opens; LinkError if it does not speak the protocol.
 
     `clock` is the host's, `fit` leads to it from the microcontroller's; `skipped` counts bytes that belonged to no
     frame, `refused` frames that were not taken, by reason.
@@ -141,7 +141,7 @@ class Session:
         self.fit.latency_ns = min(trips_ns) // 2
 
     def _forget(self) -> None:
-        """Return what came before belongs to another session, perhaps to another boot of the microcontroller."""
+        """Forget what belongs to another session, perhaps to another boot of the microcontroller."""
         self._answers: list[_Answer] = []
         self._pieces: list[_Piece] = []
         self._newest: tuple[int, int] | None = None

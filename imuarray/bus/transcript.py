@@ -37,7 +37,7 @@ def open_output(path: Path, force: bool) -> IO[str]:
 
 
 class _Notes:
-    """What the program saw of the clock since the last line, and what it would have seen of one that stands there."""
+    """The readings of the clock since the last line, and those of a clock that had stopped there."""
 
     def __init__(self) -> None:
         self.standing_ns = -_MOST
@@ -200,7 +200,9 @@ class RecordingBus:
         self.failed = f"transcript {self.path}: not complete: {error.strerror or error}"
 
     def __getattr__(self, name: str) -> Any:
-        """What else the bus offers (an emulated one knows the truth), but for transactions that nobody would see."""
+        """Other attributes of the bus (an emulated one knows the truth), except for transactions that would not be
+        recorded.
+        """
         if name == "transfer_all":
             raise AttributeError(name)
         offered = getattr(self.bus, name)

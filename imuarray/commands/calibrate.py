@@ -179,7 +179,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
         text = with_axes(log.config, pointings, str(run))
         report = report_of(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
-    _tell({**report, "configuration": str(output)}, print_report, output, as_json)
+    _print_result({**report, "configuration": str(output)}, print_report, output, as_json)
 
 
 @command.command("compare")
@@ -244,18 +244,18 @@ def _finish(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write the file and say what was found."""
+    """Write the calibration file and print the report."""
     from imuarray.calibrate import load_calibration
 
     if update and output.exists():
         load_calibration(output).merged(calibration).save(output, force=True)
     else:
         calibration.save(output, force=force)
-    _tell({**report, "calibration": str(output)}, show, output, as_json)
+    _print_result({**report, "calibration": str(output)}, show, output, as_json)
 
 
-def _tell(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
-    """Return what was found and written, for a person or a program."""
+def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
+    """Print what was found and written, as text or JSON."""
     from imuarray.characterise.result import json_ready
 
     known = json_ready(report)

@@ -1,4 +1,4 @@
-"""What `imuarray calibrate axes` writes and says."""
+"""The report of `imuarray calibrate axes`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def report_of(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[str, Any]:
-    """Every sensor's axes before and now, JSON-ready; an empty text where they are not told."""
+    """Every sensor's axes before and now, JSON-ready; an empty text where they could not be determined."""
     return {"sensors": [{**asdict(each), "before": before[each.sensor]} for each in pointings]}
 
 

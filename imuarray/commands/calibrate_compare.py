@@ -1,4 +1,4 @@
-"""What `imuarray calibrate compare` says."""
+"""The report of `imuarray calibrate compare`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Return what changed, largest first; what is common; what opposing cancels."""
+    """Print what changed, largest first; what is common; and what opposed axes cancel."""
     for number, name in enumerate(report["calibrations"], start=1):
         click.echo(printable(f"{number}: {name}"))
     _print_changes(report["changes"])

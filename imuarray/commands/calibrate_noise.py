@@ -1,4 +1,4 @@
-"""What `imuarray calibrate noise` says."""
+"""The report of `imuarray calibrate noise`."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _drift(row: dict[str, Any], index: int) -> str:
 
 
 def _time_constant(row: dict[str, Any]) -> str:
-    """With its interval; nothing where no axis drifts for sure."""
+    """The time constant with its interval; nothing where no axis drifts significantly."""
     drift = row["drift"]
     if drift is None or not any(
         rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)

@@ -1,4 +1,4 @@
-"""What `imuarray calibrate thermal` says."""
+"""The report of `imuarray calibrate thermal`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def report_of(result: ThermalResult) -> dict[str, Any]:
 
 
 def _sensor(sensor: SensorCalibration) -> dict[str, Any]:
-    """Return what the calibration file keeps."""
+    """Return the entry of the calibration file."""
     from imuarray.calibrate.entries import to_table
 
     return {"name": sensor.name, "unit": sensor.unit, **to_table(sensor.thermal)}

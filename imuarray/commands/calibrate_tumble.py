@@ -1,4 +1,4 @@
-"""What `imuarray calibrate tumble` says."""
+"""The report of `imuarray calibrate tumble`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `imuarray calibrate turn-on` says."""
+"""The report of `imuarray calibrate turn-on`."""
 
 from __future__ import annotations
 

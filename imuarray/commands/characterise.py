@@ -118,7 +118,7 @@ def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
 
 
 def _files() -> list[str]:
-    """Return what is written into a folder."""
+    """Return the files that are written into a folder."""
     from imuarray.characterise.plots import FIGURES
 
     return [RESULT, *FIGURES]

@@ -141,7 +141,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Work:
-    """What is fused, and how."""
+    """The inputs and options of a fusion."""
 
     log: Log
     calibration: Calibration
@@ -240,7 +240,7 @@ def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
-    """Return what the technique treats otherwise than the average does, of both quantities."""
+    """Return what the technique treats differently from the average, for both quantities."""
     from imuarray.fuse import axes_of, changes
 
     sentences = []
@@ -251,7 +251,7 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
 
 
 class _Errors:
-    """How good results are against the truth that the log knows; SI, JSON-ready. A context manager."""
+    """Errors of results against the log's truth; SI, JSON-ready. A context manager."""
 
     def __init__(self, log: Log) -> None:
         from imuarray.fuse import Evaluation
@@ -263,7 +263,7 @@ class _Errors:
         self._evaluation.add(together)
 
     def results(self) -> dict[str, Any]:
-        """By technique and quantity."""
+        """The results by technique and quantity."""
         return {
             technique: {quantity: _error(error) for quantity, error in errors.items()}
             for technique, errors in self._evaluation.errors().items()
@@ -277,7 +277,7 @@ class _Errors:
 
 
 class _Noise:
-    """How quiet results are at rest, where nobody knows the truth. A context manager."""
+    """Noise of results at rest, where the truth is unknown. A context manager."""
 
     def __init__(self) -> None:
         self._noise: dict[str, QuietNoise] = {}
@@ -290,7 +290,7 @@ class _Noise:
             self._noise.setdefault(technique, QuietNoise()).add(block)
 
     def results(self) -> dict[str, Any]:
-        """By technique and quantity."""
+        """The results by technique and quantity."""
         return {
             technique: {quantity: {"noise": scatter.tolist()} for quantity, scatter in noise.scatter().items()}
             for technique, noise in self._noise.items()
@@ -300,11 +300,11 @@ class _Noise:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Nothing to give back."""
+        """Nothing to release."""
 
 
 def _quality_of(log: Log) -> _Errors | _Noise:
-    """Return what measures how good results on this log are."""
+    """Return the measure of quality that this log allows."""
     return _Errors(log) if log.truth or log.reference else _Noise()
 
 
@@ -342,7 +342,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
 
 
 def _print_results(report: dict[str, Any]) -> None:
-    """Return what the technique changed, and its errors beside those of the average."""
+    """Print what the technique changed, and its errors next to those of the average."""
     technique = report["technique"]
     for fault in report["faults"]:
         click.echo(f"  {fault['sentence']}")

@@ -1,4 +1,4 @@
-"""What `imuarray fuse --evaluate` says."""
+"""The report of `imuarray fuse --evaluate`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `imuarray fuse --technique opposed` says of every pair of anti-parallel axes: how much it can cancel."""
+"""The report of `imuarray fuse --technique opposed` on pairs of anti-parallel axes: how much each can cancel."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _row(pair: dict[str, Any]) -> str:
 
 
 def _cells(error: dict[str, Any] | None, factor: float) -> str:
-    """Of each axis, of both together, and how many times less that is: only where something is gained for sure."""
+    """The errors of each axis and of both together, and their ratio where the gain is significant."""
     if error is None:
         return " " * len(_HEADING)
     sizes = f"{factor * error['single']:8.3g} {factor * abs(error['left']):9.3g}"

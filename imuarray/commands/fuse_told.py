@@ -1,4 +1,4 @@
-"""What `imuarray fuse` says of the sensors that it was given: the slow errors that it learnt, and remarks."""
+"""The report of `imuarray fuse` on the sensors: the slow errors that were estimated, and remarks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def told_sentences(told: FusionNotes) -> Iterator[str]:
 
 
 def _table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
-    """Of one quantity: what every sensor's axes are off by, and how sure that is beside what was known before."""
+    """The table of one quantity: the slow error of every axis with its uncertainty, and the uncertainty before."""
     factor, unit = READABLE_SI[quantity]
     before = [factor * bias.sd_before for bias in biases]
     span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"

@@ -107,7 +107,7 @@ def validate(
 
 
 def _begin(folder: Path, plan: dict[str, Any]) -> None:
-    """Return what is run with which thresholds, noted once; ConfigError if the folder is another run's."""
+    """Note once what is run with which thresholds; ConfigError if the folder is another run's."""
     import json
 
     from imuarray.errors import ConfigError

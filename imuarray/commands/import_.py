@@ -78,11 +78,11 @@ def command(
             summary = import_table(source, map_file, output, force=force, progress=done, up=up or "")
         else:
             summary = (ours or importer(format_name or ""))(source, output, force=force, progress=done)
-    _tell(summary, output, as_json)
+    _print_result(summary, output, as_json)
 
 
 def _exported(source: Path) -> Importer | None:
-    """Return who reads what `imuarray export` wrote; None for any other file. SourceError."""
+    """Return the reader of a file that `imuarray export` wrote; None for any other file. SourceError."""
     from imuarray.importers.exported import importer_of
 
     return importer_of(source) if not source.is_dir() else None
@@ -105,8 +105,8 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
     )
 
 
-def _tell(summary: Summary, output: Path, as_json: bool) -> None:
-    """Return what was imported and what it is like, for a person or a program."""
+def _print_result(summary: Summary, output: Path, as_json: bool) -> None:
+    """Print what was imported and its properties, as text or JSON."""
     from imuarray.importers.plausibility import report_of
     from imuarray.log import open_log
 

@@ -63,7 +63,7 @@ def describe(log: Log) -> dict[str, Any]:
 
 
 def _span(log: Log) -> dict[str, str | None]:
-    """Return when its first row and its last one were read, wall time: a part of a rotated log begins after its epoch.
+    """Return the wall times of its first and last rows: a part of a rotated log begins after its epoch.
     """
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     first = min((int(sensor.time[0]) for sensor in rows), default=None)

@@ -1,4 +1,4 @@
-"""The page of a log that this process writes: a process of its own, at low priority, which ends when this one does.
+"""Serves the page of a log that this process writes, in a process of its own at low priority, which ends with this one.
 
 Nothing of it is loaded here: what a page needs would take a logger longer to load than everything else.
 """
@@ -48,27 +48,27 @@ def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str],
         errors="replace",
         start_new_session=True,  # Ctrl-C is the logger's
     )
-    _step_back(process.pid)
-    hearing = threading.Thread(target=_hear, args=(process.stdout, tell), name="page", daemon=True)
-    hearing.start()
+    _lower_priority(process.pid)
+    reporting = threading.Thread(target=_report_lines, args=(process.stdout, tell), name="page", daemon=True)
+    reporting.start()
     try:
         yield
     finally:
         _end(process)
-        hearing.join(1.0)
-        if process.stdout is not None and not hearing.is_alive():
+        reporting.join(1.0)
+        if process.stdout is not None and not reporting.is_alive():
             process.stdout.close()
 
 
-def _step_back(process: int) -> None:
-    """At once: to load what a page needs is work too."""
+def _lower_priority(process: int) -> None:
+    """Lower the priority at once: to load what a page needs is work too."""
     if hasattr(os, "setpriority"):  # Windows has none
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)
 
 
-def _hear(lines: Iterable[str] | None, tell: Callable[[str], None]) -> None:
-    """Tell what the page's process says: where it is, or why it is not."""
+def _report_lines(lines: Iterable[str] | None, tell: Callable[[str], None]) -> None:
+    """Report what the page's process prints: the page's address, or why there is none."""
     for line in lines or ():
         text = line.strip()
         tell(f"watch it at {text}" if text.startswith("http://") else f"no page: {text.removeprefix('imuarray: ')}")

@@ -1,4 +1,4 @@
-"""What a person sees of a recording while it runs: every event, and on a terminal how far it is."""
+"""The screen of a running recording: every event, and on a terminal the progress."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Screen:
     """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
 
     def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:
-        """`more` is what else there is to say in the line of how far it is."""
+        """`more` returns a text to append to the progress line."""
         self._more = more
         self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
         self._terminal = sys.stderr.isatty()
@@ -42,7 +42,7 @@ class Screen:
         self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
 
     def counted(self, summary: Summary) -> None:
-        """Return how far it is, now and then: a line that is written over. Nobody watches what is no terminal."""
+        """Show the progress now and then in a line that is written over; only on a terminal."""
         now_s = time.monotonic()
         if not self._terminal or now_s - self._counted_s < _PAUSE_S:
             return
@@ -56,7 +56,7 @@ class Screen:
         self._write(_CLEAR + self._line)
 
     def close(self) -> None:
-        """The line of how far it is goes."""
+        """Remove the progress line."""
         if self._line:
             self._write(_CLEAR)
         self._line = ""

@@ -1,4 +1,4 @@
-"""What `imuarray log` says when a recording is over."""
+"""The summary that `imuarray log` prints when a recording is over."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class Screen:
 
     @property
     def columns(self) -> int:
-        """That a line may have: the last one stays free, or some terminals wrap."""
+        """The columns of a line: the last one stays free, as some terminals wrap otherwise."""
         return shutil.get_terminal_size().columns - 1 if self.is_terminal else 80
 
     def show(self, lines: Sequence[str]) -> None:

@@ -41,7 +41,7 @@ _USUAL = (signal.default_int_handler,)
 _ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _EVERY_S = 5.0
-"""So often a line tells how far it is where no bar can be seen."""
+"""Time between two progress lines where no bar can be shown."""
 
 if TYPE_CHECKING:
     _Seconds = click.ParamType[float]
@@ -193,7 +193,7 @@ class Steps:
 
 
 def progress_line(label: str, done: int, length: int, took_s: float) -> str:
-    """Return how far a step is (`length` 0: nobody knows), and how long its rest takes if it goes on like that."""
+    """Return the progress of a step (`length` 0: unknown), with the remaining time at the same rate."""
     if not length:
         return f"{label}: {_span(took_s)}"
     remaining = f", {_span(took_s * (length - done) / done)} left" if done else ""

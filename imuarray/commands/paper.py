@@ -82,7 +82,7 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
 
 
 def _gap(output: Path | None, as_json: bool, force: bool) -> None:
-    """Return what of the paper's tables the data sheets do not foretell."""
+    """Return the part of the paper's tables that the data sheets do not predict."""
     import json
 
     from imuarray.studies.paper import findings

@@ -1,4 +1,4 @@
-"""How every program of this project ends: the exit code, and one line for bad input."""
+"""The end of every program of this project: the exit code, and one line for bad input."""
 
 from __future__ import annotations
 

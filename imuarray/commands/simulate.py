@@ -294,7 +294,7 @@ def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int
 
 
 def _note(model: str, seed: int, boot: int, without: tuple[str, ...], population: bool) -> str:
-    """Return what a log says of where it comes from."""
+    """Return the note of a log's origin."""
     drawn = ", units drawn" if population else ""
     return f"model {model}{drawn}, seed {seed}, boot {boot}" + (f", without {', '.join(without)}" if without else "")
 

@@ -1,4 +1,4 @@
-"""Which versions of what results may depend on: Python, HDF5 and the packages behind the numbers."""
+"""The versions that results may depend on: Python, HDF5 and the packages behind the numbers."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Adxl345:
         yield 1 / self.rate_hz + 1.1e-3
 
     def mark(self, code: int) -> bool:
-        """In the threshold of taps, which nobody asks for (ADX-11)."""
+        """Mark the chip in the threshold of taps, which is unused (ADX-11)."""
         setting = facts.THRESH_TAP[7:0](code)
         self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
         return True
@@ -132,7 +132,7 @@ class Adxl345:
         return DecodedBursts(counts, None, saturated(counts, -half_span, highest))
 
     def header(self) -> Mapping[str, int]:
-        """Nothing of its own."""
+        """No attributes of its own."""
         return {}
 
 
@@ -148,7 +148,7 @@ class Adxl345Fifo(Adxl345):
         self.queue = FifoClock(self.rate_hz)
 
     def steps(self) -> Iterator[float]:
-        """As without the queue; its clock starts anew."""
+        """Configure as without the queue; its clock starts again."""
         yield from super().steps()
         self.queue.restart()
 

@@ -78,7 +78,7 @@ class Bma180:
         yield _SLOWEST_SETTLING_S
 
     def _set_up(self, settings: Sequence[Setting]) -> Iterator[float]:
-        """From any state to these settings, read back; the image stays unlocked."""
+        """Configure from any state, and read the settings back; the image remains unlocked."""
         self.registers.poke(facts.RESET, _SOFT_RESET)
         yield _EEPROM_DOWNLOAD_S
         self.registers.change(facts.EE_W(1))
@@ -90,7 +90,7 @@ class Bma180:
             yield 0.0
 
     def mark(self, code: int) -> bool:
-        """In cd1, a byte that the chip leaves to its customer (BMA-35); the EEPROM keeps what it had."""
+        """Mark the chip in cd1, a byte for the customer (BMA-35); the EEPROM is unchanged."""
         self.settings = self.watched = (*self.settings, facts.CD1[7:0](code))
         return True
 
@@ -142,5 +142,5 @@ class Bma180:
         return DecodedBursts(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
 
     def header(self) -> Mapping[str, int]:
-        """Nothing of its own."""
+        """No attributes of its own."""
         return {}

@@ -61,7 +61,7 @@ class Bmp180:
 
     @property
     def ready_ns(self) -> int | None:
-        """When the conversion that was started is over; None if there is none."""
+        """The end of the conversion in progress; None if there is none."""
         return self._done_ns if self._converting else None
 
     def identify(self) -> None:
@@ -132,7 +132,7 @@ class Bmp180:
         return self._temperature + pressure
 
     def _lasting_ns(self, now_ns: int) -> int:
-        """Return how old a result may be in this call: where calls are seldom, as old as that makes it."""
+        """Return how old a result may be in this call: where calls are rare, as old as the call interval."""
         seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
         if self._called_ns is not None:
             self._intervals_ns.append(now_ns - self._called_ns)

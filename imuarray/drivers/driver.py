@@ -35,7 +35,7 @@ class Registers:
         return self.bus.transfer(self.address, bytes([register.address]), count)
 
     def read_back(self, register: Register) -> int:
-        """Return what the register holds, of a chip that goes on measuring."""
+        """Read a register of a chip that goes on measuring."""
         return self.peek(register, register.readback_bytes)[0]
 
     def poke(self, register: Register, value: int) -> None:
@@ -80,7 +80,7 @@ Limits = tuple[tuple[float, float], ...]
 
 
 class DecodedBursts(NamedTuple):
-    """What n bursts say.
+    """The readings of n bursts.
 
     counts (n, 3) int16 for triads, (n, 2) int32 for the barometer; temperature_counts (n,) int16 where the chip has a
     thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself tells; `compensated`:
@@ -94,8 +94,8 @@ class DecodedBursts(NamedTuple):
 
 
 class SelfTest(NamedTuple):
-    """What a chip's self-test says, in words with numbers; `passed` is None where it could not be determined: the chip
-    could not be read often enough, or it moved meanwhile.
+    """The result of a chip's self-test, a text with numbers; `passed` is None where it could not be determined: the
+    chip could not be read often enough, or it moved meanwhile.
     """
 
     passed: bool | None
@@ -152,7 +152,7 @@ class Driver(Protocol):
         """All `steps`, waiting in between."""
 
     def mark(self, code: int) -> bool:
-        """From the next `steps` on leave `code`, 1 ... 31, in a register on which nothing depends, and watch it.
+        """Write `code`, 1 ... 31, to an unused register from the next `steps` on, and verify it with the configuration.
 
         It tells this chip from its twin at the same address of another channel. False if there is no such register.
         """
@@ -196,7 +196,7 @@ class OnDemandDriver(Protocol):
 
     @property
     def ready_ns(self) -> int | None:
-        """When the conversion that was started is over at the latest; None if there is none."""
+        """The latest end of the conversion in progress; None if there is none."""
 
 
 def carry_out(clock: Clock, steps: Iterator[float]) -> None:

@@ -1,4 +1,4 @@
-"""When the samples of a chip's queue were taken, from how many there are and when they were counted.
+"""Estimates when the samples of a chip's queue were taken, from their numbers and the times of counting.
 
 A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them), and keeps no time. But
 each count of the queue says something: if it holds `level` samples at `at_ns`, the newest of them is at most one period

@@ -120,5 +120,5 @@ class Hmc5883:
         return DecodedBursts(counts, None, saturated(counts, -2048, 2047))
 
     def header(self) -> Mapping[str, int]:
-        """Nothing of its own."""
+        """No attributes of its own."""
         return {}

@@ -91,7 +91,7 @@ class L3g4200d:
         yield _TURN_ON_S
 
     def mark(self, code: int) -> bool:
-        """In the watermark of the queue, which nobody waits for (L3G-20)."""
+        """Mark the chip in the watermark of the queue, which is unused (L3G-20)."""
         queue = self.settings[-1]
         marked = Setting(queue.register, queue.mask, queue.value | facts.FIFO_WATERMARK(code).value)
         self.settings, self.watched = (*self.settings[:-1], marked), (*self.watched[:-1], marked)
@@ -141,7 +141,7 @@ class L3g4200d:
         )
 
     def header(self) -> Mapping[str, int]:
-        """Nothing of its own."""
+        """No attributes of its own."""
         return {}
 
 
@@ -161,7 +161,7 @@ class L3g4200dFifo(L3g4200d):
         self.queue = FifoClock(self.rate_hz)
 
     def steps(self) -> Iterator[float]:
-        """As without the queue, then through bypass, which empties it (L3G-54); its clock starts anew."""
+        """Configure as without the queue, then through bypass, which empties it (L3G-54); its clock starts again."""
         yield from super().steps()
         self.registers.set(facts.FIFO_MODE(_BYPASS), self.settings[-1])
         self.queue.restart()

@@ -1,4 +1,4 @@
-"""How a chip is read by a microcontroller that knows no chips: which transactions make up one reading.
+"""The transactions of one reading, for a microcontroller that knows no chips.
 
 Most readings are one transaction; which it is is found by letting the driver fetch once from a bus that notes it. A
 barometer is asked three times, with waits in between. What comes back is put together to the burst that the driver's
@@ -17,7 +17,7 @@ from imuarray.facts import bmp180
 
 @dataclass(frozen=True)
 class Visit:
-    """What is asked of one chip in one frame. The first request's answer, from byte `skipped` on, is a part of the
+    """The requests to one chip in one frame. The first request's answer, from byte `skipped` on, is a part of the
     burst; if one of the bits `busy` is set in its first byte the chip had not finished, and there is no reading.
     """
 
@@ -40,7 +40,7 @@ class _NotingBus:
 
 
 class _NoClock:
-    """Nothing takes time."""
+    """A clock on which nothing takes time."""
 
     def now_ns(self) -> int:
         return 0

@@ -38,7 +38,7 @@ class NamedColumn:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of what is stored."""
+        """The type of the stored values."""
         return cast(np.dtype[Any], self._column.dtype)
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""How far an HDF5 file that is being written is good: a table in it with a row for every commit.
+"""The commit table of an HDF5 file that is being written: a row for every commit says how far the file is good.
 
 A row is written after its data are on the disk, and says: where the journal stood (position, CRC), the CRC of the rows
 that this commit added, the number of rows of every group, and its own CRC, which goes on from the log's identity. Rows
@@ -92,7 +92,7 @@ def block_crc(groups: Sequence[Group], stretches: Mapping[int, Mapping[str, npt.
 
 
 class Segment(NamedTuple):
-    """What one commit added: its number, and the rows of every group in the file before and after it."""
+    """The rows that one commit added: its number, and the row counts of every group before and after it."""
 
     number: int
     start: tuple[int, ...]
@@ -116,7 +116,7 @@ class CommittedRows:
         self._count()
 
     def _count(self) -> None:
-        """Return where the segments begin and end, of each group."""
+        """Count where the segments of each group begin and end."""
         table = np.cumsum([[0] * len(self._groups), *map(self._lengths, self._segments)], axis=0)
         self._edges: list[list[int]] = table.T.tolist()
         self.rows = tuple(edges[-1] for edges in self._edges)
@@ -144,7 +144,7 @@ class CommittedRows:
         return [f"damaged, and in no journal: {', '.join(counts)}"] if counts else []
 
     def _salvaged(self, segment: Segment) -> list[Columns]:
-        """Return what the journal has of a commit that is damaged in both places, by group."""
+        """Return the rows, by group, that the journal has of a commit that is damaged in both places."""
         if self._journal is None:
             return [group.joined([]) for group in self._groups]
         begin, end = self._marks(segment)
@@ -152,7 +152,7 @@ class CommittedRows:
         return self._journal.columns(takewhile(lambda record: record.after.position <= end.position, records))
 
     def _marks(self, segment: Segment) -> tuple[Mark | None, Mark]:
-        """Return where the journal has the rows of a commit."""
+        """Return the marks between which the journal has the rows of a commit."""
         begin = self._commits[segment.number - 1].mark if segment.number else None
         return begin, self._commits[segment.number].mark
 

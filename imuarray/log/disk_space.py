@@ -1,4 +1,4 @@
-"""Room on the disk: asked for before it is needed, because HDF5 does not survive a write that fails.
+"""Disk space, allocated before it is needed because HDF5 does not survive a write that fails.
 
 A write that runs into a full disk leaves HDF5 with a file that it can't close and a process that ends in a segmentation
 fault. So the room for what HDF5 will write is allocated first (`Allowance`), a log ends while there is still some left
@@ -55,7 +55,7 @@ def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
 
 @contextlib.contextmanager
 def write_errors(path: Path, *kept: str) -> Iterator[None]:
-    """Return what the system or HDF5 says of a failed write inside becomes the error of `path` (`unwritable`)."""
+    """Raise the error of `path` (`unwritable`) for a write inside that fails."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 uses both
@@ -71,7 +71,7 @@ def longest_file() -> int | None:
 
 
 def _allocate(fd: int, start: int, length: int) -> None:
-    """Room on the disk for a stretch of a file; OSError."""
+    """Allocate disk space for a stretch of a file; OSError."""
     if not hasattr(os, "posix_fallocate"):  # macOS
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     os.posix_fallocate(fd, start, length)
@@ -109,14 +109,14 @@ class Allowance:
         self._allocated = wanted
 
     def sync(self) -> None:
-        """Return what was written is on the disk when this returns; LogError."""
+        """Wait until everything written is on the disk; LogError."""
         try:
             os.fsync(self.fd)
         except OSError as error:
             raise unwritable(self._name, error) from None
 
     def settle(self) -> None:
-        """Return what was asked for, written and flushed took less where it was compressed: count what it took."""
+        """Count what the written data really took: compressed data take less than was asked for."""
         self._used = min(self._used, self._end() or self._used)
 
     def trim(self) -> None:
@@ -126,14 +126,14 @@ class Allowance:
             os.ftruncate(self.fd, end)
 
     def _end(self) -> int | None:
-        """Return where the file ends for HDF5: its superblock says so (HDF5 file format, version 3: 64 bits at byte
+        """Return the end of the file as its superblock states it (HDF5 file format, version 3: 64 bits at byte
         28).
         """
         head = os.pread(self.fd, 36, 0)
         return int.from_bytes(head[28:36], "little") if len(head) == 36 and head[8] == 3 and head[9] == 8 else None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
@@ -155,17 +155,17 @@ class Reserve:
             os.close(fd)
 
     def release(self) -> None:
-        """Give its room back."""
+        """Release its space."""
         self.path.unlink(missing_ok=True)
 
 
 def reserve_of(path: Path) -> Path:
-    """Return where the reserve file of the log at `path` is."""
+    """Return the path of the reserve file of the log at `path`."""
     return path.with_name(f".{path.name}.reserve")
 
 
 def sync_folder(path: Path) -> None:
-    """The names in the folder of `path` are on the disk when this returns."""
+    """Wait until the names in the folder of `path` are on the disk."""
     with contextlib.suppress(OSError):  # not every file system lets a folder be synced
         fd = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:

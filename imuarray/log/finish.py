@@ -101,12 +101,12 @@ def _end_ns(log: Log) -> int:
 
 
 def _losses(log: Log) -> tuple[Event, ...]:
-    """Return what of an unfinished log could not be had, for its events."""
+    """Return events for what could not be recovered of an unfinished log."""
     return tuple(Event(_end_ns(log), "", "damaged", loss) for loss in log.losses)
 
 
 def _trace(log: Log, now: datetime) -> Event:
-    """That a log was cut short, for its events."""
+    """Return the event that a log was interrupted and recovered."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
     when = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     return Event(_end_ns(log), "", "recovered", f"the log was cut short; its {rows} rows were recovered {when}")

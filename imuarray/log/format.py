@@ -70,14 +70,14 @@ TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 
 
 class ThermometerScale(NamedTuple):
-    """What the counts of a chip's own thermometer mean: `zero_degc` + counts / `lsb_per_degc`."""
+    """The scale of a chip's own thermometer: a temperature is `zero_degc` + counts / `lsb_per_degc`."""
 
     zero_degc: float
     lsb_per_degc: float
 
     @property
     def attributes(self) -> Mapping[str, float]:
-        """As they stand in a log, and in the `extra` of a header."""
+        """The attributes of a log, and of the `extra` of a header."""
         return dict(zip(THERMOMETER_ATTRIBUTES, self, strict=True))
 
 
@@ -114,7 +114,7 @@ class ClockRow(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorHeader:
-    """What a log says of one sensor: the attributes of `/sensors/<NAME>`.
+    """The header of one sensor in a log: the attributes of `/sensors/<NAME>`.
 
     `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` names
     what the columns of `counts` are; `extra` holds attributes of one chip only (a barometer's calibration words).
@@ -143,7 +143,7 @@ class SensorHeader:
 
     @property
     def thermometer(self) -> ThermometerScale | None:
-        """What the counts of its thermometer mean, if the header says it."""
+        """The scale of its thermometer, if the header has one."""
         zero_degc, lsb_per_degc = (self.extra.get(name) for name in THERMOMETER_ATTRIBUTES)
         if not isinstance(zero_degc, int | float) or not isinstance(lsb_per_degc, int | float) or not lsb_per_degc:
             return None
@@ -156,5 +156,5 @@ class SensorHeader:
 
     @property
     def where(self) -> str:
-        """What it is called in errors."""
+        """Its name in errors."""
         return f"sensor {self.name}"

@@ -34,25 +34,25 @@ class HeapCheckedFile(io.RawIOBase):
         self._good: set[int] = set()
 
     def readable(self) -> bool:
-        """It is."""
+        """Always True."""
         return True
 
     def seekable(self) -> bool:
-        """It is."""
+        """Always True."""
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """As every file does."""
+        """Move or return the position, as of any file."""
         start = (0, self._at, os.fstat(self._file.fileno()).st_size)[whence]
         self._at = start + offset
         return self._at
 
     def tell(self) -> int:
-        """As every file does."""
+        """Move or return the position, as of any file."""
         return self._at
 
     def readinto(self, buffer: Any, /) -> int:
-        """As every file does, but for heaps."""
+        """Read bytes, and check the heaps among them."""
         view = memoryview(buffer).cast("B")
         count = os.preadv(self._file.fileno(), [view], self._at)
         if self._check_heaps:
@@ -61,7 +61,7 @@ class HeapCheckedFile(io.RawIOBase):
         return count
 
     def _look(self, data: bytes) -> None:
-        """At heaps that begin in these bytes, or just before them: HDF5 may read them in two pieces."""
+        """Check heaps that begin in these bytes, or just before them: HDF5 may read them in two pieces."""
         before = os.pread(self._file.fileno(), min(self._at, len(_SIGN) - 1), max(self._at - len(_SIGN) + 1, 0))
         data, start = before + data, self._at - len(before)
         offset = data.find(_SIGN)

@@ -48,7 +48,7 @@ class UnclosedFile(HeapCheckedFile):
             self._head = cleared + _checksum(cleared)
 
     def readinto(self, buffer: Any, /) -> int:
-        """As every file does; the superblock is the cleared one."""
+        """Read bytes; those of the superblock are the cleared ones."""
         at = self._at
         count = super().readinto(buffer)
         if at < len(self._head):

@@ -95,7 +95,7 @@ class _Damage:
 
     @contextmanager
     def noted(self, path: bytes) -> Iterator[None]:
-        """Return what is damaged inside is the object at `path`."""
+        """Note damage inside as that of the object at `path`."""
         try:
             yield
         except DAMAGE:
@@ -153,7 +153,7 @@ class _Place(NamedTuple):
 
 
 class _Text(NamedTuple):
-    """Where there are texts: a column, or an attribute of something."""
+    """A place with texts: a column, or an attribute of an object."""
 
     path: bytes
     attribute: bytes | None
@@ -191,7 +191,7 @@ def _is_plot(group: _Place, name: bytes) -> bool:
 
 
 def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
-    """Return what one object is and what its header declares; where its texts are."""
+    """Check the type and the header of one object; returns the places of its texts."""
     if isinstance(node.item, h5d.DatasetID):
         return _look_at_dataset(node, place, file_bytes)
     if not isinstance(node.item, h5g.GroupID):
@@ -300,7 +300,7 @@ def _look_at_filters(plan: Any, place: str) -> bool:
 
 
 def _product(lengths: tuple[int, ...]) -> int:
-    """Of whole numbers without end: lengths are 64 bits wide."""
+    """Multiply whole numbers without overflow: lengths are 64 bits wide."""
     product = 1
     for length in lengths:
         product *= int(length)

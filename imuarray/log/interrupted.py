@@ -92,7 +92,7 @@ class LiveView:
 
 
 class _Content(NamedTuple):
-    """What file and journal hold together: committed rows, and the rows of every group behind them."""
+    """The content of file and journal together: committed rows, and the later rows of every group."""
 
     preamble: Preamble
     committed: CommittedRows

@@ -59,12 +59,12 @@ class Record(NamedTuple):
 
 
 def journal_of(path: Path) -> Path:
-    """Return where the journal of the log at `path` stands while it is written."""
+    """Return the path of the journal of the log at `path`."""
     return path.with_name(f"{path.name}.journal")
 
 
 def tag_of(identity: str) -> int:
-    """Return what every block in the journal of a log with this identity bears."""
+    """Return the tag of every block in the journal of a log with this identity."""
     return zlib.crc32(identity.encode()) & 0xFFFF or 1
 
 
@@ -195,7 +195,7 @@ class JournalWriter:
         self.mark = Mark(self.mark.position + len(data), chain)
 
     def sync(self) -> None:
-        """Return what was appended is on the disk when this returns."""
+        """Wait until everything appended is on the disk."""
         getattr(os, "fdatasync", os.fsync)(self._fd)  # macOS has no fdatasync
 
 

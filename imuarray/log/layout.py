@@ -129,7 +129,7 @@ class OpenPhase(NamedTuple):
 
 @dataclass
 class Notes:
-    """What was noted of a log."""
+    """The phases and events of a log."""
 
     phases: list[Phase] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)

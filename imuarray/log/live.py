@@ -270,7 +270,7 @@ class Live:
         return True
 
     def _append(self, items: Sequence[_Item]) -> None:
-        """Into the journal; if the disk is full, once more with what the reserve gives back."""
+        """Append to the journal; if the disk is full, once more with the space of the reserve."""
         try:
             self._journal.append(items)
         except OSError as error:
@@ -293,7 +293,7 @@ class Live:
                 self._newest_ns = max(self._newest_ns, int(columns["time"][-1]))
 
     def _stop(self, error: ImuArrayError) -> None:
-        """Nothing more is written; what was, is on the disk as far as the disk can."""
+        """Stop writing; what was written is synced as far as possible."""
         self.error = DiskFullError(self.path, error.why, KEPT) if isinstance(error, DiskFullError) else error
         with contextlib.suppress(OSError):
             self._journal.sync()

@@ -1,4 +1,4 @@
-"""How long a recording is, and which of its frames the logger missed: what the logger says and what its log says.
+"""The duration of a recording and the number of frames that the logger missed, as the logger counts and from its log.
 
 A recording lasts as long as its frames, those that were missed included: a period each. Making and finishing files
 belongs to no frame. The logger counts missed frames and tells them in events of the kind "late"; where a log's events
@@ -46,7 +46,7 @@ def frames_in(seconds: float, rate_hz: float) -> int:
 
 
 def duration_s(frames: int, missed: int, rate_hz: float) -> float:
-    """Return how long a recording is that consists of so many frames at `rate_hz`."""
+    """Return the duration of so many frames at `rate_hz`, in s."""
     return (frames + missed) / rate_hz
 
 
@@ -83,7 +83,7 @@ def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: i
 
 
 def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int) -> int:
-    """Of a sensor that is read once a frame and has `rows`: how many are missing between its first and its newest one.
+    """Count the missing rows between the first and the newest of `rows` of a sensor that is read once a frame.
 
     `last_ns` (1 or 2,) are the times of its newest rows. Sensors are read there and back: a row that has as many before
     it as the first one, or two more, and so on, is a whole number of periods behind it but for what it is late.
@@ -138,7 +138,7 @@ def missed_frames(log: Log) -> int | None:
 
 
 def _span_s(log: Log) -> float:
-    """From the first row to the last one, and one frame."""
+    """The time from the first row to the last one, plus one frame, in s."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     if not rows:
         return 0.0

@@ -1,4 +1,4 @@
-"""What a log states once, before its first row: sensors, epoch, source, configuration; and the header of each sensor.
+"""The preamble of a log, written before its first row: sensors with their headers, epoch, source, configuration.
 
 It stands in the journal as well, so that a log can be rebuilt from its journal alone.
 """

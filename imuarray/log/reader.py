@@ -85,7 +85,7 @@ class Log:
 
     @property
     def preamble(self) -> Preamble | None:
-        """What an unfinished log was begun with; None for one that is finished."""
+        """The preamble of an unfinished log; None for a finished one."""
         return self._file.preamble if isinstance(self._file, LiveView | RebuiltFile) else None
 
     @property
@@ -97,8 +97,8 @@ class Log:
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What of an unfinished log's acknowledged rows can't be read any more, and which parts of a finished one are
-        not as they were written, a line each. A damaged row of a finished log is a LogError when it is read.
+        """The acknowledged rows of an unfinished log that can't be read any more, and the parts of a finished one that
+        are not as they were written, a line each. A damaged row of a finished log is a LogError when it is read.
         """
         if isinstance(self._file, LiveView | RebuiltFile):
             return self._file.losses

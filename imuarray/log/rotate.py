@@ -256,7 +256,7 @@ class RotatingWriter:
             part.drain()
 
     def keep(self) -> None:
-        """From now on the log is worth having, whatever happens."""
+        """Keep the log from now on, whatever happens."""
         self._keep = True
         for part in self._open.values():
             part.keep()
@@ -299,7 +299,7 @@ class RotatingWriter:
 
 
 def _abandon(ahead: Future[LogWriter]) -> None:
-    """A part that nobody wanted goes without a trace; nobody cares whether it could have been begun."""
+    """Remove a part that is not needed, whether or not it could be created."""
     with contextlib.suppress(ImuArrayError, OSError):
         ahead.result().abandon()
 

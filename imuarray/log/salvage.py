@@ -57,7 +57,9 @@ class Block(NamedTuple):
 
 
 class Resumption(NamedTuple):
-    """Where good blocks go on: byte position and chain. `block` is the bad one before, if it could be restored."""
+    """The place where good blocks go on: byte position and chain. `block` is the bad one before, if it could be
+    restored.
+    """
 
     position: int
     chain: int

@@ -40,7 +40,7 @@ def check_sums(file: Any) -> list[int]:
 
 
 def changed_parts(file: Any) -> list[str]:
-    """Those of `PARTS` that are not as they were written; none in a log that has no check sums."""
+    """Return those of `PARTS` that differ from what was written; none for a log without check sums."""
     written = file.attrs.get(CHECK_SUMS)
     if not isinstance(written, np.ndarray) or written.shape != (len(PARTS),):
         return []

@@ -1,4 +1,4 @@
-"""Every block of a log read and checked: check sums of chunks and commits, chunks that were never written, times."""
+"""Reads and checks every block of a log: check sums of chunks and commits, chunks that were never written, times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ _ROWS = 1 << 16
 
 
 class Verdict(NamedTuple):
-    """What was found: `problems` are rows that can't be had or can't be right, `remarks` what a reader makes good."""
+    """The result of a verification: `problems` are rows that can't be had or can't be right, `remarks` what a reader
+    makes good.
+    """
 
     state: str
     rows: Mapping[str, int]

@@ -186,7 +186,7 @@ class LogWriter:
             self._live.drain()
 
     def keep(self) -> None:
-        """From now on the log is worth having, whatever happens: it appears under its name, with a journal beside it.
+        """Keep the log from now on, whatever happens: it appears under its name, with a journal next to it.
 
         LogBusyError if somebody else began the same log meanwhile, DiskFullError, LogError.
         """
@@ -212,7 +212,7 @@ class LogWriter:
             live.put(len(self._groups) - 1, note_columns(note))
 
     def abandon(self) -> None:
-        """A log that got no rows goes without a trace. OSError."""
+        """Remove a log that got no rows. OSError."""
         if self._live is None:
             self._draft.discard()
             return

@@ -38,7 +38,7 @@ def is_own(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Return what nobody guesses, fit for an address."""
+    """Return a new secret token that fits into a URL."""
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 

@@ -46,7 +46,7 @@ _PRESSURE = "pressure"
 def view_of(
     sensor: SensorLog, window: Window, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
 ) -> SensorView:
-    """Return what is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent`
+    """Return the view of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent`
     are the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none
     that is known).
     """
@@ -194,7 +194,7 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
 
 
 def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
-    """As it is on the disk now, without a lock that could be in the way of whoever writes it. LogError."""
+    """Read it as it is on the disk now, without a lock that could block its writer. LogError."""
     with fused_columns(path) as (said, columns):
         if said.get("epoch") != epoch:
             return None
@@ -229,8 +229,7 @@ _COPIES = 2
 def snapshot_of(
     source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
 ) -> Snapshot:
-    """Return what is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is
-    written.
+    """Return the snapshot of `source`, which has been quiet for `quiet_s`; `result` is the path of its fused output.
     """
     windows, events = source.read_rows.windows, source.read_rows.events
     begins_ns, ends_ns = _extent(windows.values())
@@ -298,7 +297,7 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
 
 
 def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
-    """Of all frames, by the grid that they lie on, else by what is missing from every sensor."""
+    """Count missed frames by the grid that they lie on, else by what is missing from every sensor."""
     framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
     known = missed_by_all(framed, period_ns)
     return min((view.missed for view in frames), default=0) if known is None else known

@@ -44,7 +44,7 @@ class Kind(NamedTuple):
 
     @property
     def key(self) -> str:
-        """By which the page asks for it."""
+        """The key by which the page requests it."""
         return "|".join((self.plot, ",".join(self.columns), self.unit))
 
 
@@ -84,7 +84,7 @@ def _figure(kind: Kind, theme: str, span_s: float) -> Any:
 
 
 def _ticks(steps: tuple[int, ...]) -> list[float]:
-    """Of an axis over decades."""
+    """The ticks of a logarithmic axis."""
     return [step * 10.0**decade for decade in range(-6, 7) for step in steps]
 
 

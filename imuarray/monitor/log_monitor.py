@@ -50,7 +50,7 @@ class LogMonitor:
         self._remark = ""
 
     def refresh(self, now_s: float) -> Snapshot:
-        """Return what is to be seen now; `now_s` is a monotonic time. What is wrong with a log is told, not raised."""
+        """Return the snapshot at `now_s`, a monotonic time. Errors of the log are its remark, not raised."""
         start_s = self._stopwatch()
         try:
             self._look(now_s)

@@ -53,7 +53,7 @@ class Backlog:
         return sum(self._done.values()) / self._total if self._total else 1.0
 
     def gaps(self, name: str) -> Gaps:
-        """Of a sensor, as far as they were counted."""
+        """The gaps of a sensor, as far as they were counted."""
         return self._gaps.get(name, Gaps())
 
     def step(self, periods_ns: Mapping[str, float]) -> None:
@@ -86,7 +86,7 @@ def _counted(column: Any, start: int, stop: int, period_ns: float) -> Gaps:
 
 @dataclass
 class ReadRows:
-    """What was read so far: the last `span_ns` by sensor, and what was told."""
+    """The rows of the last `span_ns` by sensor, and the events so far."""
 
     span_ns: int
     windows: dict[str, Window] = field(default_factory=dict)
@@ -120,7 +120,7 @@ class Source(Protocol):
 
 
 def identity(path: Path) -> tuple[int, int] | None:
-    """Return which file has that name now."""
+    """Identify the file that has this name now; None if there is none."""
     try:
         stat = path.stat()
     except OSError:
@@ -129,7 +129,7 @@ def identity(path: Path) -> tuple[int, int] | None:
 
 
 def look(path: Path) -> tuple[object, ...]:
-    """Return what is there under the name of a log, to see whether that changed: its file, and that of its journal."""
+    """Identify the files of a log and its journal, to detect whether they change."""
     unclosed = False
     with contextlib.suppress(OSError):
         unclosed = is_marked_open(path)
@@ -205,7 +205,7 @@ class Growing:
     """A log that is being written. LogError, OSError if it can't be read (yet)."""
 
     def __init__(self, path: Path, read_rows: ReadRows) -> None:
-        """Of the rows from before the last `read_rows.span_ns` at least are read at the first `read`."""
+        """Begin so far back that the first `read` covers at least the last `read_rows.span_ns`."""
         self.path, self.state, self.read_rows = path, WRITTEN, read_rows
         self._journal_file = identity(journal_of(path))
         self._reader = JournalReader(path)
@@ -247,7 +247,7 @@ class Growing:
             raise
 
     def read(self) -> int:
-        """Return what came into the journal since; where nothing did, whether anybody writes it still."""
+        """Read what the journal has gained; if nothing, determine whether it is still being written."""
         count = self._drain()
         if not count and not (self._is_ours() and is_running(self.path)):
             count = self._drain()  # what was written between the two looks

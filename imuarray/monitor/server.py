@@ -34,7 +34,7 @@ _STEP_S = 0.2
 
 @dataclass(frozen=True)
 class PageOptions:
-    """How a page is served.
+    """The options of the page's server.
 
     `host` and `port` (0: any free one) to listen on; `token` that a request must contain (None: a new one, unless only
     this machine can reach `host`). `calibration` and `result` as of `LogMonitor`. The log is read at most once in
@@ -106,7 +106,7 @@ async def _serve(path: Path, listening: socket.socket, token: str, options: Page
 
 
 def address_of(host: str, port: int, token: str) -> str:
-    """Return what to open in a browser."""
+    """Return the URL of the page."""
     anywhere = host in ("0.0.0.0", "::", "")  # noqa: S104  # compared, not bound
     bare = host.strip("[]")
     name = socket.gethostname() if anywhere else (f"[{bare}]" if ":" in bare else bare)

@@ -55,7 +55,7 @@ def period_of(time: Times) -> float:
 
 
 def gaps_of(time: Times, period_ns: float) -> Gaps:
-    """Return what the times (n,) of a sensor's rows say, where neighbours are usually `period_ns` apart."""
+    """Return the gaps among the times (n,) of a sensor's rows, which are usually `period_ns` apart."""
     if period_ns <= 0 or len(time) <= STRIDE:
         return Gaps()
     periods = (time[STRIDE:] - time[:-STRIDE]) / period_ns
@@ -87,11 +87,11 @@ class Window:
 
     @property
     def usual_ns(self) -> float:
-        """Between two rows: of a sensor that is silent since before the window too; 0: too few came."""
+        """The usual time between two rows, also of a sensor that fell silent before the window; 0: too few rows."""
         return self.period_ns or self._earlier_ns
 
     def begins_behind(self, rows: int, column: Any) -> None:
-        """So many rows at the beginning of a column of times are before those that will be added."""
+        """Note that the first `rows` of a column of times are before those that will be added."""
         if not rows:
             return
         self.total += rows
