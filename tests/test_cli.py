@@ -211,7 +211,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "0"), "--rate-hz"),
     ((*GOOD_LOG, "-o", "r.h5", "--up", "up"), "--up"),
     ((*GOOD_LOG, "-o", "r.h5", "--only", "B"), "no sensor 'B'; it has A, M"),
-    ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: there is no folder none"),
+    ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: the folder none does not exist"),
     ((*GOOD_LOG, "-o", "r.h5", "--transcript", "none/t.jsonl"), "none/t.jsonl"),
     ((*GOOD_LOG, "-o", "r.h5", "--transcript", "one.toml"), "one.toml: exists already"),
     ((*GOOD_LOG, "-o", "one.toml"), "one.toml: exists already; choose another name or say --force"),

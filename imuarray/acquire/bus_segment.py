@@ -249,7 +249,7 @@ class BusSegment:
         self.adapter.returned()
         where = getattr(self._root, "where", None)
         place = f" as {where}" if where else ""
-        self._removal.over(now_ns, f"the adapter is there again{place}, its sensors are set up again")
+        self._removal.over(now_ns, f"the adapter is back{place}, its sensors are configured again")
         for item in self.items:
             bus = item.driver.registers.bus
             if isinstance(bus, MuxChannel):  # the multiplexer may have been without its supply
@@ -286,7 +286,7 @@ class BusSegment:
             lost[item.route.sensor.name] += item.cut(mark)
         if not self.adapter.down:
             names = ", ".join(item.route.sensor.name for item in self._twins)
-            text = f"channel {self.key} was not connected: readings of {names} are thrown away"
+            text = f"channel {self.key} was not connected: readings of {names} are discarded"
             self._misrouted.happened(self._clock.now_ns(), text)
         for item in self._queues:  # drained in another's place: what was in them is lost
             item.mark_lost()

@@ -87,7 +87,7 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
     detections = [] if mux is None else [_ask_mux(mux, owner, bus)]
     for route in routes_of(array, bus):
         if owner and route.sensor.channel is not None:
-            sensor, text = route.sensor, "not asked: the multiplexer before it belongs to the kernel"
+            sensor, text = route.sensor, "not checked: its multiplexer belongs to the kernel"
             detections.append(Detection(sensor.place, sensor.name, sensor.chip, text, False))
         else:
             detections.append(_ask(route, self_test))

@@ -141,7 +141,7 @@ class Poll:
         """Count `frames` missed frames: polled sensors have lost readings, sensors with a queue have not."""
         if frames:
             self.summary.missed += frames
-            text = f"{counted(frames, 'frame')} missed: the one before ended too late"
+            text = f"{counted(frames, 'frame')} missed: the frame before ended too late"
             now_ns = self.clock.now_ns()
             if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
                 part = self.log.part_at(now_ns - self.epoch_ns)

@@ -74,7 +74,7 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
     ]
     if not chips:
         advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
-        raise SensorError(f"{bus}: no chip answered, nothing to write a configuration of; {advice}")
+        raise SensorError(f"{bus}: no chip answered, so there is nothing to configure; {advice}")
     text = _HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
     text += "".join(
         f'mux = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in detections if line.found == MUX

@@ -177,7 +177,7 @@ class SensorHealth:
             episode.over(now_ns, reported=True)  # by what follows
         state.unwell.clear()
         if recovery.intact:
-            state.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
+            state.tell(now_ns, "back", f"answers again with its configuration intact, after {took_s:.2f} s")
         else:
             self._readback.give_up(buffer)
             buffer.trust()
@@ -267,10 +267,10 @@ class SensorHealth:
         if buffer.queue is None and buffer.driver.tells_fresh:
             late = state.freshness.overdue(block.time, block.status, buffer.doubtful_rows)
             if late.any():
-                _tell_at(block.time[late] + epoch_ns, state.stale, "no new reading, though it must have one by then")
+                _tell_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")
         if (block.status & OVERRUN).any():
             overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
-            _tell_at(overrun, state.overrun, "samples passed unread: the chip had nowhere to keep them")
+            _tell_at(overrun, state.overrun, "samples were lost unread: the chip's buffer was full")
 
 
 def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:

@@ -25,16 +25,16 @@ _output = click.option(
     metavar="CAL.toml",
     help="the calibration file to write",
 )
-_update = click.option("--update", is_flag=True, help="keep what CAL.toml already knows and add to it")
+_update = click.option("--update", is_flag=True, help="keep the contents of CAL.toml and add to them")
 _logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 
 
 @click.group("calibrate", invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> None:
-    """Sensor parameters from a log, into a TOML file."""
+    """Determine sensor parameters from logs and write them to a TOML file."""
     if context.invoked_subcommand is None:
-        raise click.UsageError(f"say what to calibrate: {', '.join(command.commands)}")
+        raise click.UsageError(f"name what to calibrate: {', '.join(command.commands)}")
 
 
 @command.command("tumble")
@@ -48,9 +48,9 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
 
     With phases that name the six faces (z_up, x_down, ...) or say what was up (`imuarray log --up`), in one log or in a
     log each, by the paper's Appendix B; without, from at least nine static poses that are found in the logs; of a box
-    that was turned slowly to all sides and never rested, accelerometers from gravity's length along the path.
+    that was turned slowly to all sides without resting, accelerometers from the magnitude of gravity along the path.
     Gyroscopes get their scale factors and axes from at least six turns between poses of one log. Faces and poses that
-    were disturbed are left out and named.
+    were disturbed are left out and listed.
 
     \b
     imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml
@@ -71,10 +71,10 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
 @force_option
 @json_option
 def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
-    """Scatter of single readings, its colour, and drift, per sensor axis, from stretches in which the box stood still.
+    """Determine noise, its spectrum and drift of every sensor axis from stretches in which the box was at rest.
 
-    The colour is the correlation of neighbouring readings and the lines of the spectrum. Drift needs stretches of some
-    minutes; with --update, what follows temperature by the slopes in CAL.toml is taken out of it.
+    The spectrum is described by the correlation of neighbouring readings and by lines. Drift needs stretches of some
+    minutes; with --update, the part that follows temperature by the slopes in CAL.toml is removed.
 
     \b
     imuarray calibrate noise rest.h5 -o cal.toml --update
@@ -95,10 +95,10 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
 @force_option
 @json_option
 def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
-    """How biases change with temperature, from logs in which the box stood still and was heated or cooled.
+    """Determine how biases change with temperature, from logs in which the box was at rest while heated or cooled.
 
-    One orientation does not tell a bias from a scale factor on the axis that carries gravity; logs of opposite faces
-    do. Opposing axes of one design are compared: what their mean drifts less than each.
+    One orientation does not separate bias from scale factor on the axis that carries gravity; logs of opposite faces
+    do. Opposing axes of one design are compared: by how much less their mean drifts than each axis.
 
     \b
     imuarray calibrate thermal heat_up.h5 heat_down.h5 -o cal.toml --update
@@ -117,11 +117,11 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 @_update
 @force_option
 @json_option
-@click.option("--seed", default=1, show_default=True, help="of the draws that tell two states from chance")
+@click.option("--seed", default=1, show_default=True, help="seed of the test whether two states are due to chance")
 def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool, seed: int) -> None:
-    """How much biases change from one switch-on to the next.
+    """Determine how much biases change from one switch-on to the next.
 
-    From a log a run, all in one pose, or one log whose phases `run 1`, `run 2`, ... are the runs; at least three.
+    Give one log per run, all in one pose, or one log whose phases `run 1`, `run 2`, ... are the runs; at least three.
 
     \b
     imuarray calibrate turn-on boot_*.h5 -o cal.toml --update
@@ -144,7 +144,7 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     required=True,
     type=click.Path(path_type=Path),
     metavar="ARRAY.toml",
-    help="the log's configuration with the axes in it",
+    help="the log's configuration, completed with the axes",
 )
 @click.option(
     "--poses",
@@ -156,10 +156,10 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 @force_option
 @json_option
 def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> None:
-    """Which way every sensor points, from a few poses held by hand.
+    """Determine the axes of every sensor from a few poses held by hand.
 
     Record one log while you hold the box still for three seconds with its Z axis up, then X, then Y. Accelerometers are
-    told by gravity, gyroscopes by the turns from pose to pose, magnetometers by the field.
+    oriented by gravity, gyroscopes by the turns from pose to pose, magnetometers by the field.
 
     \b
     imuarray log array.toml --seconds 30 -o poses.h5
@@ -174,7 +174,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     refuse_existing(output, force, source=run)
     with open_log(run) as log:
         if not log.config:
-            raise click.UsageError(f"{run}: no configuration in this log, nothing to write the axes into")
+            raise click.UsageError(f"{run}: this log has no configuration to write the axes into")
         pointings = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
         text = with_axes(log.config, pointings, str(run))
         report = report_of(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
@@ -186,10 +186,10 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
 @click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @json_option
 def compare(files: tuple[Path, ...], as_json: bool) -> None:
-    """What changed from one calibration of an array to the next, and by how many standard errors.
+    """Compare calibrations of an array: what changed, and by how many standard errors.
 
-    And which part of what biases did is common to the units of a design, and what axes that oppose each other cancel of
-    it. Biases are compared at one temperature where the calibrations know theirs and their slopes.
+    Also shows which part of the bias changes is common to the units of a design, and how much of it opposing axes
+    cancel. Biases are compared at one temperature where the calibrations state temperatures and slopes.
 
     \b
     imuarray calibrate compare march.toml june.toml
@@ -200,7 +200,7 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
     from imuarray.commands.calibrate_compare import print_report, report_of
 
     if len(set(files)) < len(files):
-        raise click.UsageError("a calibration is named twice")
+        raise click.UsageError("a calibration is given twice")
     report = json_ready(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
     if as_json:
         print_json(report)

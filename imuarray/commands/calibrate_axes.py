@@ -21,6 +21,6 @@ def print_report(report: dict[str, Any]) -> None:
     """The same as a table."""
     click.echo(f"{'sensor':12} {'axes':8} {'left':>6} {'next best':>9}")
     for row in report["sensors"]:
-        note = row["reason"] and f"  not told: {row['reason']}; stays {row['before']}"
+        note = row["reason"] and f"  not determined: {row['reason']}; {row['before']} kept"
         fit = f"{row['left'] or 0:6.2f} {row['next_best'] or 0:9.2f}" if row["axes"] else ""
         click.echo(f"{row['sensor']:12} {row['axes'] or '?':8} {fit}{note}".rstrip())

@@ -42,7 +42,7 @@ def print_report(report: dict[str, Any]) -> None:
     for sentence in _sentences(report):
         click.echo(sentence)
     if all(row["drift"] is None for row in report["sensors"]):
-        click.echo("drift: no stretch is long enough to show any")
+        click.echo("drift: not determined, all stretches are too short")
 
 
 def _row(sensor: SensorCalibration) -> dict[str, Any]:

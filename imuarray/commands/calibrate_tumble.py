@@ -156,7 +156,7 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
             click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
         axes = ", ".join(turns["untold"])
-        missing = f"; rates about box {axes} within the data sheet's tolerance only: turns about box {axes} are wanted"
+        missing = f"; response about box {axes} not determined, data-sheet value kept; add turns about box {axes}"
         click.echo(
             f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
             f"{missing if turns['untold'] else ''}"

@@ -28,7 +28,7 @@ RESULT = "characterise.json"
     metavar="DIR",
     help=f"write {RESULT} and, with matplotlib, figures into DIR",
 )
-@click.option("--phase", metavar="NAME", help="the stretch to look at (default: the longest phase at rest)")
+@click.option("--phase", metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
 @click.option("--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)")
 @click.option(
     "--estimator",

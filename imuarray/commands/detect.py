@@ -19,27 +19,29 @@ if TYPE_CHECKING:
 
 _USUAL_RATE_HZ = 50.0
 """Frames a second of `imuarray log`, if nothing else is said."""
-_SENSOR_ADVICE = "look at its supply, its wires and its address pin, and whether CONFIG has the right channel"
+_SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the channel in CONFIG"
 
 
 @click.command("detect")
 @click.argument("config", required=False, type=click.Path(path_type=Path))
 @bus_option
-@click.option("--self-test", is_flag=True, help="let each chip test itself; its settings are lost")
-@click.option("--doctor", is_flag=True, help="say why the bus does not work, and what to do: permission, drivers, room")
+@click.option("--self-test", is_flag=True, help="run the self-test of each chip; its settings are lost")
+@click.option(
+    "--doctor", is_flag=True, help="diagnose a bus that does not work, with advice: permissions, drivers, disk"
+)
 @click.option(
     "--logs",
     type=click.Path(path_type=Path),
     metavar="FOLDER",
-    help="where logs will go, for --doctor (default: here)",
+    help="folder for the logs, which --doctor checks (default: this one)",
 )
 @click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
     metavar="NEW.toml",
-    help="without CONFIG: write a configuration of what answers, ready to log with; chips that identify themselves"
-    " alike (HMC5883, HMC5883L) are told apart by their self-test",
+    help="without CONFIG: write a configuration of the chips that answer, ready to log with; chips that identify"
+    " themselves alike (HMC5883, HMC5883L) are distinguished by their self-test",
 )
 @force_option
 @json_option
@@ -53,26 +55,24 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """What answers on the bus, and is it what CONFIG says; without CONFIG, what answers on --bus.
+    """Report which sensors answer and whether they match CONFIG; without CONFIG, which chips answer on --bus.
 
     \b
     imuarray detect --bus i2c:/dev/i2c-1 -o array.toml
 
-    Exits 2 if a sensor is missing, another chip sits in its place, a driver of the kernel has its address, or it fails
-    its self-test; 1 if a self-test could not be determined; with --doctor 1 if anything is not well (it needs no
-    CONFIG; with one it looks at each sensor, too).
+    Exits 2 if a sensor is missing, a different chip answers in its place, a kernel driver owns its address, or it
+    fails its self-test; 1 if the result of a self-test is undetermined; with --doctor 1 if any check fails (it needs no
+    CONFIG; with one it checks each sensor, too).
     """
     if config is None and (self_test or (bus_url is None and not doctor)):
-        raise click.UsageError(
-            "say what to look for (CONFIG), or where to look (--bus URL); --self-test wants a CONFIG"
-        )
+        raise click.UsageError("CONFIG or --bus URL is required; --self-test requires CONFIG")
     if logs is not None and not doctor:
-        raise click.UsageError("--logs is a place for --doctor to look at: say --doctor too")
+        raise click.UsageError("--logs needs --doctor")
     if output is not None:
         if doctor:
-            raise click.UsageError("--doctor writes nothing: leave -o out")
+            raise click.UsageError("-o can't be combined with --doctor, which writes nothing")
         if config is not None:
-            raise click.UsageError("-o writes what answers on --bus, whatever a CONFIG says: leave CONFIG out")
+            raise click.UsageError("-o can't be combined with CONFIG: it writes a configuration of the chips on --bus")
         refuse_existing(output, force)
     if doctor:
         return _doctor(config, bus_url, logs or Path(), as_json)
@@ -91,7 +91,7 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
     url = bus_url or array.bus
     if url is None:
         url = "emulated:"
-        click.echo(f"imuarray: {config}: no bus is named: asking the emulated array, no hardware", err=True)
+        click.echo(f"imuarray: {config}: no bus is configured: using the emulated array, no hardware", err=True)
     with open_bus(url, array) as bus:
         detections, source = detect(array, bus, self_test=self_test), bus.source
     wrong = sum(not detection.ok for detection in detections)
@@ -218,6 +218,6 @@ def _chip_check(detections: Sequence[Detection]) -> Check:
     from imuarray.acquire.doctor import Check
 
     if not detections:
-        return Check("chips", False, "no chip that we know answers", "look at supply, wires and address pins")
+        return Check("chips", False, "no known chip answers", "check supply, wiring and address pins")
     counts = Counter(line.found for line in detections)
     return Check("chips", True, f"{len(detections)} answer: " + ", ".join(f"{n} {chip}" for chip, n in counts.items()))

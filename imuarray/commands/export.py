@@ -86,7 +86,7 @@ def command(
     rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
     click.echo(f"{output}: {rows} rows of {tables}, units: {written.units}")
     if written.uncalibrated:
-        click.echo(f"  not calibrated, data sheet's values: {', '.join(written.uncalibrated)}")
+        click.echo(f"  not calibrated, data-sheet values used: {', '.join(written.uncalibrated)}")
     for file in written.files:
         if file != output:
             click.echo(f"  {file}")

@@ -25,8 +25,8 @@ _STEPS = 1000
 """Of a bar."""
 
 _NOTHING = {
-    "opposed": "nothing on this array: where a design's axes point both ways, as many do each way, and balance",
-    "planes": "nothing on this array: in-plane and out-of-plane axes of a design err too much alike",
+    "opposed": "nothing on this array: the axes of a design that point both ways are already balanced",
+    "planes": "nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
     "ranges": "nothing on this array: all its sensors of a quantity have one measuring range",
 }
 """What to say of a technique that gives the mean."""
@@ -54,16 +54,16 @@ _WORDS = {
     "--output",
     type=click.Path(path_type=Path),
     metavar="FUSED.h5",
-    help="the result (may be left out to evaluate)",
+    help="the result to write (optional with --evaluate)",
 )
 @click.option("--only", default="", metavar="SENSOR,...", help="fuse only these sensors")
-@click.option("--causal", is_flag=True, help="by what was known at each frame, as `log --fuse` does")
+@click.option("--causal", is_flag=True, help="use only what was known at each frame, as `log --fuse` does")
 @click.option(
     "--watch/--no-watch",
     default=None,
-    help="find sensors that fail, say so and go on without them (default: with optimal)",
+    help="detect and report failing sensors, and leave them out (default: only with optimal)",
 )
-@click.option("--evaluate", is_flag=True, help="every technique against the log's truth, and against the mean")
+@click.option("--evaluate", is_flag=True, help="compare every technique with the log's truth, and with the mean")
 @force_option
 @json_option
 def command(
@@ -85,10 +85,10 @@ def command(
     opposed  anti-parallel axes of one design balance each other: common-mode drift cancels
     planes   in-plane against out-of-plane axes by their measured noise and stability
     ranges   low and high measuring ranges blended, the low one fading out before it clips
-    optimal  every reading by all that is known of its errors; slow ones are followed, failing sensors left out
+    optimal  readings weighted by all known errors; slow errors are tracked, failing sensors left out
 
-    --evaluate compares all of them on a log that knows the truth: errors, ratios to the mean with their 95 % intervals,
-    whether covariances hold, and heading and velocity after coasting.
+    --evaluate compares all of them on a log that contains the truth: errors, ratios to the mean with their 95 %
+    intervals, whether covariances hold, and heading and velocity after coasting.
 
     \b
     imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
@@ -324,7 +324,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
     if report["uncalibrated"]:
-        click.echo(f"  not calibrated, data sheet's values: {', '.join(report['uncalibrated'])}")
+        click.echo(f"  not calibrated, data-sheet values used: {', '.join(report['uncalibrated'])}")
     for sentence in report["start_up"]:
         click.echo(f"  {sentence}")
     if report["thermal"]:

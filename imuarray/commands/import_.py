@@ -29,8 +29,8 @@ _WIDTH = 110
     help="which column is what, of a text, .npz, .mat, .parquet or a ROS bag; a file, or a map of the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
-@click.option("--guess", is_flag=True, help="propose a map, with its doubts, to be edited; -o MAP.toml writes it")
-@click.option("--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up all the time")
+@click.option("--guess", is_flag=True, help="propose a map to be edited, with what is uncertain; -o MAP.toml writes it")
+@click.option("--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up throughout")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write")
 @force_option
 @json_option

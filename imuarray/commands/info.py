@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @log_argument
 @json_option
 def command(run: Path, as_json: bool) -> None:
-    """What a log holds: sensors, rates, phases, flags, events.
+    """Show the contents of a log: sensors, rates, phases, flags, events.
 
     \b
     imuarray info run.h5
@@ -63,8 +63,7 @@ def describe(log: Log) -> dict[str, Any]:
 
 
 def _span(log: Log) -> dict[str, str | None]:
-    """Return the wall times of its first and last rows: a part of a rotated log begins after its epoch.
-    """
+    """Return the wall times of its first and last rows: a part of a rotated log begins after its epoch."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     first = min((int(sensor.time[0]) for sensor in rows), default=None)
     last = max((int(sensor.time[-1]) for sensor in rows), default=None)

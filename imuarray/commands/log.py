@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write"
 )
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="how long (default: until interrupted)")
+@click.option(
+    "--seconds", type=click.FloatRange(min=0, min_open=True), help="duration in s (default: until interrupted)"
+)
 @click.option(
     "--rate-hz",
     type=click.FloatRange(0.01, 3200),
@@ -44,51 +46,62 @@ if TYPE_CHECKING:
     help="frames per second; a frame reads every sensor once",
 )
 @click.option(
-    "--phase", default="", metavar="NAME", help="what this log is: static, z_up, room, heat, motion, run 3, ..."
+    "--phase",
+    default="",
+    metavar="NAME",
+    help="name of the phase that is recorded: static, z_up, room, heat, motion, run 3, ...",
 )
 @click.option(
-    "--up", type=click.Choice(UP_AXES), default=None, help="the box axis that points up (told by z_up and the like)"
+    "--up",
+    type=click.Choice(UP_AXES),
+    default=None,
+    help="the box axis that points up (default: by the name of the phase, as z_up)",
 )
 @click.option(
-    "--transcript", type=click.Path(path_type=Path), metavar="T.jsonl", help="also write every transaction here"
+    "--transcript",
+    type=click.Path(path_type=Path),
+    metavar="T.jsonl",
+    help="also write a transcript of every transaction",
 )
 @click.option("--only", metavar="SENSOR,...", help="read only these sensors")
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="of `calibrate turn-on`: tell from the first seconds at rest which sensor came up wrong, flag its readings and"
-    " set it up again; with --fuse: what the fusion knows of the sensors",
+    help="from `calibrate turn-on`: detect from the first seconds at rest which sensor started in a wrong state, flag"
+    " its readings and configure it again; with --fuse: the calibration for the fusion",
 )
-@click.option("--fuse", is_flag=True, help="also fuse the readings as they come (a second or two behind)")
+@click.option("--fuse", is_flag=True, help="also fuse the readings while recording, a second or two behind")
 @click.option(
-    "--technique", metavar="NAME", help="of --fuse: mean, opposed, planes, ranges or optimal  [default: mean]"
+    "--technique", metavar="NAME", help="for --fuse: mean, opposed, planes, ranges or optimal  [default: mean]"
 )
 @click.option(
     "--fused",
     "fused_file",
     type=click.Path(path_type=Path),
     metavar="FUSED.h5",
-    help="where --fuse writes  [default: RUN_fused.h5]; with --rotate a file for each part: RUN_001_fused.h5, ...",
+    help="output of --fuse  [default: RUN_fused.h5]; with --rotate one file for each part: RUN_001_fused.h5, ...",
 )
 @click.option(
     "--watch/--no-watch",
     default=None,
-    help="of --fuse: find sensors that fail, say so and go on without them (default: with optimal)",
+    help="for --fuse: detect and report failing sensors, and leave them out (default: only with optimal)",
 )
 @click.option(
     "--rotate",
     "rotate_s",
     type=Duration(),
     metavar="1h",
-    help="begin a new log every so often: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
+    help="split the log into parts of this length: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
 )
-@click.option("--monitor", is_flag=True, help="also serve a page that shows it all, as `imuarray monitor` does")
-@click.option("--monitor-port", type=click.IntRange(0, 65535), help="of --monitor: 0 is any free one  [default: 8765]")
+@click.option("--monitor", is_flag=True, help="also serve a live page of the recording, as `imuarray monitor` does")
+@click.option(
+    "--monitor-port", type=click.IntRange(0, 65535), help="for --monitor: the port, 0 for any free one  [default: 8765]"
+)
 @click.option(
     "--monitor-host",
     metavar="ADDRESS",
-    help="of --monitor: where to serve; on another than this machine's own the page wants the token that is printed"
+    help="for --monitor: the address to serve on; if other machines can reach it, the page requires the printed token"
     "  [default: 127.0.0.1]",
 )
 @force_option
@@ -96,11 +109,11 @@ if TYPE_CHECKING:
 def command(**options: Any) -> int:
     """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
 
-    What happens to a sensor meanwhile is told on standard error. Over ssh start it by the service, tmux or nohup: a
-    terminal that goes away ends the log.
+    Events are printed on standard error. Over ssh, start it as a service, in tmux or with nohup: closing the terminal
+    ends the log.
 
-    The bus is --bus or the configuration's; with neither, nothing is recorded. An adapter that is unplugged is waited
-    for. Exits 1 if no sensor answered any more when the recording ended.
+    The bus is --bus or that of the configuration; without either, nothing is recorded. If the adapter is unplugged,
+    recording goes on when it is back. Exits 1 if no sensor answered when the recording ended.
 
     \b
     imuarray log array.toml -o run.h5 --phase z_up --seconds 60
@@ -195,13 +208,13 @@ def _record(options: LogOptions) -> int:
         summary = record(array, bus, options.output, recording)
     with suppress(OSError) if stop.hung_up else nullcontext():  # the terminal is gone
         if bus.source == "replay" and getattr(bus, "stopped", False):
-            click.echo("imuarray: the transcript ends here: the recorded program was stopped", err=True)
+            click.echo("imuarray: the transcript ends here because the recorded program was stopped", err=True)
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
         print_summary(summary, options.output, judge.sentences if judge else [], fusion, options.as_json)
         if len(summary.silent) == len(array.sensors):
             doctor = f"imuarray detect {options.config} --doctor"
-            click.echo(f"imuarray: no sensor answered any more when the recording ended; try `{doctor}`", err=True)
+            click.echo(f"imuarray: no sensor answered when the recording ended; try `{doctor}`", err=True)
     return 1 if len(summary.silent) == len(array.sensors) else 0
 
 
@@ -209,7 +222,7 @@ def _refuse_without(option: str, is_given: bool, dependent: dict[str, Any]) -> N
     """UsageError if one of the options that need another is given, and that one isn't."""
     for name, value in dependent.items():
         if value is not None and not is_given:
-            raise click.UsageError(f"{name} is of {option}: say that too")
+            raise click.UsageError(f"{name} needs {option}")
 
 
 def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:

@@ -52,11 +52,13 @@ def print_summary(
         click.echo(f"  {named}: {counted(fusion.frames, 'frame')} fused while recording")
     if summary.missed:
         missed = counted(summary.missed, "frame")
-        click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")
+        click.echo(f"  {missed} missed: the array can't be read this fast, or this machine was busy")
     if summary.uncertain:
-        click.echo(f"  {counted(summary.uncertain, 'reading')} whose time is uncertain by a millisecond or more")
+        click.echo(f"  {counted(summary.uncertain, 'reading')} with a time that is uncertain by a millisecond or more")
     if summary.refused:
-        click.echo(f"  {counted(summary.refused, 'frame')} of the link refused: old, repeated, out of order or unasked")
+        click.echo(
+            f"  {counted(summary.refused, 'frame')} of the link rejected: old, repeated, out of order or unsolicited"
+        )
     for name, count in lost.items():
         first, *further = _logs_with_events(summary.logs, name)
         more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""

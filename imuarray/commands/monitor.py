@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 @click.command("monitor")
 @click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
-@click.option("--text", "as_text", is_flag=True, help="show it here, as text, instead of serving a page")
-@click.option("--json", "as_json", is_flag=True, help="print one JSON object a line for every look, instead of a page")
-@click.option("--once", is_flag=True, help="look once and end (with --text or --json)")
+@click.option("--text", "as_text", is_flag=True, help="show it in this terminal instead of serving a page")
+@click.option(
+    "--json", "as_json", is_flag=True, help="print one JSON object per line and update, instead of serving a page"
+)
+@click.option("--once", is_flag=True, help="show the current state and exit (with --text or --json)")
 @click.option(
     "--every",
     "every_s",
@@ -27,27 +29,27 @@ if TYPE_CHECKING:
     default=1.0,
     show_default=True,
     metavar="SECONDS",
-    help="between two looks; the logger writes once a second",
+    help="time between updates; the logger writes once a second",
 )
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="fuse with this calibration (default: the data sheets' values)",
+    help="calibration for the fused output (default: data-sheet values)",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="0: any that is free")
+@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="port; 0 for any free one")
 @click.option(
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="address to serve on; on another than this machine's own the page wants the token that is printed",
+    help="address to serve on; if other machines can reach it, the page requires the printed token",
 )
 @click.option(
     "--fused",
     "result",
     type=click.Path(path_type=Path),
     metavar="FUSED.h5",
-    help="the fused result that is shown  [default: RUN_fused.h5, else the average of all sensors]",
+    help="the fused result to show  [default: RUN_fused.h5, else the average of all sensors]",
 )
 @click.option("--parent", type=int, hidden=True, help="end with this process")
 def command(
@@ -64,15 +66,15 @@ def command(
 ) -> None:
     """LogMonitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
-    Serves a page to this machine's browser; with --text the same in the terminal. It only reads, at low priority, and
-    follows a log that is cut into parts.
+    Serves a page to this machine's browser; with --text, shows the same in the terminal. It only reads, at low
+    priority, and follows a log that is split into parts.
 
     \b
     imuarray monitor night.h5 --text
     """
     known = _calibration(calibration)
     if once and not (as_text or as_json):
-        raise click.UsageError("--once is one look: say --text or --json with it")
+        raise click.UsageError("--once needs --text or --json")
     if once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file")
     if as_text or as_json:

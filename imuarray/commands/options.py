@@ -63,7 +63,7 @@ class Duration(_Seconds):
         except (ValueError, KeyError):
             seconds = 0.0
         if not 0 < seconds < float("inf"):
-            self.fail(f"{value!r} is no length of time; write 30s, 10min, 1h or 1d", param, ctx)
+            self.fail(f"{value!r} is not a duration; write 30s, 10min, 1h or 1d", param, ctx)
         return seconds
 
 
@@ -102,11 +102,11 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_n
     folder that is not there (unless it will be made), and for the `source` that the output is made from.
     """
     if path.is_dir():
-        raise click.UsageError(f"{path}: is a folder; the output is a file")
+        raise click.UsageError(f"{path}: is a folder; the output must be a file")
     if not path.parent.is_dir() and not in_new_folder:
-        raise click.UsageError(f"{path}: there is no folder {path.parent}")
+        raise click.UsageError(f"{path}: the folder {path.parent} does not exist")
     if source is not None and path.exists() and source.exists() and path.samefile(source):
-        raise click.UsageError(f"{path}: is what the output is made from; choose another name")
+        raise click.UsageError(f"{path}: is the input; choose another name for the output")
     if path.exists() and not force:
         raise OutputExistsError(path)
 

@@ -16,12 +16,12 @@ from imuarray.commands.options import json_option, log_argument, print_json, pro
     "--output",
     type=click.Path(path_type=Path),
     metavar="FILE.h5",
-    help="write the finished log here and leave RUN.h5 as it is (where its disk is full)",
+    help="write the finished log here and leave RUN.h5 unchanged (if its disk is full)",
 )
 @click.option("--force", is_flag=True, help="overwrite the output; finish a log without its journal")
 @json_option
 def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
-    """Finish a log whose writing was cut short: every acknowledged row, compressed and checked, in its place.
+    """Finish an interrupted log in place: every acknowledged row, compressed and checked.
 
     Every command reads such a log without this; recovering makes one small file of it and its journal.
 

@@ -15,11 +15,11 @@ _STEPS = 1000
 @click.command("report")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="report.html", help="the page")
-@click.option("--title", default="", metavar="TEXT", help="its heading (default: the names of the files)")
+@click.option("--title", default="", metavar="TEXT", help="heading of the page (default: the names of the files)")
 @force_option
 @json_option
 def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_json: bool) -> None:
-    """One HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
+    """Write one HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
 
     It needs nothing beside it, and reads well on paper. Noise and residuals are in the units of the calibrations among
     the files.

@@ -114,7 +114,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="units as this calibration found them, the rest from the model",
+    help="parameters of units from this calibration, the rest from the model",
 )
 @click.option("--population", is_flag=True, help="draw every unit from its design, known ones too")
 @click.option("--without", metavar="EFFECT,...", default="", help="leave these effects out; no other draw changes")

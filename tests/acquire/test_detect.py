@@ -153,7 +153,7 @@ def test_a_multiplexer_that_the_kernel_switches_is_left_alone(an_array: Callable
     assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False), ("B", False)]
     assert "belongs to the kernel's driver 'pca954x'" in lines[0].found
     assert "leave out mux" in lines[0].found
-    assert lines[1].found == "not asked: the multiplexer before it belongs to the kernel"
+    assert lines[1].found == "not checked: its multiplexer belongs to the kernel"
     assert board.wire.transactions == 0
 
 

@@ -298,7 +298,7 @@ def test_no_chip_answers(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixtu
     )
     bus = f"emulated:?board={tmp_path / 'far.toml'}"
     assert main(["detect", "--bus", bus, "--doctor", "--logs", str(logs)]) == 1
-    assert "NO  chips          no chip that we know answers -> look at supply" in capsys.readouterr().out
+    assert "NO  chips          no known chip answers -> check supply" in capsys.readouterr().out
 
 
 def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -310,7 +310,7 @@ def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixtu
     assert len(said) == 1
     assert "none is named -> say --bus i2c:/dev/i2c-1" in said[0]
     assert main(["detect", str(mine)]) == 0
-    assert capsys.readouterr().err == f"imuarray: {mine}: no bus is named: asking the emulated array, no hardware\n"
+    assert capsys.readouterr().err == f"imuarray: {mine}: no bus is configured: using the emulated array, no hardware\n"
     assert main(["detect", str(mine), "--logs", str(logs)]) == 2
     assert "say --doctor too" in capsys.readouterr().err
 

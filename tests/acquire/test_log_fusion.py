@@ -175,9 +175,9 @@ def test_the_log_is_the_same_with_and_without(log: Log) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--technique", "mean"], "--technique is of --fuse"),
-        (["--fused", "f.h5"], "--fused is of --fuse"),
-        (["--no-watch"], "--watch is of --fuse"),
+        (["--technique", "mean"], "--technique needs --fuse"),
+        (["--fused", "f.h5"], "--fused needs --fuse"),
+        (["--no-watch"], "--watch needs --fuse"),
         (["--fuse", "--technique", "optimal"], "its noise is not known"),
         (["--fuse", "--rotate", "1s", "--fused", "part.h5"], "part_001.h5: exists already"),
         (["--fuse", "--technique", "best"], "technique 'best': allowed are mean"),

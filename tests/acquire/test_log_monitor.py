@@ -79,7 +79,7 @@ def test_nothing_is_served_unasked(log: Call, pages: list[list[str]]) -> None:
 @pytest.mark.parametrize("option", ["--monitor-port=1", "--monitor-host=127.0.0.1"])
 def test_options_of_no_page_are_refused(log: Call, option: str) -> None:
     code, _, err = log(option)
-    assert code == 2 and f"{option.split('=')[0]} is of --monitor: say that too" in err
+    assert code == 2 and f"{option.split('=')[0]} needs --monitor" in err
     assert not Path("run.h5").exists()
 
 

@@ -138,7 +138,7 @@ def test_a_recording_goes_on_when_the_adapter_is_there_again_under_another_numbe
         " was removed (errno 19)"
     )
     assert 6.0 < again[0] < 6.6
-    assert again[3].startswith("the adapter is there again as /dev/i2c-3, its sensors are set up again")
+    assert again[3].startswith("the adapter is back as /dev/i2c-3, its sensors are configured again")
     assert sorted(event[1] for event in told if event[2] == "reconfigured") == ["A", "B"]
     assert len(told) <= 8
     assert done.silent == []
@@ -214,8 +214,8 @@ def test_channels_that_the_kernel_drives(bench: Callable[..., Bench], tmp_path: 
     done, told = it.record(tmp_path / "r.h5", 12, {2.0: lambda: machine.unplug(12, 11, 1), 6.0: plug_in})
     messages = [event[3] for event in told if event[2] == "adapter"]
     assert sorted(message.split(",")[0] for message in messages[2:]) == [
-        "the adapter is there again as /dev/i2c-21",
-        "the adapter is there again as /dev/i2c-22",
+        "the adapter is back as /dev/i2c-21",
+        "the adapter is back as /dev/i2c-22",
     ]
     assert all("multiplexer 0070 channel-" in message for message in messages[:2])
     assert done.silent == []
@@ -322,8 +322,8 @@ def test_a_log_in_which_nobody_answers_any_more_says_so(
     assert main(["log", str(tmp_path / "a.toml"), "--bus", url, "--seconds", "10", "-o", run]) == expected
     said = capsys.readouterr().err
     assert "adapter: the emulated adapter is unplugged (errno 19)" in said
-    assert ("no sensor answered any more when the recording ended" in said) == bool(expected)
-    assert ("adapter: the adapter is there again" in said) == (not expected)
+    assert ("no sensor answered when the recording ended" in said) == bool(expected)
+    assert ("adapter: the adapter is back" in said) == (not expected)
 
 
 class TestSerialPort:

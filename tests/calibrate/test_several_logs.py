@@ -70,4 +70,4 @@ def test_another_range_in_one_of_the_logs_is_refused(tmp_path: Path) -> None:
 def test_none_of_the_logs_is_ever_the_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face]) for face in FACES]
     assert main(["calibrate", "tumble", *map(str, paths), "-o", str(paths[3]), "--force"]) == 2
-    assert "is what the output is made from" in capsys.readouterr().err
+    assert "is the input; choose another name for the output" in capsys.readouterr().err

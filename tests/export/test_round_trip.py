@@ -175,7 +175,7 @@ class TestCommand:
         [
             (["run.h5", "-o", "r.xlsx"], "imuarray: r.xlsx: no format has the suffix '.xlsx'; allowed are .csv, .npz"),
             (["none.h5", "-o", "r.csv"], "imuarray: none.h5: no such file"),
-            (["run.h5", "-o", "run.h5", "--force"], "is what the output is made from"),
+            (["run.h5", "-o", "run.h5", "--force"], "is the input; choose another name for the output"),
             (["run.h5", "-o", "there.csv"], "there.csv: exists already"),
             (["run.h5", "-o", "r.csv", "--sensor", "X"], "no sensor 'X'; it has Acc, Baro, Gyro"),
             (["run.h5", "-o", "r.csv", "--calibration", "none.toml"], "none.toml: No such file"),

@@ -102,7 +102,7 @@ def test_the_noise_of_the_calibration_needs_no_rest(
     said = capsys.readouterr()
     assert "no noise" not in said.err and "ranges changes mpu9150" in said.out
     assert main([*fused, "opposed", "--only", "LOW,HIGH", "--force"]) == 0
-    assert "opposed changes nothing on this array: where a design's axes point both ways" in capsys.readouterr().out
+    assert "opposed changes nothing on this array: the axes of a design that point both ways" in capsys.readouterr().out
     assert main([*fused, "ranges", "--only", "HIGH", "--force"]) == 0
     assert "all its sensors of a quantity have one measuring range" in capsys.readouterr().out
 
