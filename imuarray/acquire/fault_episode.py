@@ -79,7 +79,7 @@ class FaultEpisode:
         self._lasts = True
 
     def over(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
-        """End a lasting episode; reported at once unless it recurs, and not at all if another event has `reported` it."""
+        """End a lasting episode: reported at once unless it recurs, not at all if another event has `reported` it."""
         self._lasts, self._reported = False, reported
         if self.on:
             self.last_ns, self._end = max(self.last_ns, at_ns), message

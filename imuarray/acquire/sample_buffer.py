@@ -162,7 +162,7 @@ class SampleBuffer:
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
-        """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None if there is none."""
+        """Return when a conversion ends whose result would be too old in the frame at `due_ns`, or None."""
         if self._converter is None or self._recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
@@ -174,7 +174,7 @@ class SampleBuffer:
         return min(self.frozen_rows * 5 // 4, math.ceil(HELD_S * self.row_rate_hz))
 
     def due(self, now_ns: int) -> bool:
-        """Return whether to read in this frame; False for a slow chip whose next sample the next frame will not miss."""
+        """Return whether to read in this frame; False if the next frame is soon enough for a slow chip."""
         if self.always_due:
             return True
         if now_ns + _NEXT_FRAME / self.rate_hz <= self._visited_ns + 1e9 / self.route.sensor.chip_rate_hz:

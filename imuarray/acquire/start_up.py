@@ -21,7 +21,7 @@ ATTEMPTS = 3
 
 
 class Verdict(NamedTuple):
-    """A verdict on a sensor's start: `fault` if its readings can't be used, and a sentence (empty: nothing to report)."""
+    """A verdict on a sensor's start: `fault` if its readings can't be used, and a sentence (or "")."""
 
     fault: bool
     text: str = ""

@@ -140,7 +140,7 @@ def test_what_is_no_log_does_not_come_back(run: Path, fused: Path) -> None:
         with pytest.raises(SourceError, match="only raw counts make a log: export with --units counts"):
             back(run.with_name(f"si.{suffix}"))
         export(fused, run.with_name(f"f.{suffix}"))
-        with pytest.raises(SourceError, match="no log of format 1"):
+        with pytest.raises(SourceError, match="not the export of a log of format 1"):
             back(run.with_name(f"f.{suffix}"))
     assert importer_of(run) is None
     with pytest.raises(SourceError, match="no such file"):

@@ -228,7 +228,7 @@ def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
     ("arguments", "says"),
     [
         (["nowhere.h5", "--text", "--once"], "nowhere.h5: no such file"),
-        (["run.h5", "--once"], "say --text or --json with it"),
+        (["run.h5", "--once"], "--once needs --text or --json"),
         (["run.h5", "--text", "--calibration", "none.toml"], "none.toml: No such file"),
         (["run.h5", "--host", "192.0.2.1", "--port", "1"], "192.0.2.1:1: can't serve there"),
     ],
