@@ -89,9 +89,9 @@ def test_one_distance_in_nats() -> None:
 
 
 def test_a_difference_below_the_least_scatter_is_none() -> None:
-    alike = np.ones((6, 1))
-    assert nats_between(alike, alike + 0.01, np.ones(1), 1.0) < 0.001
-    assert nats_between(alike, alike + 0.01, np.zeros(1), 1.0) > 10
+    constant = np.ones((6, 1))
+    assert nats_between(constant, constant + 0.01, np.ones(1), 1.0) < 0.001
+    assert nats_between(constant, constant + 0.01, np.zeros(1), 1.0) > 10
 
 
 def test_what_speaks_under_one_model_only_counts_as_the_farthest() -> None:

@@ -76,8 +76,8 @@ def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count:
     assert all(named.count(one) <= 2 for one in named)
     if len(kept) < count:  # whatever was left out had no place
         for one in tried:
-            alike = named.count((one.trial.name, one.trial.action))
-            assert any(one is other for other in kept) or one.models is None or one.gain <= least or alike == 2
+            of_effect = named.count((one.trial.name, one.trial.action))
+            assert any(one is other for other in kept) or one.models is None or one.gain <= least or of_effect == 2
 
 
 def test_the_placebo_is_nowhere() -> None:

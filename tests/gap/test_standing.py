@@ -190,10 +190,10 @@ def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
     """Ten that are one and the same, and one apart: of that the gain is whole."""
     unit = standing([3.0] * 11, drawn(11), independent=0.1)
     likelihood, moved = compared(unit, unit.values + 3.0)
-    alike = gains_of(unit, likelihood, moved)
+    by_axis = gains_of(unit, likelihood, moved)
     apart = gains_of(replace(unit, apart=np.append(np.zeros(10), 1.0)), likelihood, moved)
-    np.testing.assert_allclose(apart[:10], alike[:10])
-    assert apart[10] == pytest.approx(10 * alike[10])
+    np.testing.assert_allclose(apart[:10], by_axis[:10])
+    assert apart[10] == pytest.approx(10 * by_axis[10])
 
 
 def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
@@ -272,7 +272,7 @@ def test_a_scatter_is_told_by_all_that_are_alike() -> None:
     unit = standing([0.0] * 400, without)
     alone, _ = compared(unit, walked)
     assert np.quantile(alone.scale[:200], 0.25) == pytest.approx(3.2, abs=1.0)
-    together, _ = compared(replace(unit, alike=np.repeat([0, 1], 200)), walked)
+    together, _ = compared(replace(unit, scatter_group=np.repeat([0, 1], 200)), walked)
     assert np.quantile(together.scale[:200], 0.25) > 8
     assert np.quantile(together.scale[:200], 0.75) < 13
     np.testing.assert_allclose(together.scale[200:], 1.0, rtol=1e-6)
@@ -283,7 +283,7 @@ def test_what_does_not_move_says_nothing_of_what_does() -> None:
     without = drawn(400, 3)
     walked = without[:2].copy()
     walked[:, :200] += 10 * drawn(200, 4, rows=2)
-    together, _ = compared(replace(standing([0.0] * 400, without), alike=np.zeros(400, int)), walked)
+    together, _ = compared(replace(standing([0.0] * 400, without), scatter_group=np.zeros(400, int)), walked)
     assert np.median(together.scale[:200]) > 8
     np.testing.assert_allclose(together.scale[200:], 1.0)
 

@@ -255,12 +255,12 @@ def test_other_lines_are_the_sensors_own(causes: list[Cause]) -> None:
 def test_an_array_of_one_chip_tells_by_its_mounting() -> None:
     """Along own axes alike it may be the design, as the line on the L3G4200D's y axis; along the box it is the box."""
     axes = {"B1": "+X+Y+Z", "B2": "-X-Y+Z", "D1": "+Y-X+Z"}
-    alike = {name: replace(HEADERS[name], chip="bma180", axes=text) for name, text in axes.items()}
-    design = [tone(name, 13.0, 0, 5e-3, 0) for name in alike]
-    assert origins(design, headers=alike) == ["sensor"] * 3
+    parallel_axes = {name: replace(HEADERS[name], chip="bma180", axes=text) for name, text in axes.items()}
+    design = [tone(name, 13.0, 0, 5e-3, 0) for name in parallel_axes]
+    assert origins(design, headers=parallel_axes) == ["sensor"] * 3
     box = [*design[:2], tone("D1", 13.0, 5e-3, 0, 0)]
-    assert origins(box, headers=alike) == ["environment"] * 3
-    parallel = {name: replace(one, axes="+X+Y+Z" if name != "B2" else "-X-Y+Z") for name, one in alike.items()}
+    assert origins(box, headers=parallel_axes) == ["environment"] * 3
+    parallel = {name: replace(one, axes="+X+Y+Z" if name != "B2" else "-X-Y+Z") for name, one in parallel_axes.items()}
     assert origins(design, headers=parallel) == ["sensor"] * 3
 
 

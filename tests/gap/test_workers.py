@@ -85,7 +85,7 @@ def test_no_process_is_no_pool() -> None:
 
 def test_the_last_job_alone_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_LATEST", {})
-    first, second = (pickle.dumps(workers._Sent(partial(use, Heavy()))) for _ in range(2))
+    first, second = (pickle.dumps(workers._Job(partial(use, Heavy()))) for _ in range(2))
     job = pickle.loads(first)  # noqa: S301
     assert pickle.loads(first) is job  # noqa: S301
     assert [job(0), job(0)] == [1, 2]

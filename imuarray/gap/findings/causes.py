@@ -211,9 +211,9 @@ def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
 
 def _is_same(headers: Mapping[str, SensorHeader], one: Cause, other: Cause) -> bool:
     chips = {headers[name].chip for name in (*one.sensors, *other.sensors)}
-    alike = (one.effect, one.action, one.axes) == (other.effect, other.action, other.axes)
+    is_same_effect = (one.effect, one.action, one.axes) == (other.effect, other.action, other.axes)
     return (
-        alike
+        is_same_effect
         and len(chips) == 1
         and not set(one.sensors) & set(other.sensors)
         and _agree(one.parameters, other.parameters)

@@ -29,8 +29,8 @@ def sentence_of(
     outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
     other = ", ".join(against) or "the simulator"
     if verdict == "no gap":
-        alike = f"The recordings look like {other}: nothing has changed beyond chance." if against else _ALIKE
-        return " ".join([alike, *outside])
+        unchanged = f"The recordings look like {other}: nothing has changed beyond chance." if against else _ALIKE
+        return " ".join([unchanged, *outside])
     worst = where[0]
     parts = [f"The recordings differ from {other}, most in {worst.domain.replace('_', ' ')} of {_place(worst)}."]
     likely = [cause for cause in causes if cause.probability >= EVEN] or list(causes[:1])

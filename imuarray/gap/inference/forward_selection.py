@@ -153,15 +153,15 @@ def likeliest(tried: Iterable[FittedHypothesis], count: int) -> list[FittedHypot
     least = ranked[0].gain - max(_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     kept: list[FittedHypothesis] = []
     for one in ranked:
-        alike = sum(other.trial.form == one.trial.form for other in kept)
-        if one.gain > least and one.gain * one.counts > WORTH and alike < 2 and len(kept) < count:
+        same_form = sum(other.trial.form == one.trial.form for other in kept)
+        if one.gain > least and one.gain * one.counts > WORTH and same_form < 2 and len(kept) < count:
             kept.append(one)
     return kept
 
 
 def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> list[StatisticValues]:
     """The unit's statistics in replicates of its models; what a lone sensor shares with others is left out."""
-    found = bench.replicates([(standing.models, number) for number in numbers], company=standing.company)
+    found = bench.replicates([(standing.models, number) for number in numbers], other_models=standing.other_models)
     kept = bench.among(standing.unit, standing.unit)
     return [replace(one, values=one.values[kept]) for one in found]
 

@@ -76,9 +76,9 @@ def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
         whose = (trial.shared, trial.sensor, trial.others, trial.members, trial.everywhere)
         told = (trial.removed, whose, trial.whole, trial.free)
         numbers, reach = _numbers(trial)
-        alike = kept.setdefault((trial.form, told, trial.fitted, len(numbers)), [])
-        if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in alike):
-            alike.append((numbers, reach))
+        of_form = kept.setdefault((trial.form, told, trial.fitted, len(numbers)), [])
+        if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in of_form):
+            of_form.append((numbers, reach))
             found.append(trial)
     return found
 

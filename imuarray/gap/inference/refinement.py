@@ -174,7 +174,7 @@ def _seen_each(
         return []
     asked = [(models, number) for models in several for number in NUMBERS[:count]]
     try:
-        found = bench.replicates(asked, held_out=whole, company=standing.company)
+        found = bench.replicates(asked, held_out=whole, other_models=standing.other_models)
     except ValueError:
         if len(several) == 1:
             return [None]

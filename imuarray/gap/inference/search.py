@@ -68,7 +68,7 @@ def searches(
         todo = {unit: one for unit, one in standings.items() if _is_open(found, one, rounds.get(unit, ()))}
         if not todo:
             break
-        todo = _in_company(found, todo, standings, run)
+        todo = _with_other_models(found, todo, standings, run)
         progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
         guessed = _guessed(found, todo, candidates)
         placebos = {unit: one.placebo for unit, one in guessed.items()} if number == 0 else {}
@@ -112,7 +112,7 @@ def _worth(taken: Evaluation) -> float:
     return taken.gain - taken.trial.rarity
 
 
-def _in_company(
+def _with_other_models(
     found: Comparison, units: Mapping[Unit, UnitState], standings: Mapping[Unit, UnitState], run: Run
 ) -> dict[Unit, UnitState]:
     """Where `units` stand beside the others' present models, where that makes a difference."""
@@ -120,10 +120,10 @@ def _in_company(
     if not found.bench.is_of_motion.any() or not models:
         return dict(units)
     asked = [
-        replace(one, company={name: model for name, model in models.items() if name not in one.unit})
+        replace(one, other_models={name: model for name, model in models.items() if name not in one.unit})
         for one in units.values()
     ]
-    changed = [one for one in asked if one.company != standings[one.unit].company]
+    changed = [one for one in asked if one.other_models != standings[one.unit].other_models]
     again = {
         one.unit: replace(made, likelihood=compared(one, made.values)[0])
         for one, made in zip(changed, run(replicated, changed), strict=True)
@@ -242,7 +242,7 @@ def _bare(found: Comparison, unit: Unit) -> UnitState:
         {name: found.real.fitted[name] for name in unit},
         independent_share(scores),
         probes=np.unique([bench.keys[at].probe for at in columns], return_inverse=True)[1],
-        alike=np.unique(bench.alike[columns], return_inverse=True)[1],
+        scatter_group=np.unique(bench.scatter_group[columns], return_inverse=True)[1],
         apart=apart,
     )
 

@@ -41,11 +41,11 @@ NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
 class UnitState:
     """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
     general (`likelihood`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
-    what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
-    other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
-    alike, and `alike` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing is known
-    of that), `misfit` the nats that the models' noise lacks. `apart` (n,) is the same share of the statistics that hang
-    together with few others (none: none do).
+    what the fit of the recording gave, `independent` the share of the statistics that is. `other_models` are the models
+    of other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
+    alike, and `scatter_group` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing
+    is known of that), `misfit` the nats that the models' noise lacks. `apart` (n,) is the same share of the statistics
+    that hang together with few others (none: none do).
     """
 
     unit: Unit
@@ -55,9 +55,9 @@ class UnitState:
     values: Floats
     wanted: Mapping[str, FittedParameters]
     independent: float
-    company: Models = field(default_factory=dict)
+    other_models: Models = field(default_factory=dict)
     probes: Indices | None = field(default=None, repr=False)
-    alike: Indices | None = field(default=None, repr=False)
+    scatter_group: Indices | None = field(default=None, repr=False)
     misfit: float = 0.0
     apart: Floats | None = field(default=None, repr=False)
 
@@ -138,8 +138,8 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
     shift = np.zeros(moved.shape[1])
     shift[known] = np.nanmean(moved[:, known], axis=0)
     location, scale = before.location + shift, before.scale.copy()
-    alike = None if standing.alike is None else standing.alike[known]
-    ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], alike)
+    scatter_group = None if standing.scatter_group is None else standing.scatter_group[known]
+    ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], scatter_group)
     scale[known] *= ratio
     # where a change takes the scatter away, as a delay that outdoes the noise, it doesn't matter where the same
     # replicates lay before it (a control variate, of a weight that is at most the ratio)
@@ -222,14 +222,14 @@ def _kept(moved: Floats, probes: Indices) -> Floats:
     return kept
 
 
-def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: Indices | None = None) -> Floats:
+def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group: Indices | None = None) -> Floats:
     """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
 
     Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
     the correlation of the pairs says. Few pairs tell only what their differences add to those of independent ones.
     """
     if len(values) < _PAIRS:
-        added = _added((values - without) / scale, alike)
+        added = _added((values - without) / scale, scatter_group)
         return np.asarray(np.sqrt(1.0 + np.maximum(added - _INDEPENDENT, 0.0)))
     spreads = [np.nanstd(side, axis=0) for side in (values, without)]
     usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
@@ -243,7 +243,7 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: Indices
     return ratio
 
 
-def _added(moved: Floats, alike: Indices | None) -> Floats:
+def _added(moved: Floats, scatter_group: Indices | None) -> Floats:
     """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
 
     Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
@@ -254,8 +254,8 @@ def _added(moved: Floats, alike: Indices | None) -> Floats:
     several = freedom > 0
     found[several] = np.nanvar(moved[:, several], axis=0, ddof=1)
     touched = several & (found > 0)  # of the part that isn't simulated nothing moves
-    for group in np.unique(alike[touched]) if alike is not None else ():
-        own = touched & (alike == group)
+    for group in np.unique(scatter_group[touched]) if scatter_group is not None else ():
+        own = touched & (scatter_group == group)
         found[own] = (freedom[own] * found[own] + _LIKE_IT * found[own].mean()) / (freedom[own] + _LIKE_IT)
     return found
 

@@ -1,1 +1,1 @@
-"""The fitted base model with its nuisance populations, and its replicates."""
+"""The base model fitted to a recording, the populations of its nuisance quantities, and its replicates."""

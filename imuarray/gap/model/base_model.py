@@ -1,10 +1,9 @@
-"""The base model: what a simulation has before anything is blamed, its few parameters fitted to a campaign's summaries.
+"""The base model: the simulation without any suspected effect, its few parameters fitted to a campaign's summaries.
 
-Every sensor has `white_noise`, `bias`, a linear `thermal_bias` and, within tolerance, its response to specific force
-fitted; `scale`, `misalignment` and a gyroscope's
-`g_sensitivity` are drawn anew for every replicate from their populations (`imuarray.gap.model.populations`), since no
-log in one attitude tells them from a bias. The phase of `own_clock` is drawn for every log, since it is another one
-after every boot and no log at rest tells it.
+Every sensor has fitted `white_noise`, `bias`, a linear `thermal_bias` and, within tolerance, a fitted response to
+specific force. `scale`, `misalignment` and a gyroscope's `g_sensitivity` are drawn for every replicate from their
+populations (`imuarray.gap.model.populations`), since no log in one attitude separates them from a bias. The phase of
+`own_clock` is drawn for every log: it changes at every boot and no log at rest determines it.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.model.gravity import Forces, estimated_forces, forces_left
+from imuarray.gap.model.gravity import Forces, estimated_forces, residual_forces
 from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
     CUTOFF_TOLERANCE,
@@ -53,40 +52,42 @@ __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "r
 
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
-"""Of a chip of whose clock the model says nothing."""
+"""The clock of a chip for which the model gives none."""
 
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
-"""Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
+"""Statistics that are logs of the sensor's unit to a power; that power of the fitted noise is divided out of them."""
 
 _SAMPLES_A_ROW = 8
-"""From so many samples for each row on a digital filter looks analogue."""
+"""Samples for each row from which on a digital filter looks analogue."""
 
 _LAGS, _CUTOFFS = 3, 101
-"""Correlations that tell a filter, and cutoffs that are tried for each number of poles."""
+"""Lags of the correlations to which a filter is fitted, and cutoffs tried for each number of poles."""
 
 _FILTER_MISFIT = 0.1
-"""A filter leaves less than such a share of the squared correlations; a wander, a line or shared noise is none."""
+"""Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more."""
 
 _SLIPS = 4.0
-"""Standard deviations by which rows repeat the one before more often than by chance, for a chip's clock to be slow."""
+"""Excess of repeated rows over chance, in standard deviations, that shows a slow data clock."""
 
 _SAME_CLOCK = 0.3
-"""Share of the error by which phases may differ, beside chance, for one clock to explain them all."""
+"""Relative difference of phases, beside chance, within which one clock error explains them all."""
 
 _OVERSAMPLED = 1.05
-"""From so many polls for each reading on readings come twice as a rule, and three times where polls jitter."""
+"""Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
 
 _BY_CHANCE = 2.0
-"""Squared standard deviations that the estimate of a correlation may be off besides."""
+"""Squared standard deviations that are added for the error of an estimated correlation."""
 
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
 
 @dataclass(frozen=True)
 class Base:
-    """The fitted sensors by name; `model` has the rest of their effects (None: the usual ones are all), of which
-    populations are drawn; `seed` keys the draws. A model that says nothing of a sensor's clock leaves it its own phase
-    at each boot. The rows of those that are `queued` are the chip's own readings, whatever its clock does.
+    """The fitted base model of an array.
+
+    `fitted` parameters of the sensors by name; `model` has the rest of their effects (None: the usual ones), of which
+    populations are drawn with the `seed`. A sensor whose clock the model does not give has its own phase at each boot.
+    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -101,11 +102,11 @@ class Base:
         return {name: (*drawn[name], *fitted.effects()) for name, fitted in self.fitted.items()}
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """What isn't fitted: no noise and no bias; of a bias over temperature the curve, and the slope where the
-        recording's temperatures don't tell it; where an accelerometer sits in the box, as its header says.
+        """The effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the slope if
+        the recording's temperatures don't determine it; an accelerometer's position in the box, by its header.
 
         Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
-        odd ones clocks that are off and biases that scatter: a recording may be like either.
+        odd ones clocks with a rate error and biases that scatter: a recording may be like either.
         """
         units = Streams(replicate_seed(self.seed, replicate))
         return {name: self._drawn(self.headers[name], units, replicate) for name in self.fitted}
@@ -161,7 +162,7 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
 
 
 def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:
-    """What is known of each sensor of a campaign."""
+    """The headers of a campaign's sensors, by name."""
     phases = (phase for log in campaign.logs for phase in log.phases)
     return {name: summary.header for phase in phases for name, summary in phase.sensors.items()}
 
@@ -172,11 +173,11 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     nobody noted is the one that its accelerometers tell on average, by their parameters.
     """
     fitted = base.fitted
-    forces = forces_left(campaign, motions, lambda summary: fitted[summary.header.name].felt_by(summary))
+    forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].force_felt(summary))
     logs = []
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
         parts = [
-            _left(part, motion, forces.get((number, part.phase.start_ns)), base) if part.is_still else part
+            _residual_phase(part, motion, forces.get((number, part.phase.start_ns)), base) if part.is_still else part
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(parts)))
@@ -184,24 +185,26 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
 
 
 def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
-    """Statistics of what a fit leaves, to the campaign or to another part of it: of levels less the predicted ones, of
+    """Statistics of the residuals of a fit, to the campaign or to another part of it: levels less the predicted ones,
     noises over the fitted ones.
     """
-    found = statistics(residual(campaign, motions, base))
-    return replace(found, values=found.values - _predictions(found.keys, [base])[0])
+    raw = statistics(residual(campaign, motions, base))
+    return replace(raw, values=raw.values - _predictions(raw.keys, [base])[0])
 
 
 def replicated_statistics(
     campaigns: Sequence[Campaign], motions: Sequence[Motion], bases: Sequence[Base], sensors: Collection[str]
 ) -> ReplicateStatistics:
-    """The same of these sensors in several replicates, which were looked at alike, by a fit to each."""
+    """`residual_statistics` of some sensors in several replicates that were summarised in the same way, each with its
+    own fit.
+    """
     residuals = [residual(campaign, motions, base) for campaign, base in zip(campaigns, bases, strict=True)]
     keys, values = replicate_statistics(residuals, sensors)
     return ReplicateStatistics(keys, values - _predictions(keys, bases))
 
 
 def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
-    """(r, n) what the noise that was fitted makes of statistics in logs, 0 of others."""
+    """Contribution (r, n) of the fitted noise to statistics that are logs, 0 for others."""
     noises = [
         {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()} for base in bases
     ]
@@ -214,7 +217,7 @@ def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
 
 
 def replicate_seed(seed: int, replicate: int) -> int:
-    """64 bits for each replicate that no small seed has."""
+    """A 64-bit seed for each replicate that no small seed equals."""
     high, low = np.random.SeedSequence((seed, replicate)).generate_state(2).tolist()
     return int(high) << 32 | int(low) | 1 << 63
 
@@ -242,7 +245,7 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
                 )
 
 
-def _left(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:
+def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:
     sensors = {}
     for name, summary in phase.sensors.items():
         predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))
@@ -287,7 +290,9 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
 
 def _filters(header: SensorHeader, configured_hz: float, rows_per_s: float) -> Iterator[Bandwidth]:
-    """Those that the chip may have; a digital one whose rows come far more slowly than its samples looks analogue."""
+    """The filters that the chip may have; a digital one whose rows come far more slowly than its samples looks
+    analogue.
+    """
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * rows_per_s
     for sampled_hz in (math.inf, header.rate_hz) if is_seen else (math.inf,):
         for poles in (1.0, 2.0):
@@ -338,7 +343,7 @@ def _equal_in_a_row(by_chance: float, rows: int) -> int:
 
 
 def _repeated_share(phase: Summary) -> float:
-    """Of the rows, those that are no new reading: by the recorder's flags, else by their being equal."""
+    """Share of the rows that are no new reading: by the recorder's flags, otherwise by equality."""
     if phase.flags["stale"]:
         return phase.flags["stale"] / phase.rows
     by_chance = _equal_neighbours(phase)

@@ -1,7 +1,7 @@
-"""Where models of sensors are tried: statistics of the recorded campaign, and of what is simulated in its place.
+"""The bench on which models of sensors are compared: statistics of the recorded campaign and of its simulations.
 
-A statistic of a part of the campaign is of what the fit to its training part leaves, in the recording and in every
-simulation alike: levels of the held-out part are told from the bias that the training part had.
+A statistic of either part of the campaign is computed from the residuals of the fit to the training part, in the
+recording and in every simulation: levels of the held-out part are relative to the bias of the training part.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from imuarray.simulate.motion.posed import Posed
 
 @dataclass(frozen=True)
 class StatisticValues:
-    """Statistics of a campaign, of its training part first: `values` (n,) under the bench's keys, the ordinary
-    parameters that were fitted to the training part, and (if asked for) figures of use.
+    """Statistics of a campaign: `values` (n,) under the bench's keys, those of the training part first, the ordinary
+    parameters `fitted` to the training part, and on request figures of use.
     """
 
     values: Floats
@@ -42,10 +42,11 @@ class StatisticValues:
 
 @dataclass(frozen=True)
 class Bench(Stage):
-    """The stage of a recorded campaign, and the keys of its statistics: those of the training part, `of_train` of them,
-    then those of the held-out part. `resolutions` (n,): the least difference that means anything in each.
-    `is_refitted`: the base model is fitted anew to the training part of every campaign; else all are measured by the
-    parameters that it has, which come from elsewhere.
+    """The stage of a recorded campaign with the keys of its statistics: `of_train` keys of the training part, then
+    those of the held-out part.
+
+    `resolutions` (n,): the least meaningful difference of each. `is_refitted`: the base model is fitted to the training
+    part of every campaign; otherwise all are measured with its own parameters, which come from elsewhere.
     """
 
     keys: tuple[Key, ...]
@@ -55,20 +56,22 @@ class Bench(Stage):
 
     @cached_property
     def held_out(self) -> Booleans:
-        """(n,) which keys are of the held-out part."""
+        """Which keys (n,) are of the held-out part."""
         return np.arange(len(self.keys)) >= self.of_train
 
     def columns(self, sensors: Collection[str], *, cross: bool) -> Indices:
-        """The places of these sensors' keys; `cross`: with what they have in common with others at rest."""
+        """The places of these sensors' keys; `cross`: including the statistics that sensors share at rest."""
         places = self._places(frozenset(sensors))
         return places if cross else places[~self._is_cross[places]]
 
     def own(self, unit: Collection[str]) -> Indices:
-        """The places of what a unit shows: of one sensor without what it shares with others, of several with it."""
+        """The places of the statistics of a unit: of one sensor without those that sensors share, of several
+        with them.
+        """
         return self.columns(unit, cross=len(unit) > 1)
 
     def among(self, unit: Collection[str], sensors: Collection[str]) -> Booleans:
-        """Which of the statistics of these sensors, as a replicate has them, are what a unit of them shows (`own`)."""
+        """Which of the statistics of these sensors, as a replicate has them, belong to a unit of them (`own`)."""
         return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
     def pairs(self, places: Indices | None = None) -> Pairs:
@@ -79,7 +82,7 @@ class Bench(Stage):
 
     @cached_property
     def _log_numbers(self) -> list[int]:
-        """Of each key: the first log of a kind of the one part belongs to the first of the other."""
+        """The log number of each key, such that the first logs of a kind in both parts have the same number."""
         numbers: dict[tuple[str, int], int] = {}
         parts: list[list[int]] = []
         for held_out in (False, True):
@@ -90,21 +93,21 @@ class Bench(Stage):
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
     def of_keys(self, chosen: Booleans) -> Bench:
-        """The bench of some of the statistics, (n,)."""
+        """The bench of some of the statistics (n,)."""
         keys = tuple(key for key, wanted in zip(self.keys, chosen.tolist(), strict=True) if wanted)
         of_train = int(np.count_nonzero(chosen[: self.of_train]))
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
 
     @cached_property
     def logs(self) -> Indices:
-        """(n,) the number of each key's log in the campaign; -1 of several logs."""
+        """Number (n,) of each key's log in the campaign; -1 for several logs."""
         numbers = [[at for at, own in enumerate(self.split.phases(out)) if own] for out in (False, True)]
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return np.array([numbers[out][key.log] if key.log >= 0 else -1 for key, out in sides], np.intp)
 
     @cached_property
     def log_kinds(self) -> tuple[str, ...]:
-        """(n,) the kind of the log of each key, "" of a statistic of several logs."""
+        """Kind (n,) of each key's log, "" for a statistic of several logs."""
         kinds = [
             [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
             for held_out in (False, True)
@@ -113,14 +116,14 @@ class Bench(Stage):
         return tuple(kinds[out][key.log] if key.log >= 0 else "" for key, out in sides)
 
     @cached_property
-    def alike(self) -> npt.NDArray[np.str_]:
-        """(n,) probe, axis and kind of log: keys that have these in common scatter alike."""
+    def scatter_group(self) -> npt.NDArray[np.str_]:
+        """Group (n,) of each key by probe, axis and kind of log: the statistics of a group have the same scatter."""
         pairs = zip(self.keys, self.log_kinds, strict=True)
         return np.array([f"{key.probe} {key.axis} {kind}" for key, kind in pairs])
 
     @cached_property
     def is_of_motion(self) -> Booleans:
-        """(n,) which keys tell how a sensor moves beside the others."""
+        """Which keys (n,) compare a sensor's motion with that of the others."""
         probes = [PROBES[key.probe] for key in self.keys]
         return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
 
@@ -134,7 +137,7 @@ class Bench(Stage):
 
     @cached_property
     def _is_cross(self) -> Booleans:
-        """Which keys tell, at rest, what sensors share; in motion all are simulated, since all feel it."""
+        """Which keys are shared by sensors at rest; in motion all sensors are simulated, since all feel it."""
         return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
 
     @cached_property
@@ -143,80 +146,82 @@ class Bench(Stage):
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
     def _places(self, sensors: frozenset[str]) -> Indices:
-        """Of all keys of these sensors, ascending."""
+        """The places of all keys of these sensors, ascending."""
         return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
     def replicate(
-        self, models: Models, number: int, *, held_out: bool = True, company: Models = MappingProxyType({})
+        self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> StatisticValues:
-        """Statistics of `simulated`, under the keys of these sensors (`columns`), by its own fit."""
-        (found,) = self.replicates([(models, number)], held_out=held_out, company=company)
-        return found
+        """Statistics of `simulated`, under the keys of these sensors (`columns`), with its own fit."""
+        (values,) = self.replicates([(models, number)], held_out=held_out, other_models=other_models)
+        return values
 
     def replicates(
-        self, asked: Sequence[ReplicateRequest], *, held_out: bool = True, company: Models = MappingProxyType({})
+        self, asked: Sequence[ReplicateRequest], *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> list[StatisticValues]:
-        """`replicate`, of several of the same sensors: faster than one after the other."""
-        campaigns = self.campaigns(asked, held_out=held_out, company=company)
+        """`replicate` for several replicates of the same sensors, which is faster than one after the other."""
+        campaigns = self.campaigns(asked, held_out=held_out, other_models=other_models)
         return self.each_measured(campaigns, asked[0][0], held_out=held_out)
 
     def observed(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
         """`measured`, with figures of use."""
-        (found,) = self.each_observed([campaign], sensors)
-        return found
+        (values,) = self.each_observed([campaign], sensors)
+        return values
 
     def each_observed(self, campaigns: Sequence[Campaign], sensors: Collection[str]) -> list[StatisticValues]:
         """`observed`, of several replicates."""
-        found = self.each_measured(campaigns, sensors)
-        bases = [replace(self.base, fitted=one.fitted) for one in found]
+        measured = self.each_measured(campaigns, sensors)
+        bases = [replace(self.base, fitted=values.fitted) for values in measured]
         uses = [
             uses_of(campaign, residual(campaign, self.motions, base))
             for campaign, base in zip(campaigns, bases, strict=True)
         ]
-        return [replace(one, uses=own) for one, own in zip(found, uses, strict=True)]
+        return [replace(values, uses=own) for values, own in zip(measured, uses, strict=True)]
 
     def measured(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
-        """Statistics of a campaign of these sensors that was looked at as the recorded one, nan where it has none."""
-        (found,) = self.each_measured([campaign], sensors)
-        return found
+        """Statistics of these sensors in a campaign that was summarised like the recorded one, nan where it has
+        none.
+        """
+        (values,) = self.each_measured([campaign], sensors)
+        return values
 
     def each_measured(
         self, campaigns: Sequence[Campaign], sensors: Collection[str], *, held_out: bool = True
     ) -> list[StatisticValues]:
         """`measured`, of several replicates."""
-        told = self._told(campaigns[0])
+        all_motions = self._known_motions(campaigns[0])
         sides = [self.split.train(campaign) for campaign in campaigns]
-        motions = [told[at] for at in sides[0].logs]
+        motions = [all_motions[at] for at in sides[0].logs]
         bases = [fit(side.campaign, motions) if self.is_refitted else self.base for side in sides]
         values = np.full((len(campaigns), len(self.keys)), np.nan)
         for part in (0, 1) if held_out else (0,):
             if part:
                 sides = [self.split.held_out(campaign) for campaign in campaigns]
-                motions = [told[at] for at in sides[0].logs]
+                motions = [all_motions[at] for at in sides[0].logs]
             self._put(values, replicated_statistics([side.campaign for side in sides], motions, bases, sensors), part)
         own = values[:, self._places(frozenset(sensors))]
-        return [StatisticValues(one, base.fitted) for one, base in zip(own, bases, strict=True)]
+        return [StatisticValues(row, base.fitted) for row, base in zip(own, bases, strict=True)]
 
-    def _told(self, campaign: Campaign) -> tuple[Motion, ...]:
-        """What the box did, as the sensors of a campaign can tell: attitudes that its accelerometers are to tell
-        together are taken as known where some of these are missing.
+    def _known_motions(self, campaign: Campaign) -> tuple[Motion, ...]:
+        """The motions as the sensors of a campaign can determine them: attitudes that all accelerometers estimate
+        together are taken as known if some of these are missing.
         """
         there = {name for log in campaign.logs for phase in log.phases for name in phase.sensors}
         needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
-        return self.motions if needed <= there else tuple(map(_known, self.motions))
+        return self.motions if needed <= there else tuple(map(_with_known_attitudes, self.motions))
 
-    def _put(self, values: Floats, found: ReplicateStatistics, part: int) -> None:
-        """Write statistics (r, m) of one part in their places (r, n); what is new in a simulation has none."""
+    def _put(self, values: Floats, statistics: ReplicateStatistics, part: int) -> None:
+        """Writes statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""
         own = slice(self.of_train, None) if part else slice(self.of_train)
-        if found.keys == self.keys[own]:
-            values[:, own] = found.values
+        if statistics.keys == self.keys[own]:
+            values[:, own] = statistics.values
             return
-        places = np.array([self._index[part].get(key, -1) for key in found.keys], np.intp)
+        places = np.array([self._index[part].get(key, -1) for key in statistics.keys], np.intp)
         known = places >= 0
-        values[:, places[known]] = found.values[:, known]
+        values[:, places[known]] = statistics.values[:, known]
 
 
-def _known(motion: Motion) -> Motion:
+def _with_known_attitudes(motion: Motion) -> Motion:
     """The motion with estimated attitudes taken as known."""
     if not isinstance(motion, Posed):
         return motion

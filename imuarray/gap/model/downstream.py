@@ -1,8 +1,8 @@
-"""What a gap means to who uses the sensors: errors of heading and velocity after coasting, of the fused array at rest,
-of force from face to face, and drift under heat.
+"""The effect of a gap on users of the sensors: errors of heading and velocity after coasting, of the fused array at
+rest, of force from face to face, and drift during heating.
 
-All from summaries, so that a campaign's rows are read once. A simulation that is looked at as the recording was has its
-figures under the same names.
+All figures come from summaries, so that a campaign's rows are read once; simulations have the same figures under the
+same names.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Uses = Mapping[tuple[str, str], tuple[float, str]]
 """Value and unit of each figure, by its name and sensor ("" for the array)."""
 
 TAUS_S = (60.0, 50.0, 40.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
-"""Coasting times; the longest is taken that the phases at rest can tell."""
+"""Coasting times; the longest is used that the phases at rest determine."""
 
 _TERMS = 12
 _LEAST_RATIO = 4.25
-"""A phase that lasts so many coasting times has Allan variances of up to twice the time, to interpolate between."""
+"""Least length of a phase in coasting times: it has Allan variances of up to twice the time, to interpolate between."""
 
 _LEAST_REPLICATES = 8
 _TINY = np.finfo(float).tiny
@@ -42,8 +42,8 @@ _UNITS = {"mg": "mg", "dps": "deg/s"}
 
 
 class Coasting(NamedTuple):
-    """Root mean square `error` (3,) of the integral of each axis, in `unit`: deg, or m/s of an accelerometer, when a
-    bias that was told from `tau_s` at rest is used for the next `tau_s`.
+    """Root mean square `error` (3,) of the integral of each axis after `tau_s`, in `unit` (deg, or m/s of an
+    accelerometer), with a bias that was calibrated at rest for the `tau_s` before.
     """
 
     tau_s: float
@@ -52,44 +52,46 @@ class Coasting(NamedTuple):
 
 
 def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
-    """Every figure that the campaign allows; `residual_campaign` is what its own fit leaves of it
+    """All figures of use that the campaign allows; `residual_campaign` is its residual after its own fit
     (`imuarray.gap.model.base_model.residual`).
 
-    Of each inertial sensor, as the root mean square over its axes: error after coasting, residual over faces or poses
-    (from two on, accelerometers only), peak to peak over a heating log. Of the array: fused rate and force at rest.
+    For each inertial sensor, as the root mean square over its axes: error after coasting, residual over faces or poses
+    (two or more, accelerometers only), peak to peak over a heating log. For the array: fused rate and force at rest.
     """
-    found: dict[tuple[str, str], tuple[float, str]] = {}
+    figures: dict[tuple[str, str], tuple[float, str]] = {}
     for sensor, header in headers_in(campaign).items():
         if header.quantity not in INERTIAL:
             continue
         coasted = coasting(campaign, sensor)
         if coasted is not None:
             what = _COASTING[header.quantity][0]
-            found[f"{what} error after coasting {coasted.tau_s:g} s", sensor] = (_rms(coasted.error), coasted.unit)
+            figures[f"{what} error after coasting {coasted.tau_s:g} s", sensor] = (_rms(coasted.error), coasted.unit)
         factor, unit = READABLE_SI[header.quantity]
         for name, value in _residuals(residual_campaign, sensor, header.quantity):
-            found[name, sensor] = (value * factor * SI_PER_UNIT[header.unit], _UNITS[unit])
+            figures[name, sensor] = (value * factor * SI_PER_UNIT[header.unit], _UNITS[unit])
     for quantity in INERTIAL:
         error = fused(campaign, quantity)
         if error is not None:
-            found[f"fused {_FUSED[quantity]} error at rest", ""] = (error, _UNITS[READABLE_SI[quantity][1]])
-    return {place: figure for place, figure in found.items() if np.isfinite(figure[0])}
+            figures[f"fused {_FUSED[quantity]} error at rest", ""] = (error, _UNITS[READABLE_SI[quantity][1]])
+    return {place: figure for place, figure in figures.items() if np.isfinite(figure[0])}
 
 
 def coasting(campaign: Campaign, sensor: str) -> Coasting | None:
-    """Error of an inertial sensor after coasting, exactly sqrt(2) tau sigma_A(tau): the integral of the readings less
-    the calibrated bias is the second difference of their running integral, whose mean square is 2 tau^2 sigma_A^2.
+    """Error of an inertial sensor after coasting, exactly sqrt(2) tau sigma_A(tau).
 
-    Allan variances at octaves of rows, pooled over the phases at rest by their terms, interpolated in log-log. None if
-    no phase is long enough for the least of `TAUS_S`.
+    The integral of the readings less the calibrated bias is the second difference of their running integral, whose mean
+    square is 2 tau^2 sigma_A^2. Allan variances at octaves of rows are pooled over the phases at rest by their terms
+    and interpolated in log-log. None if no phase is long enough for the least of `TAUS_S`.
     """
     phases = [phase for log in campaign.logs for phase in log.still(sensor) if phase.intervals.count]
     tau_s = _longest_s(phases)
-    known = [found for phase in phases if tau_s and (found := _allan_at(phase, tau_s)) is not None]
+    known = [allan for phase in phases if tau_s and (allan := _allan_at(phase, tau_s)) is not None]
     if not known:
         return None
     header = phases[0].header
-    variance = np.average([one for one, _ in known], axis=0, weights=[terms for _, terms in known])
+    variance = np.average(
+        [variance_of_phase for variance_of_phase, _ in known], axis=0, weights=[terms for _, terms in known]
+    )
     _, unit, factor = _COASTING[header.quantity]
     error = np.sqrt(2 * variance) * tau_s * SI_PER_UNIT[header.unit] * factor
     return Coasting(tau_s, np.asarray(error), unit)
@@ -97,7 +99,7 @@ def coasting(campaign: Campaign, sensor: str) -> Coasting | None:
 
 def fused(campaign: Campaign, quantity: str) -> float | None:
     """Root mean square over the box's axes, deg/s or mg, of the mean of all sensors of a quantity about its mean in
-    each phase at rest; windows are those of `imuarray.gap.statistics.cross`. None without such sensors beside others.
+    each phase at rest, by the windows of `imuarray.gap.statistics.cross`; None without at least two such sensors.
     """
     parts = [
         (_mean_square(phase.cross, quantity), phase.cross.windows)
@@ -108,28 +110,26 @@ def fused(campaign: Campaign, quantity: str) -> float | None:
     known = [(square, windows) for square, windows in parts if np.isfinite(square)]
     if not known:
         return None
-    return float(np.sqrt(np.average([one for one, _ in known], weights=[windows for _, windows in known])))
+    return float(np.sqrt(np.average([value for value, _ in known], weights=[windows for _, windows in known])))
 
 
 def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use, ...]:
-    """The figures of a recording beside those of its simulations before and after the causes were added.
+    """The figures of a recording with those of its simulations before and after the causes were added.
 
-    A simulated figure is the median of the replicates with their 95 % interval. The recorded one scatters about the
-    truth by the factor by which replicates scatter about their median: those `after` if they are 8, else those
-    `before`; nan if neither are.
+    A simulated figure is the median of the replicates with their 95 % interval. The interval of the recorded figure is
+    the scatter of the replicates about their median: of those `after` if they are 8, else of those `before`; nan if
+    neither are.
     """
-    found = []
+    table = []
     for (name, sensor), (value, unit) in real.items():
         first, second = (_values(replicates, (name, sensor)) for replicates in (before, after))
         scatter = second if len(second) >= _LEAST_REPLICATES else first
-        found.append(Use(name, sensor, unit, _recorded(value, scatter), _simulated(first), _simulated(second)))
-    return tuple(found)
+        table.append(Use(name, sensor, unit, _recorded(value, scatter), _simulated(first), _simulated(second)))
+    return tuple(table)
 
 
 def attitude_of(phase: Phase) -> str:
-    """What tells the attitude of a phase at rest from others: the axis that is up, or the name of a pose by hand; "" if
-    nothing does.
-    """
+    """The attitude of a phase at rest: the axis that is up, or the name of a pose by hand; "" if it is not known."""
     return phase.up or (phase.name if phase.name.startswith("pose ") else "")
 
 
@@ -138,7 +138,9 @@ def _rms(values: Floats) -> float:
 
 
 def _longest_s(phases: Sequence[Summary]) -> float:
-    """By how long the phases were, which simulations share, not by the rows that came; 0 if all are too short."""
+    """The longest coasting time that the phases allow, by their length (which simulations share) and not by the rows
+    received; 0 if all are too short.
+    """
     if not phases:
         return 0.0
     lasting_s = np.array([(phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases])
@@ -152,19 +154,19 @@ def _longest_s(phases: Sequence[Summary]) -> float:
 
 
 def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
-    """(3,) Allan variance in the sensor's unit squared and the terms behind it; None beyond what the phase tells."""
+    """Allan variance (3,) in the sensor's unit squared and its number of terms; None outside the phase's octaves."""
     variance, terms, _ = phase.allan
     known = np.flatnonzero(terms)
     octave = float(np.log2(tau_s / phase.intervals.mean_s))
     if len(known) == 0 or not known[0] <= octave <= known[-1]:
         return None
     logs = np.log(np.maximum(variance[known], _TINY))
-    found = np.exp([np.interp(octave, known, column) for column in logs.T])
-    return found / phase.header.sensitivity**2, float(np.interp(octave, known, terms[known]))
+    variance_lsb2 = np.exp([np.interp(octave, known, column) for column in logs.T])
+    return variance_lsb2 / phase.header.sensitivity**2, float(np.interp(octave, known, terms[known]))
 
 
 def _mean_square(cross: Cross, quantity: str) -> float:
-    """In deg^2/s^2 or mg^2, mean over the box's axes; nan without such a sensor."""
+    """Mean square in deg^2/s^2 or mg^2 over the box's axes; nan without such a sensor."""
     members = [sensor for sensor in cross.sensors if sensor.quantity == quantity]
     weights = np.zeros((3, cross.fast.shape[0]))
     for sensor in members:
@@ -176,7 +178,7 @@ def _mean_square(cross: Cross, quantity: str) -> float:
 
 
 def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple[str, float]]:
-    """Names and values, in the sensor's unit, of what the fit leaves of its level."""
+    """Names and values, in the sensor's unit, of the residual levels."""
     faces: dict[str, list[Floats]] = {}
     for log in campaign.logs:
         for phase in log.still(sensor):
@@ -192,7 +194,9 @@ def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple
 
 
 def _peak_to_peak(phases: Sequence[Summary]) -> Floats:
-    """(3,) of the means of well filled segments, each face about its own mean; the largest of the faces."""
+    """Peak to peak (3,) of the means of well filled segments, each face about its own mean; the largest of the
+    faces.
+    """
     faces: dict[str, list[Floats]] = {}
     for phase in phases:
         part = phase.segments
@@ -216,6 +220,6 @@ def _recorded(value: float, scatter: Floats) -> Figure:
     positive = scatter[scatter > 0]
     if len(positive) < _LEAST_REPLICATES:
         return Figure(value, float("nan"), float("nan"))
-    apart = np.log(positive)
-    low, high = np.quantile(apart - np.median(apart), (0.025, 0.975))
+    logs = np.log(positive)
+    low, high = np.quantile(logs - np.median(logs), (0.025, 0.975))
     return Figure(value, float(value * np.exp(-high)), float(value * np.exp(-low)))

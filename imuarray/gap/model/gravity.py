@@ -1,4 +1,4 @@
-"""Specific force in phases at rest whose attitude nobody noted, estimated from all accelerometers."""
+"""Specific force in phases at rest whose attitude is not noted, estimated from all accelerometers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from imuarray.simulate.motion.posed import Posed
 from imuarray.units import STANDARD_GRAVITY
 
 _INSTANTS = 64
-"""Of a phase whose force is known: a reference has noise."""
+"""Instants at which a known force is averaged: a reference has noise."""
 
 Forces = Mapping[tuple[int, int], Floats]
 """Estimated specific force (3,) in m/s2, box frame, by the number of the log and the start of the phase in it."""
 
 
 def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
-    """What is felt in the phases whose attitude is estimated, from all phases at rest of the campaign together."""
+    """Forces in the phases whose attitude is estimated, from all phases at rest of the campaign together."""
     rests = list(_rests(campaign, motions))
     if not any(rest.known is None for rest in rests):
         return {}
@@ -36,8 +36,10 @@ def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
     return _forces(rests, ups_of(array_mean(readings), known_g, noted_g).up_box)
 
 
-def forces_left(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
-    """The same where what each sensor adds to gravity is known: `less` is its mean (3,) without it, in its unit."""
+def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
+    """Forces in these phases by the sensors' known errors: `less` gives the mean (3,) of a sensor without them, in its
+    unit.
+    """
     rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
     if not rests:
         return {}
@@ -45,8 +47,8 @@ def forces_left(campaign: Campaign, motions: Sequence[Motion], less: Callable[[S
 
 
 class _Rest(NamedTuple):
-    """A phase at rest: where it is, its accelerometers by name, what is felt (3,) in g (None: not known), and what is
-    felt on the noted face if that is not tilted (nan: none is noted).
+    """A phase at rest: its place, its accelerometers by name, the force (3,) in g (None if not known), and the force on
+    the noted face if that is level (nan if none is noted).
     """
 
     place: tuple[int, int]
@@ -77,7 +79,7 @@ def _mean_force_g(motion: Motion, phase: Phase) -> Floats:
 
 
 def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], Floats]) -> Floats:
-    """(k, s, 3) in the box frame, nan where a sensor didn't read."""
+    """Mean readings (k, s, 3) in the box frame, nan where a sensor has none."""
     names = dict.fromkeys(name for phase in phases for name in phase)
     nothing = np.full(3, np.nan)
     rows = [
@@ -88,5 +90,5 @@ def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], F
 
 
 def _forces(rests: Sequence[_Rest], up_box: Floats) -> Forces:
-    found = zip(rests, up_box, strict=True)
-    return {rest.place: up * STANDARD_GRAVITY for rest, up in found if rest.known is None}
+    directions_up = zip(rests, up_box, strict=True)
+    return {rest.place: up * STANDARD_GRAVITY for rest, up in directions_up if rest.known is None}

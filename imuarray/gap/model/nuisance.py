@@ -1,7 +1,7 @@
-"""Nuisance quantities as a recording tells them, each beside the tolerance that the data sheet leaves to the part.
+"""Estimates of the nuisance quantities of a recording, with the tolerance that the data sheet allows each part.
 
-They explain no gap: the fit takes them out, or the replicates draw them. What lies beyond its tolerance says that a
-part is out of specification, which is another statement than that the simulator lacks an effect.
+They explain no gap: the fit removes them, or the replicates draw them. A value beyond its tolerance means that the part
+is out of specification, which is a different finding than an effect that the simulator lacks.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from imuarray.simulate.model import noise_bandwidth_hz
 
 
 class NuisanceEstimate(NamedTuple):
-    """One quantity of one sensor, on one `axis` ("" for the whole sensor, "xy" for axis x leaning towards y).
+    """Estimate of one quantity of one sensor, on one `axis` ("" for the whole sensor, "xy" for axis x tilted towards
+    y).
 
-    `value` and `tolerance` in `unit`, a tolerance of nan where the data sheet prints none; `source` says where that is
-    from.
+    `value` and `tolerance` in `unit`, a tolerance of nan where the data sheet prints none; `source` of the tolerance.
     """
 
     quantity: str
@@ -52,8 +52,8 @@ class NuisanceEstimate(NamedTuple):
 
 
 def nuisance_estimates(campaign: Campaign, base: Base, *, has_reference: bool) -> tuple[NuisanceEstimate, ...]:
-    """Of all sensors of a campaign to which `base` was fitted; zeros of chip thermometers only if the campaign
-    `has_reference` to compare them with.
+    """The nuisance quantities of all sensors of a campaign to which `base` was fitted; zeros of chip thermometers only
+    if the campaign `has_reference` temperature.
     """
     return tuple(
         estimate
@@ -98,7 +98,7 @@ def _response(header: SensorHeader, axis: str, along: str, value: float, toleran
 
 
 def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[NuisanceEstimate]:
-    """The zero of the chip's own thermometer beside the reference."""
+    """The zero of the chip's own thermometer against the reference."""
     converter, zero = thermometer_of(header), thermometer_zero_degc(_rests(campaign, header.name))
     if converter is not None and math.isfinite(zero):
         tolerance = thermometer_tolerance_degc(header)
@@ -106,8 +106,8 @@ def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[Nuisan
 
 
 def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
-    """What a chip's thermometer shows on average by its data sheet (BMA-64, L3G-60), less the reference; nan if it has
-    none.
+    """Mean temperature by a chip's thermometer and its data sheet (BMA-64, L3G-60) less the reference; nan
+    without one.
     """
     converter = thermometer_of(phases[0].header) if phases else None
     if converter is None:

@@ -1,8 +1,8 @@
-"""Nuisance quantities: what a data sheet leaves to the part, as populations to draw from and tolerances to stay within.
+"""Populations and tolerances of the nuisance quantities that a data sheet leaves to the part.
 
-The data sheets' figures where they print any, else what is usual for the kind of sensor. Every replicate of the base
-model draws its parts from these populations; a fitted quantity is compared with its tolerance (a pull). The designs of
-a repaired model are the same populations.
+The data sheets' figures where they print any, otherwise what is usual for the kind of sensor. Every replicate of the
+base model draws its parts from these populations; a fitted quantity is compared with its tolerance (a pull). A repaired
+model has the same populations.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 
 SCALE_SIGMA, ANGLE_SIGMA_DEG, G_SENSITIVITY_SIGMA = 0.01, 0.7, 0.01
-"""Population of sensors in an array. Of angles data sheets say how a die lies in its package (half a degree, BMA-119),
-and not how that was soldered and its board screwed on. The paper's gyroscopes changed by up to 0.038 dps over 2 g (its
-Table 4).
+"""Standard deviations of sensors in an array. Data sheets print the alignment of a die in its package (half a degree,
+BMA-119), but not that of soldering and mounting. The paper's gyroscopes changed by up to 0.038 dps over 2 g (its Table
+4).
 """
 
 TURN_ON_SHARE = 0.01
@@ -39,11 +39,11 @@ biases are 60 to 250 mg and, at 250 dps, 10 dps.
 """
 
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
-"""The same by unit, for chips whose data sheet is not known."""
+"""The largest usual scatter by unit, for chips whose data sheet is not known."""
 
 THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02, "gauss": 2e-3})
-"""Of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much); a magnetometer
-that lies still shows its scale's (0.3 % of half a gauss: HMC-57).
+"""Change of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much); a
+magnetometer at rest shows that of its scale (0.3 % of half a gauss: HMC-57).
 """
 
 CLOCK_SIGMA = 0.02
@@ -55,15 +55,15 @@ being standard; 300 m of height take 0.01 %.
 """
 
 CUTOFF_TOLERANCE = 0.5
-"""Relative. Few data sheets print how far the cutoff of a filter may be off, or its order; the paper's gyroscopes, set
-to 35 Hz, have the correlation of a first-order filter of 51 Hz.
+"""Relative tolerance. Few data sheets print a filter's order or the tolerance of its cutoff; the paper's gyroscopes,
+set to 35 Hz, have the correlation of a first-order filter of 51 Hz.
 """
 
 LEAST_CORRELATION = 0.02
-"""A filter that correlates rows less doesn't show."""
+"""Least correlation of rows that shows a filter."""
 
 TOLERANCE_SIGMAS = 3.0
-"""A tolerance is so many standard deviations of a population that has no printed limit."""
+"""Tolerance in standard deviations of a population without a printed limit."""
 
 USUAL: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -72,7 +72,7 @@ USUAL: Mapping[str, Recipe] = MappingProxyType(
         "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)},
     }
 )
-"""What sensors have beside the fitted, where there is no model."""
+"""Populations of the quantities that aren't fitted, for sensors without a model."""
 
 _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
     {
@@ -88,14 +88,14 @@ _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
         },
     }
 )
-"""The same, of sensors with these units."""
+"""Further populations for sensors with these units."""
 
 PRINTED = frozenset({"scale", "thermal_bias"})
-"""Kinds for which the data sheets' populations are taken where there are any."""
+"""Kinds for which the data sheets' populations are used where there are any."""
 
 
 def usual_model(headers: Iterable[SensorHeader]) -> Model:
-    """The designs of these sensors' chips, with nothing but what no fit tells."""
+    """The model of these sensors' chips with only the quantities that no fit determines."""
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
@@ -115,26 +115,26 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
 
 
 def printed_noise(header: SensorHeader) -> Triple | None:
-    """Standard deviation of readings along a sensor's axes as its data sheet has it, in its unit, at the bandwidth that
-    is set; None where the sheet says nothing, or nothing is known of the bandwidth.
+    """Standard deviation of readings along a sensor's axes by its data sheet, in its unit, at the configured bandwidth;
+    None where the data sheet prints none or the bandwidth is not known.
     """
     if noise_bandwidth_hz(header) <= 0:
         return None
     effects = _data_sheets().effects(header, Streams(0))
-    return next((one.rms for one in effects if isinstance(one, WhiteNoise)), None)
+    return next((effect.rms for effect in effects if isinstance(effect, WhiteNoise)), None)
 
 
 def own_unit(header: SensorHeader) -> str:
-    """What the part of a chip that we don't drive has to say of its unit."""
+    """The unit in the part of a chip that has no driver, "" for the others."""
     return "" if header.chip in TRIADS else header.unit
 
 
 def response_tolerance(header: SensorHeader) -> Floats:
-    """(3, 3) the largest response to specific force along each axis (column) that each axis (row) of a part may have.
+    """Largest response (3, 3) of each axis (row) of a part to specific force along each axis (column).
 
-    As `FittedParameters.response` counts it: of an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
-    BMA-76; and what local gravity is off, which a log at rest doesn't tell from it) and the sine of the misalignment
-    beside it, of a gyroscope the g-sensitivity; 0 of other sensors.
+    In the units of `FittedParameters.response`: for an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
+    BMA-76, plus the deviation of local gravity, which a log at rest cannot separate from it) and the sine of the
+    misalignment elsewhere, for a gyroscope the g-sensitivity; 0 for other sensors.
     """
     if header.unit == "dps":
         return np.full((3, 3), TOLERANCE_SIGMAS * G_SENSITIVITY_SIGMA)
@@ -145,13 +145,13 @@ def response_tolerance(header: SensorHeader) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """Whether it is a nuisance quantity that every such sensor has."""
+    """Whether an effect is a nuisance quantity that every such sensor has."""
     return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where nothing is known.
-    The bias that a data sheet allows depends on the range (L3G-70), and so does this.
+    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known. The
+    bias that a data sheet allows depends on the range (L3G-70), and so does this.
     """
     allowed = min(offset_tolerance(header))
     return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
@@ -191,7 +191,7 @@ def thermometer_tolerance_degc(header: SensorHeader) -> float:
 
 
 def _reach(header: SensorHeader, kind: str, key: str, usual: float, axis: int = 0) -> float:
-    """The furthest value that the data sheets' population allows, else the `usual` one."""
+    """The largest value that the data sheets' population allows, or the `usual` one."""
     parts = _data_sheets().parts(header)
     if kind not in parts:
         return usual
@@ -223,7 +223,7 @@ def _usual(header: SensorHeader) -> dict[str, Recipe]:
 
 
 def _turn_on(header: SensorHeader) -> Recipe:
-    """A scatter between none and the largest usual one, all nearly as likely; nothing where none is known."""
+    """A population of scatters between 0 and the largest usual one, nearly uniform; empty where it is not known."""
     half = turn_on_rms(header) / 2
     return {f"rms_{header.unit}": Spread(mean=half, sigma=half, limit=half)} if half else {}
 

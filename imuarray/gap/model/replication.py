@@ -1,6 +1,6 @@
-"""How a recorded campaign is simulated again, in part or whole, with its sensors as models have them.
+"""Replication of a recorded campaign, in part or whole, with its sensors simulated by models.
 
-A replicate is told by its number: the same number draws the same again, whatever models the sensors have.
+A replicate is identified by its number: the same number draws the same parts again, whatever models the sensors have.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
 
 @dataclass(frozen=True)
 class SensorModel:
-    """What one sensor has: the ordinary parameters, effects added to those of the base model, kinds taken out of it."""
+    """The model of one sensor: its ordinary parameters, effects added to those of the base model, and kinds of effect
+    removed.
+    """
 
     fitted: FittedParameters
     added: tuple[Effect, ...] = ()
@@ -45,27 +47,28 @@ ReplicateRequest = tuple[Models, int]
 """A replicate: its models and its number."""
 
 TOGETHER = 8
-"""So many replicates are simulated in one job, where there are many: what all have in common is done once, and there
-are enough jobs for many workers.
+"""Replicates that one job simulates if there are many: common work is done once, and there are enough jobs for many
+workers.
 """
 
 _JOB_ROWS = 10_000_000
-"""Fewer of long logs, up to so many rows of all sensors, some seconds' work: so workers end at about the same time, and
-who waits hears soon how fast it goes.
+"""Most rows of a job over all sensors, some seconds of work, so that workers end at about the same time and progress
+shows soon.
 """
 
 _ROWS = 8 * CHUNK
-"""Of a sensor in all replicates of a log that are in work together; of so many rows each, it keeps four chunks."""
+"""Rows of a sensor in all replicates of a log that are processed together; each replicate keeps four chunks."""
 
 _KEPT = 64
-"""Simulated sensors of logs in which the box moves: eight replicates of eight sensors."""
+"""Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What replicates of a campaign have in common: how its logs were looked at (`kinds`, `layouts` of every phase of
-    the split), how they are split, what happened in them, and the base model. Their boots are numbered from
-    `first_boot`: stages of one array with other numbers have the same units, and noise of their own.
+    """What replicates of a campaign have in common.
+
+    `kinds` of the logs and `layouts` of every phase of the split; the `split`, the `experiments` and the base model.
+    Boots are numbered from `first_boot`: stages of one array with other numbers have the same parts but other noise.
     """
 
     kinds: tuple[str, ...]
@@ -77,41 +80,42 @@ class Stage:
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """What the box did in each log."""
+        """The motion of the box in each log."""
         return tuple(experiment.motion for experiment in self.experiments)
 
     @property
     def together(self) -> int:
-        """How many replicates of all sensors one job simulates."""
+        """The number of replicates of all sensors that one job simulates."""
         rows = sum(line.rows for plan, _ in self.experiments for _, line in plan.sensors.values())
         return min(max(_JOB_ROWS // max(rows, 1), 1), TOGETHER)
 
     def models(self) -> dict[str, SensorModel]:
-        """Every sensor as the base model has it."""
+        """Every sensor with the model of the base model."""
         return {name: SensorModel(fitted) for name, fitted in self.base.fitted.items()}
 
     def simulated(
-        self, models: Models, number: int, *, held_out: bool = True, company: Models = MappingProxyType({})
+        self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> Campaign:
-        """Replicate `number` of these sensors: of all that is looked at, or (`held_out` False) the training part.
-        Sensors beside them are as `company` has them, or as the base model.
+        """Replicate `number` of these sensors: all phases that are used, or (`held_out` False) the training part.
+
+        Other sensors are simulated by `other_models`, or by the base model.
         """
-        (found,) = self.campaigns([(models, number)], held_out=held_out, company=company)
-        return found
+        (campaign,) = self.campaigns([(models, number)], held_out=held_out, other_models=other_models)
+        return campaign
 
     def campaigns(
         self,
         asked: Sequence[ReplicateRequest],
         *,
         held_out: bool = True,
-        company: Models = MappingProxyType({}),
+        other_models: Models = MappingProxyType({}),
         logs: Collection[int] | None = None,
     ) -> list[Campaign]:
-        """`simulated`, of several replicates of the same sensors, each with its models and its number; only these
+        """`simulated` for several replicates of the same sensors, each with its models and its number; only these
         `logs` (None: all), the others without phases.
         """
         chosen = range(len(self.kinds)) if logs is None else logs
-        effects = [self._effects({**company, **models}, number) for models, number in asked]
+        effects = [self._effects({**other_models, **models}, number) for models, number in asked]
         parts = [
             self._replicated(at, asked, effects, held_out) if at in chosen else [LogSummary(kind, ())] * len(asked)
             for at, kind in enumerate(self.kinds)
@@ -121,24 +125,24 @@ class Stage:
     def _replicated(
         self, log: int, asked: Sequence[ReplicateRequest], effects: Sequence[Effects], held_out: bool
     ) -> list[LogSummary]:
-        """One log in several replicates, as many at a time as memory is for."""
+        """One log in several replicates, as many at a time as memory allows."""
         kind, (plan, motion) = self.kinds[log], self.experiments[log]
         phases = self.split.phases(None if held_out else False)[log]
         rows = max((line.rows for _, line in plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
-        found: list[LogSummary] = []
+        summaries: list[LogSummary] = []
         for first in range(0, len(asked), at_once):
             some = slice(first, first + at_once)
             replicates = [
-                self._sources(log, *one, own, alone=not held_out)
-                for one, own in zip(asked[some], effects[some], strict=True)
+                self._sources(log, *request, own, alone=not held_out)
+                for request, own in zip(asked[some], effects[some], strict=True)
             ]
-            found += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
-        return found
+            summaries += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
+        return summaries
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
-        """One replicate of a log: these sensors, and where the box moves all others, as many models have in common.
-        `alone`: only parts of the log are wanted.
+        """One replicate of a log: these sensors, and if the box moves all others, which many models share. `alone`:
+        only parts of the log are needed.
         """
         plan, motion = self.experiments[log]
         wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
@@ -152,35 +156,35 @@ class Stage:
         return {
             name: array[name]
             if name in swapped
-            else (self._lone if name in models else self._company)(log, name, effects[name], seed, alone)
+            else (self._source if name in models else self._cached_source)(log, name, effects[name], seed, alone)
             for name in wanted
         }
 
     @cached_property
-    def _company(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
-        """`_lone`, the same one as long as it is kept."""
-        return lru_cache(maxsize=_KEPT)(self._lone)
+    def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
+        """`_source`, with a cache."""
+        return lru_cache(maxsize=_KEPT)(self._source)
 
-    def _lone(self, log: int, name: str, effects: tuple[Effect, ...], seed: int, alone: bool) -> Source:
-        """A sensor that needs no other."""
+    def _source(self, log: int, name: str, effects: tuple[Effect, ...], seed: int, alone: bool) -> Source:
+        """The simulation of a sensor that does not depend on others."""
         plan, motion = self.experiments[log]
         own = replace(plan, sensors={name: plan.sensors[name]})
         simulation = Simulation(own, motion, {name: effects}, seed=seed, boot=self.first_boot + log)
         return simulated_sources(simulation, alone=alone)[name]
 
     @cached_property
-    def _drawn(self) -> Callable[[int], Effects]:
-        """What isn't fitted, by the replicate's number."""
+    def _drawn_effects(self) -> Callable[[int], Effects]:
+        """The effects that aren't fitted, by the replicate's number."""
         return lru_cache(maxsize=_KEPT)(self.base.drawn)
 
     def _effects(self, models: Models, number: int) -> Effects:
-        """Of every sensor, those of the base model where nothing else is said."""
-        found = {}
-        for name, drawn in self._drawn(number).items():
+        """The effects of every sensor, those of the base model where no other model is given."""
+        effects = {}
+        for name, drawn in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
             kept = (effect for effect in (*drawn, *model.fitted.effects()) if effect.name not in model.removed)
-            found[name] = (*kept, *model.added)
-        return found
+            effects[name] = (*kept, *model.added)
+        return effects
 
     def _layouts(self, log: int, held_out: bool) -> tuple[Layout, ...]:
         share = self.split.shares[log]
@@ -190,9 +194,9 @@ class Stage:
 
     @cached_property
     def _moves(self) -> tuple[bool, ...]:
-        """In which logs the box moves while it is looked at."""
+        """In which logs the box moves in the phases that are used."""
         return tuple(not all(map(is_at_rest, share.phases)) for share in self.split.shares)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was worked out, and is again where it is wanted."""
+        """The fields without cached results, which are computed again where they are needed."""
         return {item.name: getattr(self, item.name) for item in fields(self)}

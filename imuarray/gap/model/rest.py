@@ -1,8 +1,9 @@
-"""What one sensor's phases at rest say of it: noise, offset, slope with temperature, response to specific force.
+"""Parameters of one sensor from its phases at rest: noise, offset, slope over temperature, response to specific force.
 
 Offset, slope and response are nuisance parameters: a data sheet leaves them to the part. Offset and slope are free. The
 response (scale error and misalignment of an accelerometer, g-sensitivity of a gyroscope) is profiled within the chip's
-tolerance: what lies within is no difference between simulator and recording, what lies beyond stays in the residuals.
+tolerance: the part within it is no difference between simulator and recording, the part beyond it stays in the
+residuals.
 """
 
 from __future__ import annotations
@@ -30,41 +31,43 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 Matrix = tuple[Triple, Triple, Triple]
 
 REFERENCE_DEGC = 25.0
-"""Biases hold here, as those of the data sheets do."""
+"""Temperature at which biases are given, as in data sheets."""
 
 _LEAST_ROWS = 4
-"""Segments of fewer rows say nothing of a variance."""
+"""Fewest rows of a segment whose variance is used."""
 
 _LEAST_DEGC = 3.0
-"""A smaller span of temperatures, all on one face in one log, says nothing of a slope: over minutes a bias wanders by
-as much as it follows a degree.
+"""Least span of temperatures, on one face in one log, that determines a slope: over minutes a bias wanders as much as
+it changes in a degree.
 """
 
 _ADDED, _LARGEST = 0.3, 64.0
-"""Share of a variance that has to be left if something was added to it; largest change of one that was scaled."""
+"""Least share of a variance that remains if something was added to it; largest factor by which one is scaled."""
 
 _PASSES = 4
-"""Rounds in which components of the response that reach their tolerance are held there while the others are fitted."""
+"""Passes of the active set, in which components of the response that reach their tolerance are fixed and the others
+fitted again.
+"""
 
 NO_RESPONSE = ((0.0, 0.0, 0.0),) * 3
 """The response of a part that follows its nominal axes and scale exactly."""
 
-_TOLD = 0.02
-"""Two variances so far apart, as a share of the larger one, tell what a simulation makes of a third."""
+_DISTINCT = 0.02
+"""Relative difference of two variances from which on their simulations determine a slope."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
 
 @dataclass(frozen=True)
 class FittedParameters:
-    """One sensor's parameters in its unit along its own axes: `rms` without that of rounding, `offset` at 25 degC,
-    `slope` per degC; all zero for one that never was at rest. `response`: what each axis (row) adds for each unit of
-    specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per g for others,
-    within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
-    differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter of so many
-    `poles` (infinite: it is white), which may be a digital one behind a converter that samples at `sampled_hz`.
-    `clock_error`: how much faster the chip's data clock runs than it should, a share, where rows that repeat the one
-    before tell it (nan: nothing does).
+    """Parameters of one sensor in its unit along its own axes; all zero for one that never was at rest.
+
+    `rms` without that of rounding, `offset` at 25 degC, `slope` per degC. `response`: the reading of each axis (row)
+    for each unit of specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per
+    g for others, within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether
+    temperatures differed enough. `cutoff_hz` and `poles` of the chip's own low-pass filter (infinite: white noise),
+    which may be a digital one after a converter that samples at `sampled_hz`. `clock_error`: relative error of the rate
+    of the chip's data clock, if repeated rows determine it (otherwise nan).
     """
 
     rms: Triple
@@ -79,27 +82,32 @@ class FittedParameters:
     clock_error: float = math.nan
 
     def effects(self) -> tuple[Effect, ...]:
-        """As the simulator has them."""
+        """The parameters as effects of the simulator."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if math.isfinite(self.cutoff_hz):
             noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
         return *noise, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
-    def moved(self, wanted: FittedParameters, came: Sequence[FittedParameters]) -> FittedParameters:
-        """These parameters, changed by what fits of their simulations, which `came`, lack on average of `wanted`.
+    def moved(self, target: FittedParameters, simulated: Sequence[FittedParameters]) -> FittedParameters:
+        """These parameters corrected by the mean difference between the `target` and the fits to their simulations
+        (`simulated`).
 
-        What is missing of the noise's variance is added, unless that leaves little or nothing of it: then the
-        simulation scales the noise, and it is scaled back. Offsets are taken to come out larger by as much as it does.
+        The difference of the noise variances is added, unless little or nothing would remain: then the simulation
+        scales the noise, which is scaled back. Offsets are assumed to scale with the noise.
         """
-        own, mean = np.square(self.rms), np.mean([np.square(one.rms) for one in came], axis=0)
+        own, mean = np.square(self.rms), np.mean([np.square(parameters.rms) for parameters in simulated], axis=0)
         gain = np.clip(np.divide(mean, own, out=np.ones(3), where=own > 0), 1 / _LARGEST, _LARGEST)
-        added = own + np.square(wanted.rms) - mean
-        ratio = np.divide(np.square(wanted.rms), mean, out=np.ones(3), where=mean > 0)
+        added = own + np.square(target.rms) - mean
+        ratio = np.divide(np.square(target.rms), mean, out=np.ones(3), where=mean > 0)
         is_added = added > _ADDED * own
         squares = np.where(is_added, added, own * np.clip(ratio, 1 / _LARGEST, _LARGEST))
         gain = np.where(is_added, 1.0, gain)
-        offset = np.subtract(wanted.offset, np.mean([one.offset for one in came], axis=0)) / np.sqrt(gain)
-        slope = np.subtract(wanted.slope, np.mean([one.slope for one in came], axis=0)) / np.sqrt(gain)
+        offset = np.subtract(target.offset, np.mean([parameters.offset for parameters in simulated], axis=0)) / np.sqrt(
+            gain
+        )
+        slope = np.subtract(target.slope, np.mean([parameters.slope for parameters in simulated], axis=0)) / np.sqrt(
+            gain
+        )
         return replace(
             self,
             rms=_triple(np.sqrt(np.maximum(squares, 0.0))),
@@ -109,70 +117,75 @@ class FittedParameters:
 
     def between(
         self,
-        wanted: FittedParameters,
-        came: Sequence[FittedParameters],
+        target: FittedParameters,
+        simulated: Sequence[FittedParameters],
         before: FittedParameters,
-        came_before: Sequence[FittedParameters],
+        simulated_before: Sequence[FittedParameters],
     ) -> FittedParameters:
-        """`moved` once more, the noise by a straight line through both simulations, of these parameters and of those
-        `before`: whatever the simulation adds to the noise's variance and scales it by.
+        """`moved` once more, with the noise by a secant through the simulations of these parameters and of those
+        `before`, whatever the simulation adds to the noise's variance or scales it by.
         """
         own, last = np.square(self.rms), np.square(before.rms)
-        mean, mean_before = (np.mean([np.square(one.rms) for one in some], axis=0) for some in (came, came_before))
-        told = np.abs(own - last) > _TOLD * np.maximum(own, last)
-        gain = np.divide(mean - mean_before, own - last, out=np.ones(3), where=told)
+        mean, mean_before = (
+            np.mean([np.square(parameters.rms) for parameters in some], axis=0)
+            for some in (simulated, simulated_before)
+        )
+        is_distinct = np.abs(own - last) > _DISTINCT * np.maximum(own, last)
+        gain = np.divide(mean - mean_before, own - last, out=np.ones(3), where=is_distinct)
         gain = np.clip(gain, 1 / _LARGEST, _LARGEST)
-        squares = np.maximum(own + (np.square(wanted.rms) - mean) / gain, own / _LARGEST**2)
-        found = self.moved(wanted, came)
-        return replace(found, rms=_triple(np.sqrt(np.where(told, squares, np.square(found.rms)))))
+        squares = np.maximum(own + (np.square(target.rms) - mean) / gain, own / _LARGEST**2)
+        parameters_moved = self.moved(target, simulated)
+        return replace(
+            parameters_moved, rms=_triple(np.sqrt(np.where(is_distinct, squares, np.square(parameters_moved.rms))))
+        )
 
     def noise(self, header: SensorHeader) -> Floats:
-        """(3,) standard deviation of readings, rounding included."""
+        """Standard deviation (3,) of readings, rounding included."""
         return np.asarray(np.sqrt(np.square(self.rms) + rounding_lsb2(header) / header.sensitivity**2))
 
     def predicted(self, summary: Summary, stimulus: Stimulus) -> Floats:
-        """(s, 3) reading of each segment, in the sensor's unit."""
+        """Predicted reading (s, 3) of each segment, in the sensor's unit."""
         return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
-    def felt_by(self, summary: Summary) -> Floats:
-        """(3,) mean specific force along an accelerometer's axes by these parameters, in its unit."""
+    def force_felt(self, summary: Summary) -> Floats:
+        """Mean specific force (3,) along an accelerometer's axes by these parameters, in its unit."""
         return self.by_response(self.unbiased(summary))
 
     def unbiased(self, summary: Summary) -> Floats:
-        """(3,) mean of the readings without offset and slope."""
+        """Mean (3,) of the readings without offset and slope."""
         part = summary.segments
         held = part.rows > 0
         levels = part.mean[held] / summary.header.sensitivity - self._biases(summary)[held]
         return np.asarray(np.average(levels, axis=0, weights=part.rows[held]))
 
     def by_response(self, readings: Floats) -> Floats:
-        """(3,) specific force of which an accelerometer without bias makes these readings."""
+        """Specific force (3,) for which an accelerometer without bias has these readings."""
         return np.asarray(np.linalg.solve(np.eye(3) + np.array(self.response), readings))
 
     def _biases(self, summary: Summary) -> Floats:
-        """(s, 3) offset and slope."""
+        """Bias (s, 3) by offset and slope."""
         warm = (summary.segments.temperature_degc - REFERENCE_DEGC)[:, None]
         return np.asarray(np.array(self.offset) + warm * np.array(self.slope))
 
 
 @dataclass(frozen=True)
 class Rest:
-    """The segments of one phase at rest that hold rows: (s,) rows, temperatures; (s, 3) readings less what is felt, in
-    the sensor's unit, and their variances in counts; `force` (3,) the mean specific force along the axes, as `Stimulus`
-    has it. Phases of one `group` are of one log and face, or pose.
+    """Segments of one phase at rest that have rows: `rows` and temperatures `degc` (s,), readings less the stimulus
+    `deviation` (s, 3) in the sensor's unit, and their variances in counts; `force` (3,) is the mean specific force
+    along the axes, as in `Stimulus`. Phases of one `group` are of one log and face, or pose.
     """
 
     group: tuple[int, str]
     rows: Integers
     degc: Floats
-    apart: Floats
+    deviation: Floats
     variance: Floats
     force: Floats
 
 
 class Stimulus(NamedTuple):
-    """(s, 3) along a sensor's nominal axes in each segment: what it measures (`felt`), in its unit, and the specific
-    `force`, in the unit of an accelerometer, in g for others.
+    """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`felt`) in its unit, and
+    the specific `force`, in the unit of an accelerometer, in g for others.
     """
 
     felt: Floats
@@ -180,10 +193,12 @@ class Stimulus(NamedTuple):
 
 
 def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus:
-    """What the nominal axes feel at the segments' mean times; the force is `force_box` (3,) in m/s^2, if given."""
+    """The stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2, if
+    given.
+    """
     kept: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
     if "felt" not in kept or kept["felt"][0] is not motion:
-        kept["felt"] = (motion, _felt(summary, motion))
+        kept["felt"] = (motion, _stimulus(summary, motion))
     known = kept["felt"][1]
     if force_box is None:
         return known
@@ -194,7 +209,7 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus
     return known._replace(force=along / STANDARD_GRAVITY)
 
 
-def _felt(summary: Summary, motion: Motion) -> Stimulus:
+def _stimulus(summary: Summary, motion: Motion) -> Stimulus:
     part, header = summary.segments, summary.header
     at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
     moment = motion.felt(at_ns)
@@ -211,16 +226,17 @@ def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
 
 
 def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
-    """What the phases of one sensor say: noise is the median of their segments' variances; slope that of the readings
-    less what is felt over temperature; offset and response explain the rest, faces weighted alike. `tolerance` (3, 3)
-    bounds the response. All zero without phases.
+    """Fits the parameters of one sensor to its phases; all zero without phases.
+
+    Noise is the median of the segments' variances; the slope that of the readings less the stimulus over temperature;
+    offset and response explain the rest, faces weighted equally. `tolerance` (3, 3) bounds the response.
     """
     if not phases:
         return FittedParameters(*((0.0, 0.0, 0.0),) * 3)
     slope = _slope(phases)
     faces: dict[str, list[tuple[Floats, Floats]]] = {}
     for phase in phases:
-        level = phase.apart - (phase.degc - REFERENCE_DEGC)[:, None] * (slope or (0.0, 0.0, 0.0))
+        level = phase.deviation - (phase.degc - REFERENCE_DEGC)[:, None] * (slope or (0.0, 0.0, 0.0))
         faces.setdefault(phase.group[1], []).append((np.average(level, axis=0, weights=phase.rows), phase.force))
     levels, forces = (
         np.array([np.mean([pair[at] for pair in pairs], axis=0) for pairs in faces.values()]) for at in (0, 1)
@@ -240,12 +256,12 @@ def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -
 
 
 def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats) -> tuple[Floats, Floats]:
-    """(3, 3) response to specific force without bounds, and within `tolerance` (3, 3), from levels (f, 3) on f faces
+    """Response (3, 3) to specific force without bounds, and within `tolerance` (3, 3), from levels (f, 3) on f faces
     whose forces are (f, 3).
 
-    Least squares about the faces' mean with a normal prior of the tolerance, by the `noise` (3,) of single readings: a
-    direction in which no two faces differ has no response. A component that reaches its tolerance is held there while
-    the others are fitted again (an active set).
+    Least squares about the faces' mean with a normal prior of the tolerance, by the `noise` (3,) of single readings:
+    the response is 0 in directions in which no two faces differ. A component that reaches its tolerance is fixed there
+    while the others are fitted again (an active set).
     """
     nothing = np.zeros((3, 3))
     if len(levels) < 2 or not tolerance.any():
@@ -255,12 +271,12 @@ def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats
     for axis in range(3):
         bound = tolerance[axis]
         normal = force.T @ force / noise[axis] ** 2
-        wanted = force.T @ level[:, axis] / noise[axis] ** 2
+        target = force.T @ level[:, axis] / noise[axis] ** 2
         free = bound > 0
         for number in range(_PASSES):
-            held = np.where(free, 0.0, bounded[axis])
+            fixed = np.where(free, 0.0, bounded[axis])
             prior = np.diag(1 / bound[free] ** 2)
-            solved = np.linalg.solve(normal[np.ix_(free, free)] + prior, (wanted - normal @ held)[free])
+            solved = np.linalg.solve(normal[np.ix_(free, free)] + prior, (target - normal @ fixed)[free])
             bounded[axis, free] = solved
             if number == 0:
                 raw[axis] = bounded[axis]
@@ -276,7 +292,7 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
     """Root of the median over segments of the variance, less step^2 / 12 of rounding (Sheppard's correction).
 
     The median of a variance of nu degrees of freedom is (1 - 2 / (9 nu))^3 of its mean (Wilson and Hilferty, PNAS 17,
-    1931); few glitches or jumps don't move it.
+    1931); it is not affected by a few glitches or jumps.
     """
     rows = np.concatenate([phase.rows for phase in phases])
     variance = np.concatenate([phase.variance for phase in phases])
@@ -289,22 +305,22 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
 
 
 def _slope(phases: Sequence[Rest]) -> Triple | None:
-    """Per degC; None where no face of a log was at temperatures that differ enough."""
+    """Slope of the bias per degC; None if the temperatures of no face of a log differ enough."""
     products, squares = np.zeros(3), 0.0
     for group in dict.fromkeys(phase.group for phase in phases):
         members = [phase for phase in phases if phase.group == group]
-        rows, degc, apart = (
-            np.concatenate([getattr(phase, name) for phase in members]) for name in ("rows", "degc", "apart")
+        rows, degc, deviation = (
+            np.concatenate([getattr(phase, name) for phase in members]) for name in ("rows", "degc", "deviation")
         )
         if np.ptp(degc) >= _LEAST_DEGC:
             warm = degc - np.average(degc, weights=rows)
-            products += (rows * warm) @ apart
+            products += (rows * warm) @ deviation
             squares += float(rows @ warm**2)
     return _triple(products / squares) if squares > 0 else None
 
 
 def rounding_lsb2(header: SensorHeader) -> float:
-    """Variance of rounding to the codes that come, step^2 / 12."""
+    """Variance of rounding to the codes that occur, step^2 / 12."""
     return code_span(header).step ** 2 / 12
 
 

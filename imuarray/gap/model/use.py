@@ -1,4 +1,4 @@
-"""Figures in units of use: what the gap means to who uses the sensors."""
+"""Figures of use: the effect of a gap on users of the sensors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure in units of use, with its 95 % interval."""
+    """A figure with its 95 % interval."""
 
     value: float
     low: float
@@ -16,8 +16,8 @@ class Figure:
 
 @dataclass(frozen=True)
 class Use:
-    """What the gap means to who uses the sensor (or, `sensor` "", the array): `name` such as "heading error after
-    coasting 60 s" in `unit`; of the recording, of simulations before and after the causes were added.
+    """A figure of use of a sensor, or of the array (`sensor` ""): `name` such as "heading error after coasting 60 s",
+    in `unit`; in the recording and in simulations before and after the causes were added.
     """
 
     name: str

@@ -1,11 +1,11 @@
-"""The same job for many items, side by side: in threads, in processes, or on other machines.
+"""Parallel execution of one job for many items: in threads, in processes, or on other machines.
 
-A job's fixed part (what was recorded, what it is compared with) is large beside an item, which is a number. It goes to
-a process with every item as bytes, which are read only by a process that doesn't have it yet: whatever a process opened
-or worked out for the first item serves for the others.
+A job's fixed part (the recording and its model) is large compared with an item, which is a number. It is sent with
+every item as bytes, which a process decodes only if it does not have the job yet: files opened or results computed for
+the first item serve for the others.
 
-Matrices are small here: threads of the linear algebra library (BLAS) would wake for nothing, and where several
-processes each have as many as there are cores, wait for each other. Processes started here have one thread each.
+Matrices are small here: threads of the linear algebra library (BLAS) would gain nothing, and several processes with a
+thread for each core would wait for each other. Processes started here have one thread each.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ Bar = Callable[[int], AbstractContextManager[Callable[[int], None]]]
 _ONE_THREAD: Mapping[str, str] = MappingProxyType(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
 )
-"""Read by the usual libraries when numpy is imported, and never again: a process has to be born with them."""
+"""Variables that the usual libraries read once, when numpy is imported: a process has to start with them."""
 
 _STARTING = Lock()
 _LOOK_S = 2.0
 
 _LATEST: dict[str, Callable[[Any], Any]] = {}
-"""The job that came to this process last, by its name."""
+"""The last job that this process received, by its name."""
 
 
 def processes(workers: int) -> Pool:
-    """So many processes for `runner`, started when they are needed, with one BLAS thread each; a context manager.
+    """A pool of processes for `runner`, started on demand, with one BLAS thread each; a context manager.
 
-    Each imports the program's main module anew (start method "spawn"), which may do nothing then but define things.
-    Whatever raises an exception in the manager's block, KeyboardInterrupt too, ends them at once; they take no notice
-    of Ctrl-C themselves. ValueError for fewer than one.
+    Each imports the program's main module anew (start method "spawn"), which must only define things then. An exception
+    in the manager's block, KeyboardInterrupt too, ends them at once; they ignore Ctrl-C themselves. ValueError for
+    fewer than one.
     """
     return Pool(workers, _Context(), _watch, (os.getpid(),))
 
@@ -60,7 +60,7 @@ class Pool(ProcessPoolExecutor):
             self.terminate()
 
     def terminate(self) -> None:
-        """End all processes, whatever they work on, and wait until they are gone; their futures fail."""
+        """Ends all processes, whatever they work on, and waits for them; their futures fail."""
         started = list((self._processes or {}).values())
         manager: Any = self._executor_manager_thread
         self.shutdown(wait=False, cancel_futures=True)
@@ -73,7 +73,7 @@ class Pool(ProcessPoolExecutor):
 
 
 def _watch(parent: int) -> None:
-    """A process ends when the one that started it is gone: nobody would take its results."""
+    """Ends a process when its parent is gone, as nobody would receive its results."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -87,41 +87,43 @@ def _watch(parent: int) -> None:
 
 
 class Run(Protocol):
-    """Calls a function of something fixed and one item for each item, maybe side by side."""
+    """Calls a function of something fixed and one item for each item, possibly in parallel."""
 
     def __call__(self, job: Callable[[Any, Any], Any], items: Sequence[Any]) -> list[Any]:
         """The results, in the items' order."""
 
 
 def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
-    """A bar that nobody sees."""
+    """A progress bar that shows nothing."""
     return nullcontext(lambda done: None)
 
 
 def runner(fixed: object, executor: Executor | None = None, bar: Bar = no_bar) -> Run:
-    """What calls functions of modules with `fixed`, which every process gets once, and one item after the other; the
-    results in the items' order. `bar` makes, for a number of items, what is told how many are done.
+    """A caller of module functions with `fixed`, which every process receives once, and one item after the other.
+
+    Results come in the items' order. `bar` makes, for a number of items, a function that is called with the number
+    done.
     """
-    sent = _Sent(partial(_applied, fixed))
+    sent = _Job(partial(_apply, fixed))
 
     def call(job: Callable[[Any, Any], Any], items: Sequence[Any]) -> list[Any]:
-        asked = [(job, item) for item in items]
-        found = []
-        with bar(len(asked)) as tell:
-            for result in map(sent, asked) if executor is None else executor.map(sent, asked):
-                found.append(result)
-                tell(len(found))
-        return found
+        requests = [(job, item) for item in items]
+        results = []
+        with bar(len(requests)) as show_done:
+            for result in map(sent, requests) if executor is None else executor.map(sent, requests):
+                results.append(result)
+                show_done(len(results))
+        return results
 
     return call
 
 
-def _applied(fixed: Any, asked: tuple[Callable[[Any, Any], Any], Any]) -> Any:
-    job, item = asked
+def _apply(fixed: Any, request: tuple[Callable[[Any, Any], Any], Any]) -> Any:
+    job, item = request
     return job(fixed, item)
 
 
-class _Sent(Generic[Item, Result]):
+class _Job(Generic[Item, Result]):
     """A job that a process keeps."""
 
     def __init__(self, job: Callable[[Item], Result]) -> None:
@@ -131,15 +133,15 @@ class _Sent(Generic[Item, Result]):
         return self._job(item)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, bytes]]:
-        return _kept, (self._name, self._packed)
+        return _unpacked, (self._name, self._packed)
 
     @cached_property
     def _packed(self) -> bytes:
         return bytes(ForkingPickler.dumps(self._job))
 
 
-def _kept(name: str, packed: bytes) -> Callable[[Any], Any]:
-    """The job of this name as it came first; nothing of the ones before it is kept."""
+def _unpacked(name: str, packed: bytes) -> Callable[[Any], Any]:
+    """The job of this name as first received; earlier jobs are dropped."""
     if name not in _LATEST:
         _LATEST.clear()
         _LATEST[name] = ForkingPickler.loads(packed)
@@ -155,7 +157,7 @@ class _Process(SpawnProcess):
 
 
 class _Context(SpawnContext):
-    """Makes such processes."""
+    """A spawn context whose processes are `_Process`."""
 
     Process = _Process
 

@@ -33,8 +33,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
     odd = evidence.is_odd(*(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
     for other in evidence.others:
-        alike = odd and _lies_along(evidence, other, other.sensitivity / evidence.header.sensitivity)
-        if other.name in twins or alike:
+        is_rescaled = odd and _lies_along(evidence, other, other.sensitivity / evidence.header.sensitivity)
+        if other.name in twins or is_rescaled:
             yield Hypothesis((ChannelSwap(other.name),), shared=True, sensor=evidence.header.name, others=(other.name,))
         if odd and other.name not in twins and other.chip == evidence.header.chip and _lies_along(evidence, other):
             yield _crossed(evidence.header.name, other.name)

@@ -61,9 +61,11 @@ def pooled(spectra: Sequence[Spectrum]) -> Spectrum | None:
     if not known:
         return None
     rows = max(one.segment_rows for one in known)
-    alike = [one for one in known if one.segment_rows == rows]
-    density = np.average([one.density for one in alike], axis=0, weights=[one.segments for one in alike])
-    freedom = np.sum([one.freedom for one in alike], axis=0)
-    first = alike[0]
-    runs = (first.rate_hz, rows, sum(one.segments for one in alike), sum(one.runs for one in alike))
-    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(one.rows for one in alike), 0)
+    same_length = [one for one in known if one.segment_rows == rows]
+    density = np.average(
+        [one.density for one in same_length], axis=0, weights=[one.segments for one in same_length]
+    )
+    freedom = np.sum([one.freedom for one in same_length], axis=0)
+    first = same_length[0]
+    runs = (first.rate_hz, rows, sum(one.segments for one in same_length), sum(one.runs for one in same_length))
+    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(one.rows for one in same_length), 0)

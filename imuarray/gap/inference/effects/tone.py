@@ -213,8 +213,8 @@ def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
     multiples = [number * hertz for number in range(1, most + 1) for hertz in MAINS_HZ]
     if any(abs(hertz - seen_hz) < bin_hz for hertz in multiples):
         return seen_hz
-    alike = [hertz for hertz in multiples if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]
-    return alike[0] if alike else seen_hz
+    candidates_hz = [hertz for hertz in multiples if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]
+    return candidates_hz[0] if candidates_hz else seen_hz
 
 
 TONE = Candidate(
