@@ -18,12 +18,12 @@ from imuarray.errors import ConfigError
 from imuarray.gap.findings.causes import causes_of, judged_of
 from imuarray.gap.findings.closure import deviating, deviating_in_either, floor_of, gap_of
 from imuarray.gap.findings.description import (
-    NOTHING_LEFT,
+    NO_REMAINDER,
     Remainder,
-    changes_alike,
-    lines_left,
     lines_shown,
     remainder_of,
+    shared_changes,
+    unexplained_lines,
 )
 from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
 from imuarray.gap.findings.diagnosis import (
@@ -70,25 +70,26 @@ LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
 
 Progress = Callable[[str], None]
-"""Hears the name of each stage as it begins."""
+"""Receives the name of each stage as it begins."""
 
 REPLICATES = 64
-"""Of the base model at most: they say how statistics scatter, to 9 %, and how far chance goes; a p-value is 1/65 or
-more. Fewer are simulated of a recording that is well within it (`imuarray.gap.inference.comparison.ENOUGH`).
-VALIDATION.md says what 40 do.
+"""Most replicates of the base model. They determine the scatter of statistics to 9 %, and a p-value is 1/65 or more.
+Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`).
+VALIDATION.md has the results with 40.
 """
 
 REPAIRED = 32
-"""Replicates of the model with its causes in."""
+"""Replicates of the model with its causes."""
 
 _FIRST_REPAIRED = 2_000_000
 
 
 @dataclass(frozen=True)
 class GapCase:
-    """What is diagnosed: the recordings, compared with the base model or with `earlier` recordings; the same
-    comparison with the faces `as_noted`, if some were noted wrongly (`wrong_labels`); the model, the seed, and what
-    calls functions of the bench. `missing`: what could not be compared.
+    """The recordings under diagnosis and their comparison with the base model or with `earlier` recordings.
+
+    `as_noted` is the same comparison with the noted faces, if some were wrong (`wrong_labels`); the model, the seed,
+    and the runner of the bench's functions; `missing`: what could not be compared.
     """
 
     recordings: Sequence[Recording]
@@ -108,17 +109,17 @@ class GapCase:
 
     @property
     def headers(self) -> Mapping[str, SensorHeader]:
-        """What is known of each sensor."""
+        """The headers of the sensors, by name."""
         return self.comparison.bench.base.headers
 
     @property
     def is_gap(self) -> bool:
-        """Whether the recordings as they were noted differ by more than chance."""
+        """Whether the recordings as noted differ by more than chance."""
         return self.as_noted.located.is_gap
 
     @property
     def model_name(self) -> str:
-        """What the recordings are compared with."""
+        """The name of what the recordings are compared with."""
         name = self.model.name if self.model else "data sheets"
         before = ", ".join(recording.name for recording in self.earlier)
         return f"{name}, fitted to {before}" if before else name
@@ -126,8 +127,8 @@ class GapCase:
 
 @dataclass(frozen=True)
 class Verification:
-    """The recordings beside the model with all causes in: statistics of its replicates (those of the base model where
-    there are no causes), and what they make of the recordings.
+    """The recordings compared with the model with all causes: statistics of its replicates (those of the base model if
+    there are no causes), and the assessment by them.
     """
 
     replicates: Sequence[StatisticValues]
@@ -135,7 +136,7 @@ class Verification:
 
     @property
     def values(self) -> Floats:
-        """(b, n) the replicates' statistics."""
+        """Statistics (b, n) of the replicates."""
         return np.array([replicate.values for replicate in self.replicates])
 
 
@@ -202,15 +203,15 @@ def compare(
     replicates: int = REPLICATES,
     progress: Progress = lambda stage: None,
 ) -> GapCase:
-    """Where recordings differ from the base model, or from `earlier` recordings: the part of `diagnose` that needs no
-    library of causes. `run_on` gives, for a bench, what calls its functions (`imuarray.gap.model.workers.runner`).
+    """Compares recordings with the base model, or with `earlier` recordings: the part of `diagnose` that needs no
+    library of causes. `run_on` makes, for a bench, the runner of its functions (`imuarray.gap.model.workers.runner`).
     """
     progress("reading the recordings")
     case = _compared(recordings, run_on, model, earlier, seed, replicates, progress)
     wrong_labels = mislabelled(recordings, case.comparison.campaign)
     if not wrong_labels:
         return case
-    progress("once more, with faces as they lay")
+    progress("comparing again with corrected faces")
     again = _compared(corrected(recordings, wrong_labels), run_on, model, earlier, seed, replicates, progress)
     is_same = case.comparison.pairs.keys == again.comparison.pairs.keys
     as_noted = case.comparison if is_same else again.comparison
@@ -225,9 +226,10 @@ def explain(
     *,
     briefly: bool = False,
 ) -> Diagnosis:
-    """The rest of `diagnose`: the search for causes among `candidates`, their verification, and the findings. `known`:
-    sensors that are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without curves and
-    without what to record next, for which more is simulated.
+    """Searches the causes among `candidates`, verifies them and makes the findings: the rest of `diagnose`.
+
+    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without
+    curves and next experiment, for which more is simulated.
     """
     search = _search(case, candidates, progress, known)
     progress("simulating the repaired model")
@@ -238,14 +240,14 @@ def explain(
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
-    """The candidates but those left out; ConfigError for one that isn't among them."""
+    """The candidates except those left out; ConfigError for one that isn't among them."""
     if unknown := sorted(set(without) - set(CANDIDATES)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}")
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
 def _opened(logs: Iterable[LogLike], stack: ExitStack) -> list[Log]:
-    """The logs, each once; those that are opened here are closed with the stack."""
+    """The logs, each once; those opened here are closed with the stack."""
     distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
     return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in distinct]
 
@@ -253,7 +255,7 @@ def _opened(logs: Iterable[LogLike], stack: ExitStack) -> list[Log]:
 def _read(
     logs: Sequence[Log], against: Sequence[Log], only: Collection[str]
 ) -> tuple[Sequence[Recording], Sequence[Recording]]:
-    """The recordings and the earlier ones, both of the sensors that both have, and in pieces of one length."""
+    """The recordings and the earlier ones, with the sensors that both have, cut to pieces of one length."""
     recordings = recordings_of(logs, only)
     if not against:
         return recordings, ()
@@ -281,10 +283,10 @@ def _compared(
     replicates: int,
     progress: Progress,
 ) -> GapCase:
-    """The recordings with the faces that are noted in them, beside the base model or beside earlier recordings."""
+    """Compares the recordings, with their noted faces, with the base model or with earlier recordings."""
     bench, campaign = prepared(recordings, model, seed, earlier)
-    said = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
-    domains = [key.domain for key in bench.of_keys(said).keys]
+    has_value = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
+    domains = [key.domain for key in bench.of_keys(has_value).keys]
     missing, before = missing_in(recordings, domains), None
     if earlier:
         progress("simulating the earlier recordings")
@@ -297,7 +299,7 @@ def _compared(
 
 
 def _without_counterpart(domains: Sequence[str], bench: Bench) -> tuple[str, ...]:
-    """The domains of which the new recordings tell and the earlier ones don't, in phrases."""
+    """The domains of which only the new recordings have statistics, in phrases."""
     known = {key.domain for key in bench.keys}
     lost = [domain for domain in dict.fromkeys(domains) if domain not in known]
     return tuple(f"no statistic of {domain.replace('_', ' ')} in the earlier recordings" for domain in lost)
@@ -314,7 +316,7 @@ def _search(
 
 
 def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Verification:
-    """The recordings beside the model with the causes in."""
+    """Compares the recordings with the model with its causes."""
     comparison = case.comparison
     if not causes:
         return Verification(comparison.replicates, comparison.judged)
@@ -336,7 +338,7 @@ def _report(
     verification: Verification,
     briefly: bool,
 ) -> Diagnosis:
-    """All findings: what is left first, since the verdict and the causes depend on it."""
+    """All findings; the remainder comes first, since the verdict and the causes depend on it."""
     comparison, bench = case.comparison, case.comparison.bench
     report = StatisticReport(bench, comparison.campaign, comparison.pairs, case.names)
     suspected = (*map(cause_of, case.wrong_labels), *sensor_causes)
@@ -383,8 +385,8 @@ def _report(
 
 
 def _judge(case: GapCase, verification: Verification, remainder: Remainder, suspected: Sequence[Cause]) -> Judgement:
-    """The verdict on the suspected causes, and the gap that they close on the held-out part, or where single parts
-    don't show them on both.
+    """Judges the suspected causes, with the gap that they close on the held-out part, or on both if single parts don't
+    show them.
     """
     pairs, before, after = case.comparison.pairs, case.as_noted.judged, verification.after
     if needs_both_parts(suspected):
@@ -394,21 +396,21 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
     gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
     unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
     return judge(
-        gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely, is_left=bool(remainder.sizes)
+        gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely, has_remainder=bool(remainder.sizes)
     )
 
 
 def _remainder(
     case: GapCase, verification: Verification, suspected: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
-    """What the suspected causes leave."""
+    """The remainder with the suspected causes in the model."""
     if not case.is_gap:
-        return NOTHING_LEFT
+        return NO_REMAINDER
     return remainder_of(case.comparison, verification.after, verification.values, suspected, report)
 
 
 def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
-    """Where the recordings as they were noted differ, the worst first."""
+    """The statistics in which the recordings as noted differ, the worst first."""
     noted = case.as_noted
     if noted is not case.comparison:
         report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
@@ -418,7 +420,9 @@ def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
 def _unobservable(
     case: GapCase, candidates: Mapping[str, Candidate], suspected: Sequence[Cause], report: StatisticReport
 ) -> tuple[Unobservable, ...]:
-    """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
+    """Candidates other than the causes that the recordings can't show; without a gap, also those that are not
+    excluded.
+    """
     comparison, named = case.comparison, {cause.effect for cause in suspected}
     others = {name: candidate for name, candidate in candidates.items() if name not in named}
     hidden = unobservable_effects(set(comparison.bench.kinds), facts_of(comparison.campaign), others, case.headers)
@@ -442,12 +446,12 @@ def _notes(
     sensor_causes: Sequence[Cause],
     shared: Sequence[SharedSignal],
 ) -> tuple[str, ...]:
-    """Lines of the spectrum that are left, and all that there are; changes of bias from log to log that units of a chip
-    share; what the box felt; what was assumed of each recording.
+    """Notes on unexplained and on all lines of the spectrum, on bias changes that units of a chip share, on what the
+    box felt, and on assumptions about each recording.
     """
     comparison, bench = case.comparison, case.comparison.bench
-    lines = lines_left(comparison.campaign, unexplained, case.names)
-    changes = changes_alike(bench.keys, comparison.real.values, bench.held_out.tolist(), case.headers)
+    lines = unexplained_lines(comparison.campaign, unexplained, case.names)
+    changes = shared_changes(bench.keys, comparison.real.values, bench.held_out.tolist(), case.headers)
     return (
         *lines,
         *(changes if case.is_gap else ()),
@@ -459,7 +463,7 @@ def _notes(
 
 
 def _pulls(case: GapCase) -> tuple[Pull, ...]:
-    """Nuisance quantities of all sensors whose tolerance is known, as the part that was fitted to tells them."""
+    """Nuisance quantities of all sensors with a known tolerance, as fitted to the training part."""
     comparison = case.comparison
     train = comparison.bench.split.train(comparison.campaign)
     has_reference = all(recording.has_reference_temperature for recording in case.recordings)
@@ -476,7 +480,7 @@ def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tu
 
 
 def _summary(recording: Recording) -> RecordingSummary:
-    """How long it is, and of what."""
+    """The length and content of a recording."""
     sensors = _sensors(recording)
     seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in recording.phases)
     rows = sum(len(recording.log[name]) for name in sensors)

@@ -149,7 +149,7 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
     words = "There is no gap to close."
     if gap.closed is not None:
         data = (
-            "data that told of it"
+            "data that showed it"
             if needs_both_parts(diagnosis.causes)
             else "held-out data, to which nothing was fitted"
         )

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imuarray.errors import MissingExtraError
-from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Judged, Map, Overlay, Pull, Unobservable, Where
+from imuarray.gap.findings.diagnosis import (
+    CandidateEvaluation,
+    Cause,
+    Diagnosis,
+    Gap,
+    Map,
+    Overlay,
+    Pull,
+    Unobservable,
+    Where,
+)
 from imuarray.gap.findings.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
 from imuarray.gap.model.use import Figure, Use
 from imuarray.report.gap_figures import outside
@@ -42,7 +52,7 @@ def causes_table(causes: Sequence[Cause]) -> Table:
             _parameters(cause),
             closed_text(cause.closed, cause.closed_ci95),
             ", ".join(cause.confusable_with) or NOTHING,
-            f"{cause.origin}, told by both parts" if cause.needs_both else cause.origin,
+            f"{cause.origin}, detected on both parts together" if cause.needs_both else cause.origin,
         ]
         for cause in causes
     ]
@@ -66,7 +76,7 @@ def shrink_table(gap: Gap) -> Table:
     rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
     for domain, (before, after, closed) in gap.domains.items():
         rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
-    caption = f"Rms score; {number(gap.floor)} where nothing is wrong."
+    caption = f"Rms score; {number(gap.floor)} without a gap."
     return Table(["domain", "before", "after", "closed"], rows, caption)
 
 
@@ -140,7 +150,7 @@ def missing_table(missing: Sequence[str]) -> Table:
     return Table(["", "missing"], [[str(place), phrase] for place, phrase in enumerate(missing, 1)], "Missing.", (1,))
 
 
-def judged_table(judged: Sequence[Judged]) -> Table:
+def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
     """Candidates, accepted ones first, then by gain; placebos are marked as such."""
     ranked = sorted(judged, key=lambda one: (not one.is_accepted, -(one.gain if one.gain is not None else -1e300)))
     rows = [

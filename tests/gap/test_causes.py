@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.findings.causes import TEMPER, causes_of, judged_of, probabilities
-from imuarray.gap.findings.diagnosis import Cause, Judged
+from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause
 from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import COST, Evaluation, Round
@@ -292,8 +292,8 @@ def test_everything_that_was_confirmed_is_told_with_its_placebo(bench: Bench) ->
     found = [confirmed(bench, "G1", LINE, 9.0), confirmed(bench, "G1", Hypothesis((), removed="scale"), 1.0)]
     judged = judged_of({("G1",): [round_of(bench, "G1", *found)]})
     assert judged[:2] == (
-        Judged("tone", "add", ("G1",), 18.0, 9.0, True),
-        Judged("scale", "remove", ("G1",), 2.0, 1.0, False),
+        CandidateEvaluation("tone", "add", ("G1",), 18.0, 9.0, True),
+        CandidateEvaluation("scale", "remove", ("G1",), 2.0, 1.0, False),
     )
     assert (judged[2].effect, judged[2].gain, judged[2].is_accepted) == ("", -1.0, False)
 

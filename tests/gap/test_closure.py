@@ -40,7 +40,7 @@ def counted(domains: list[str], before: list[float], after: list[float]) -> Devi
 
 def test_the_share_of_the_excess() -> None:
     """Squares 25 and 1 (chance): excess 24; 13 after, excess 12: half is closed."""
-    found = counted(["level"], [5.0], [13**0.5]).shrunk(0)
+    found = counted(["level"], [5.0], [13**0.5]).closure(0)
     assert found.before == pytest.approx(5.0)
     assert found.after == pytest.approx(13**0.5)
     assert found.closed == pytest.approx(0.5)
@@ -55,14 +55,14 @@ def test_domains_weigh_alike(count: int, one: float, one_after: float, other: fl
     """However many statistics a domain has: the mean over domains of their mean squares. No more than all is closed."""
     found = counted(["level"] * count + ["spectrum"], [one] * count + [-other], [one_after] * count + [-other_after])
     before, after = (one**2 + other**2) / 2, (one_after**2 + other_after**2) / 2
-    shrunk = found.shrunk(1)
+    shrunk = found.closure(1)
     assert shrunk.before == pytest.approx(before**0.5)
     assert shrunk.after == pytest.approx(
         after**0.5, abs=1e-7
     )  # 1 is taken from the square and added: root of its rounding
     assert shrunk.closed == pytest.approx(min(1 - (after - 1) / (before - 1), 1.0))
     assert found.domains() == ("level", "spectrum")
-    level = found.of(np.array([True] * count + [False])).shrunk(1)
+    level = found.of(np.array([True] * count + [False])).closure(1)
     assert level.closed == pytest.approx(min(1 - (one_after**2 - 1) / (one**2 - 1), 1.0))
 
 
@@ -70,27 +70,27 @@ def test_domains_weigh_alike(count: int, one: float, one_after: float, other: fl
 @given(st.lists(st.floats(4, 90), min_size=1, max_size=20), st.integers(0, 5))
 def test_nothing_done_closes_nothing_and_chance_may_be_all(scores: list[float], seed: int) -> None:
     domains = ["level", "allan"] * len(scores)
-    same = counted(domains[: len(scores)], scores, scores).shrunk(seed)
+    same = counted(domains[: len(scores)], scores, scores).closure(seed)
     assert (same.closed, same.interval) == (pytest.approx(0), pytest.approx((0, 0)))
-    right = counted(domains[: len(scores)], scores, [1.0] * len(scores)).shrunk(seed)
+    right = counted(domains[: len(scores)], scores, [1.0] * len(scores)).closure(seed)
     assert right.closed == pytest.approx(1)
     assert right.interval is not None
     assert right.interval[1] == pytest.approx(1)
 
 
 def test_no_score_counts_for_more_than_the_largest() -> None:
-    assert counted(["level"], [1e6], [1.0]).shrunk(0).before == pytest.approx(LARGEST)
+    assert counted(["level"], [1e6], [1.0]).closure(0).before == pytest.approx(LARGEST)
 
 
 def test_nothing_deviates() -> None:
-    assert counted(["level"], [1.0], [1.0]).shrunk(0) == (1.0, 1.0, None, None)
+    assert counted(["level"], [1.0], [1.0]).closure(0) == (1.0, 1.0, None, None)
 
 
 def test_too_little_to_close() -> None:
     """It deviates on the training part alone: on held-out data its score is that of chance."""
     one = key()
     pairs = pairs_of([one, one], [False, True])
-    found = deviating(pairs, np.array([9.0, 1.2]), np.array([1.0, 0.3]), np.zeros(2, bool)).shrunk(0)
+    found = deviating(pairs, np.array([9.0, 1.2]), np.array([1.0, 0.3]), np.zeros(2, bool)).closure(0)
     assert found.before == pytest.approx(1.2)
     assert (found.closed, found.interval) == (None, None)
 
@@ -134,7 +134,7 @@ def test_the_interval_covers() -> None:
         keys = tuple(key(number=block, probe=f"{part}") for block in range(40) for part in range(3))
         found = DeviatingStatistics(
             keys, np.arange(120), np.full(120, 1 / 120), np.clip(before, -99, 99), after
-        ).shrunk(seed)
+        ).closure(seed)
         assert found.interval is not None
         low, high = found.interval
         assert low <= high
@@ -155,7 +155,7 @@ def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
         chance = random.normal(size=len(keys))
         found = DeviatingStatistics(
             keys, np.arange(len(keys)), np.full(len(keys), 1 / len(keys)), off + chance, left + chance
-        ).shrunk(seed)
+        ).closure(seed)
         assert found.interval is not None
         low, high = found.interval
         covered += low <= 1 - (left**2).sum() / (off**2).sum() <= high
@@ -165,8 +165,8 @@ def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
 def test_the_interval_is_the_seeds() -> None:
     values = np.random.default_rng(9).normal(10, 3, 12).tolist()
     made = counted(["level"] * 12, values, [value / 3 for value in values])
-    assert made.shrunk(4) == made.shrunk(4)
-    assert made.shrunk(4).interval != made.shrunk(5).interval
+    assert made.closure(4) == made.closure(4)
+    assert made.closure(4).interval != made.closure(5).interval
 
 
 def test_what_happens_in_one_part_counts_where_it_shows() -> None:
@@ -177,4 +177,4 @@ def test_what_happens_in_one_part_counts_where_it_shows() -> None:
     found = deviating_in_either(pairs, before, np.array([200**0.5, 50.0, 50.0, 50.0, 1.0, 50.0]))
     assert found.keys == (keys[0], keys[1])
     assert found.places.tolist() == [0, 4]
-    assert found.shrunk(0).closed == pytest.approx(1 - 199 / 1298)
+    assert found.closure(0).closed == pytest.approx(1 - 199 / 1298)

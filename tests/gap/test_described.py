@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from imuarray.gap.findings.description import changes_alike, line_hz, lines_left, lines_shown
+from imuarray.gap.findings.description import line_hz, lines_shown, shared_changes, unexplained_lines
 from imuarray.gap.findings.diagnosis import Where
 from imuarray.gap.inference.effects.tone import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
@@ -34,7 +34,7 @@ def test_a_line_is_where_it_was_put(campaign) -> None:  # type: ignore[no-untype
 
 
 def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
-    told = lines_left(campaign, [where("G1", "y"), where("G1", "y"), where("G1", "y", "lag_1")], ["a.h5"])
+    told = unexplained_lines(campaign, [where("G1", "y"), where("G1", "y"), where("G1", "y", "lag_1")], ["a.h5"])
     assert len(told) == 1
     found = re.fullmatch(r"G1 y: a line that no cause explains: (.*) Hz in 1 of 1 stretches at rest of a.h5\.", told[0])
     assert found is not None
@@ -42,8 +42,8 @@ def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_nothing_is_told_of_what_has_none(campaign) -> None:  # type: ignore[no-untyped-def]
-    assert lines_left(campaign, [where("G2", "x")], ["a.h5"]) == ()
-    assert lines_left(campaign, [], ["a.h5"]) == ()
+    assert unexplained_lines(campaign, [where("G2", "x")], ["a.h5"]) == ()
+    assert unexplained_lines(campaign, [], ["a.h5"]) == ()
 
 
 @pytest.mark.parametrize(("changes", "told"), [((0.008, 0.0085, 0.0082), True), ((0.008, -0.008, 0.0082), False)])
@@ -52,7 +52,7 @@ def test_a_change_that_units_share(changes: tuple[float, ...], told: bool) -> No
     headers = {name: header(name) for name in ("A1", "A2", "A3")}
     keys = [Key(0, name, "z", "", -1, "level", "level") for name in headers]
     both = np.array([*(1.0, 1.0, 1.0), *changes])
-    found = changes_alike([*keys, *keys], both, [False] * 3 + [True] * 3, headers)
+    found = shared_changes([*keys, *keys], both, [False] * 3 + [True] * 3, headers)
     assert bool(found) == told
     if told:
         assert "All 3 bma180, z: held-out log 1 lies +8.23 mg" in found[0]

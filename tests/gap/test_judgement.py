@@ -152,9 +152,9 @@ def test_a_cause_of_all_sensors_is_not_sound_where_something_is_left() -> None:
 
 
 def test_a_little_that_is_left_is_explained_in_part() -> None:
-    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=True, is_left=True).verdict == "partly explained"
-    assert judge(gap(0.2), [CAUSE], 0.1, is_gap=True, is_left=True).verdict == "unexplained"
-    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, is_left=True).verdict == "no gap"
+    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=True, has_remainder=True).verdict == "partly explained"
+    assert judge(gap(0.2), [CAUSE], 0.1, is_gap=True, has_remainder=True).verdict == "unexplained"
+    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, has_remainder=True).verdict == "no gap"
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_verdict_closure_and_probabilities_never_contradict_each_other(
     more: bool,
 ) -> None:
     causes = [replace(CAUSE, probability=chance, sensors=tuple(sensors)) for chance, sensors in given_causes]
-    found = judge(gap(closed), causes, unknown, is_gap=is_gap, unlikely=left, is_left=more)
+    found = judge(gap(closed), causes, unknown, is_gap=is_gap, unlikely=left, has_remainder=more)
     unexplained = [] if not is_gap else [{}]
     sentence = "something outside the library" if found.verdict == "unexplained" else ""
     check_agreement(

@@ -186,7 +186,7 @@ def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     assert same is right
     assert put_right.phases == right.phases
     assert (put_right.kind, put_right.name) == ("tumble", "wrong.h5")
-    assert put_right.notes[-2].startswith("phase 'x_up' is noted with -X up, but 4 of 4 accelerometers feel +X")
+    assert put_right.notes[-2].startswith("phase 'x_up' is noted with -X up, but 4 of 4 accelerometers measure +X up")
     motion = put_right.experiment.motion
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in right.phases])
     expected = 9.80665 * np.array([up_vector(up) for up in FACES.values()])
@@ -228,7 +228,7 @@ def test_probability_and_share_closed() -> None:
     assert cause.closed == pytest.approx(1 - 1 / 32)
     assert cause.closed_ci95 == pytest.approx((1 - 4 / 32 / 0.48442, 1 - 4 / 32 / 11.1433), rel=1e-4)
     assert parameters_text(cause.parameters) == "log a.h5; phase x_up; noted -Z; true +X"
-    assert "2 of 2 accelerometers feel +X: 1.6 g from the noted face, 0.28 g from that one" in note_of(found)
+    assert "2 of 2 accelerometers measure +X up: 1.6 g from the noted face, 0.28 g from that one" in note_of(found)
 
 
 def test_who_does_not_agree_counts_against_it() -> None:

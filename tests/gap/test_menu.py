@@ -132,7 +132,7 @@ def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> No
     """Nothing else does: in one run both are a bias."""
     found = searched(bench, "G1", Bias(0.1), TurnOnBias(0.1))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
-    assert said.startswith("Record a turn-on series. It tells bias from turn_on_bias of G1 (")
+    assert said.startswith("Record a turn-on series. It separates bias from turn_on_bias of G1 (")
     nats, static = map(float, re.findall(r"([\d.]+) nats", said))
     assert static < LEAST < nats
 
@@ -147,7 +147,9 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     other = replace(one.confirmed[1], tried=FittedHypothesis(Hypothesis((Bias(),))))  # the name of another kind
     rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
     said = next_experiment(bench, SearchResult(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
-    assert said.startswith("Nothing on the menu (static, tumble, heating, turn-on) tells tone from bias of A1: at most")
+    assert said.startswith(
+        "Nothing on the menu (static, tumble, heating, turn-on) separates tone from bias of A1: at most"
+    )
     assert float(re.findall(r"([\d.]+) nats", said)[0]) <= LEAST  # as rounded
 
 
@@ -156,7 +158,7 @@ def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> Non
     """G2 lies the other way round about y and z: on a tumble, or beside another bias, it is no G1."""
     found = searched(bench, "G1", ChannelSwap("G2"), Bias(0.1))
     said = next_experiment(bench, found, [cause("channel_swap", "G1", rivals=["bias"])], [], [], Run(bench))
-    assert said.startswith("Record a tumble. It tells channel_swap from bias of G1 (")
+    assert said.startswith("Record a tumble. It separates channel_swap from bias of G1 (")
 
 
 def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None:
@@ -168,7 +170,7 @@ def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None
         " of A2 z, which is not explained."
     )
     assert next_experiment(bench, nothing, [], [], hidden, run) == (
-        "To see thermal scale, which nothing recorded shows: heating: on all six faces."
+        "To observe thermal scale, which these recordings cannot show: heating: on all six faces."
     )
     assert next_experiment(bench, nothing, [], [], [], run).startswith("Nothing: ")
     assert run.items == 0
@@ -188,4 +190,4 @@ def test_the_whole_menu(bench: Bench) -> None:
     """As above, with the logs as they would be recorded."""
     found = searched(bench, "G1", Bias(0.05), TurnOnBias(0.05))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
-    assert said.startswith("Record a turn-on series: 12 runs of 1 minute, switched off in between. It tells bias")
+    assert said.startswith("Record a turn-on series: 12 runs of 1 minute, switched off in between. It separates bias")

@@ -31,8 +31,8 @@ def test_all_that_json_holds_comes_back() -> None:
         (("gap", "before"), "much", "gap.before: 'much'"),
         (("map", "before"), [["x"]], "rows of numbers"),
         (("map", "sensors"), ["A"] * 99, "sensors by"),
-        (("where",), {"a": 1}, "where: a list is wanted"),
-        (("causes",), [3], "causes: an object is wanted"),
+        (("where",), {"a": 1}, "where: must be a list"),
+        (("causes",), [3], "causes: must be an object"),
         (("seed",), True, "seed: True"),
         (("seed",), 10**400, "seed: '1000"),
         (("gap", "before"), 10**400, "gap.before: '1000"),
@@ -40,9 +40,9 @@ def test_all_that_json_holds_comes_back() -> None:
         (("map", "before"), [[10**400]], "rows of numbers"),
         (("causes", 0, "parameters"), {"a": [10**400]}, "parameters: '1000"),
         (("pulls", 0, "pull"), "far", "pulls.pull: 'far'"),
-        (("missing",), "much", "missing: a list is wanted"),
-        (("sentence",), "\ud800", "sentence: .*: half a character"),
-        (("causes", 0, "parameters"), {"\ud800": 1}, "parameters: .*: half a character"),
+        (("missing",), "much", "missing: must be a list"),
+        (("sentence",), "\ud800", "sentence: .* contains half a character"),
+        (("causes", 0, "parameters"), {"\ud800": 1}, "parameters: .* contains half a character"),
     ],
 )
 def test_what_is_wrong_is_named(path: tuple[str | int, ...], value: object, said: str) -> None:

@@ -40,14 +40,14 @@ def use(sensor: str, real: float, before: float, after: float) -> Use:
 
 def test_no_gap() -> None:
     said = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
-    assert said == "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+    assert said == "The recordings agree with the simulator: no statistic is beyond chance."
 
 
 def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
     pulls = [Pull("scale", "A1", axis, 1.02, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))]
     said = "A1 y: scale is 1.4 tolerances off: this part is out of specification."
     same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
-    assert same == f"The recordings look like what the simulator makes of them: no statistic is beyond chance. {said}"
+    assert same == f"The recordings agree with the simulator: no statistic is beyond chance. {said}"
     assert sentence_of("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
 
 
@@ -61,7 +61,7 @@ def test_one_cause() -> None:
 
 def test_what_both_parts_were_needed_for_is_not_closed_on_held_out_data() -> None:
     said = sentence_of("explained", GAP, [cause(needs_both=True)], [where()], [], [])
-    assert "of the gap is closed on the data that told of it." in said
+    assert "of the gap is closed on the data that showed it." in said
     mixed = sentence_of("explained", GAP, [cause(needs_both=True), cause("bias")], [where()], [], [])
     assert "of the gap is closed on held-out data." in mixed
 
@@ -75,7 +75,7 @@ def test_several_causes_and_what_else_it_could_be() -> None:
     ]
     said = sentence_of("explained", GAP, causes, [where(axis="")], [], [])
     assert "most in run to run of G1." in said
-    assert "probability 0.90; it could as well be glitches or jitter." in said
+    assert "probability 0.90; glitches or jitter would explain it equally well." in said
     assert "G1: without scale, probability 0.60." in said
     assert "another quantisation, probability 0.55." in said
     assert "bias" not in said  # less probable than not
@@ -109,7 +109,7 @@ def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
         " of G1 y (mean of the run: +9 standard deviations in a.h5)."
     )
     nearest = sentence_of("unexplained", GAP, [cause(probability=0.4)], [where()], left, [])
-    assert "No known effect makes these recordings likely; the nearest: G1 (y): tone (a sine" in nearest
+    assert "No known effect makes these recordings likely; the nearest is G1 (y): tone (a sine" in nearest
     assert "probability 0.40" in nearest
 
 
@@ -117,7 +117,7 @@ def test_a_comparison_with_an_earlier_recording_says_with_which() -> None:
     differs = sentence_of("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
     assert differs.startswith("The recordings differ from before.h5, most in run to run of G1 y.")
     same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
-    assert same == "The recordings look like before.h5: nothing has changed beyond chance."
+    assert same == "The recordings agree with before.h5: nothing has changed beyond chance."
 
 
 def test_the_figure_of_use_that_changed_most() -> None:

@@ -230,7 +230,7 @@ def test_a_line_that_reaches_two_chips_is_of_the_box() -> None:
     assert origins([ALONG_Y[0], ALONG_Y[2], *gyroscopes]) == ["environment"] * 4
     lines = lines_of(ALONG_Y, HEADERS)
     assert notes_of(lines) == (
-        "B1, D1 and D2 show the same line at 13.0 Hz along the box axis Y: a vibration that reaches all of them, not a "
+        "B1, D1 and D2 have the same line at 13.0 Hz along the box axis Y: a vibration of the box, not a "
         "fault of the sensors.",
     )
 
@@ -275,6 +275,6 @@ def test_wander_is_of_the_box_along_axes_that_show_a_stimulus() -> None:
     assert origins([cause("bias_instability", {"rms_dps": 1e-3}, "G1")], [tilt]) == ["sensor"]
     assert origins([cause("scale", {"error": 0.01}, "B1")], [tilt]) == ["sensor"]
     assert notes_of((), [tilt]) == (
-        "B1, B2, D1 and D2 wander together along the box axis X in phase 'static' (correlation 0.97), whichever way "
-        "they are mounted: the box moved, not a fault of the sensors.",
+        "B1, B2, D1 and D2 wander together along the box axis X in phase 'static' (correlation 0.97), whatever "
+        "their mounting: motion of the box, not a fault of the sensors.",
     )

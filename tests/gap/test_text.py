@@ -29,12 +29,12 @@ def test_everything_is_said_in_order() -> None:
     heads = (
         "The simulator misses a lag",
         "Verdict  partly explained (chance alone: p < 0.001)",
-        "Gap      14 standard deviations (rms) before, 2.9 after, 1.0 where nothing is wrong: 86 % (75 to 94) closed",
+        "Gap      14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed",
         "Unknown  31 %",
         "Causes, most probable first",
         "Parts out of specification, worst first",
         "Where it differs: 55 statistics, the worst 6",
-        "Can't be told from these recordings",
+        "Not observable in these recordings",
         "Missing, and therefore not compared",
         "Next experiment: Heat the array",
     )
@@ -55,9 +55,9 @@ def test_causes() -> None:
     first = next(place for place, line in enumerate(lines) if "thermal_lag" in line and "add" in line)
     assert lines[first].split() == ["97", "%", "add", "thermal_lag", "Gyro2", "closes", "86", "%", "(75", "to", "94)"]
     assert lines[first + 1].strip() == "time constant 12.3 s. may also be random_walk"
-    assert any(line.strip() == "offset 0, 0, 12.3 mg. not of the sensor but of the metadata" for line in lines)
+    assert any(line.strip() == "offset 0, 0, 12.3 mg. in the metadata, not in the sensor" for line in lines)
     both = text_of(replace(made(), causes=tuple(replace(cause, needs_both=True) for cause in CAUSES[:1])))
-    assert "random_walk. told by both parts together, nothing was withheld from it" in both
+    assert "random_walk. detected on both parts together, none was held out" in both
     starts = {line.index(cause.effect) for cause in CAUSES for line in lines if f" {cause.effect} " in line}
     assert lines[first].index("thermal_lag") in starts
 
@@ -105,7 +105,7 @@ def test_what_is_missing_is_listed() -> None:
 def test_no_gap() -> None:
     text = text_of(made_without_gap())
     assert "Verdict  no gap (chance alone: p = 0.41)" in text
-    assert "Gap      1.0 standard deviations (rms), 1.0 where nothing is wrong: nothing to close" in text
+    assert "Gap      1.0 standard deviations (rms), 1.0 without a gap: nothing to close" in text
     for absent in ("Causes", "Where it differs", "Unknown", "Next experiment", "specification", "Missing"):
         assert absent not in text
 

@@ -186,8 +186,8 @@ def test_lengths_are_those_of_each_log() -> None:
 
 
 def test_where_longer_logs_will_not_do() -> None:
-    assert doubts([100.0], [key("noise")], 60.0)[0].record == "a longer log won't do"
-    assert doubts([100.0], [key("mean")], 60.0)[0].record.startswith("a longer log won't do; tumble: ")
+    assert doubts([100.0], [key("noise")], 60.0)[0].record == "a longer log is not enough"
+    assert doubts([100.0], [key("mean")], 60.0)[0].record.startswith("a longer log is not enough; tumble: ")
     assert doubts([2.0], [key("run_spread")], 60.0)[0].record == "turn-on: 4.0 times as many runs"
     assert doubts([5.0], [key("run_spread")], 60.0)[0].record == "no series is long enough"
     assert doubts([0.5], [key("mean")], 60.0) == ()

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 
 from imuarray.gap.findings.diagnosis import (
+    CandidateEvaluation,
     Cause,
     Diagnosis,
     Gap,
-    Judged,
     Map,
     Overlay,
     Pull,
@@ -128,10 +128,10 @@ USES = (
 )  # fmt: skip
 
 JUDGED = (
-    Judged("tone", "add", ("Gyro1",), 0.94, 120.0, True),
-    Judged("random_walk", "add", ("Gyro2",), 0.51, 4.1, False),
-    Judged("", "add", ("Gyro2",), 0.02, -0.3, False),
-    Judged("scale", "replace", ("ADXL1",), 0.1, None, False),
+    CandidateEvaluation("tone", "add", ("Gyro1",), 0.94, 120.0, True),
+    CandidateEvaluation("random_walk", "add", ("Gyro2",), 0.51, 4.1, False),
+    CandidateEvaluation("", "add", ("Gyro2",), 0.02, -0.3, False),
+    CandidateEvaluation("scale", "replace", ("ADXL1",), 0.1, None, False),
 )
 
 PULLS = (

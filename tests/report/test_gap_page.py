@@ -162,7 +162,7 @@ def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
     assert made().sentence in start
     assert "Gap between recording and simulation: partly explained" in start
     assert start.index(made().sentence) < start.index("Partly explained: the causes below") < start.index("p < 0.001")
-    assert "14 standard deviations (rms) before, 2.9 after, 1.0 where nothing is wrong: 86 % (75 to 94) closed" in start
+    assert "14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed" in start
     assert "probability of 31 %" in start
 
 

@@ -1,1 +1,1 @@
-"""What is reported: causes with probabilities, closure, verdict, what cannot be told, what to record next."""
+"""Findings: causes with probabilities, closure, verdict, what is not observable, and what to record next."""

@@ -1,4 +1,6 @@
-"""Causes in words and numbers: what the search took, how probable each is, what else would explain as much."""
+"""Causes with their parameters: the effects that the search took, their probabilities, and the effects confusable with
+them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imuarray.gap.findings.closure import DeviatingStatistics, deviating, deviating_in_either
-from imuarray.gap.findings.diagnosis import Cause, Judged, Origin
+from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause, Origin
 from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import Evaluation, Round
@@ -25,97 +27,102 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.parameters import to_table
 
 TEMPER = 0.3
-"""The log odds of a trial count so much in its probability."""
+"""Power to which the odds of a trial count in its probability."""
 
 ALTERNATIVE = 0.1
-"""An effect that is less probable than that is not told as a cause."""
+"""Least probability of an alternative effect that is reported as a cause."""
 
 LEAST = 0.03
-"""What closes no more than that of what was left is no cause of the gap, though the sensor may have it."""
+"""Least share of the remaining gap that a cause closes; an effect that closes less may be present, but is no cause of
+the gap.
+"""
 
 CONFUSABLE = 0.05
-"""Odds, against the cause that was taken, from which on an effect is confusable with it: 1 to 20."""
+"""Least odds of an effect against the cause that was taken, 1 to 20, for it to be confusable."""
 
 _SAME, _SAME_FREQUENCY = 1.25, 1.01
-"""Parameters of two sensors within that factor are the same; lines are told apart more finely."""
+"""Largest ratio of equal parameters of two sensors; frequencies of lines are distinguished more finely."""
 
 _METADATA = frozenset({"axis_error", "channel_swap", "clock_error"})
-"""Causes that lie in what is said of a log, or of the array, and not in a sensor."""
+"""Causes in the metadata of a log or array, not in a sensor."""
 
 
-def probabilities(one: Round, beside: Collection[str] = ()) -> list[float]:
-    """Of each trial that was confirmed, the rest being that it is none of them; effects that are there `beside` it are
-    no rivals, and have none.
+def probabilities(round_: Round, present: Collection[str] = ()) -> list[float]:
+    """Probability of each confirmed trial of a round; the rest is the probability of none of them. Effects already
+    `present` are no rivals and have probability 0.
     """
-    odds = TEMPER * np.array([*one.log_odds, 0.0])
-    rivals = np.array([*(trial.trial.name not in beside for trial in one.confirmed), True])
+    odds = TEMPER * np.array([*round_.log_odds, 0.0])
+    rivals = np.array([*(trial.trial.name not in present for trial in round_.confirmed), True])
     weights = np.where(rivals, np.exp(odds - odds.max(initial=0.0, where=rivals)), 0.0)
     return list((weights / weights.sum())[:-1].tolist())
 
 
 def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
-    """All causes, most probable first; the same one in several sensors of a chip is told once."""
+    """All causes, the most probable first; the same cause in several sensors of a chip is listed once."""
     single = [cause for unit, own in rounds.items() for cause in _of_unit(bench, unit, own, seed)]
     merged = [
-        replace(one, probability=calibrated_probability(one.share, one.all_closed)) for one in _merged(bench, single)
+        replace(joint, probability=calibrated_probability(joint.share, joint.all_closed))
+        for joint in _merged(bench, single)
     ]
     return tuple(sorted(merged, key=lambda cause: (-cause.probability, -cause.gain)))
 
 
-def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[Judged, ...]:
-    """Everything that was confirmed, and the placebos."""
-    found = []
+def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluation, ...]:
+    """All confirmed candidates, and the placebos."""
+    judged = []
     for unit, own in rounds.items():
-        for one in own:
-            found += [
-                Judged(trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is one.taken)
-                for trial in one.confirmed
+        for round_ in own:
+            judged += [
+                CandidateEvaluation(
+                    trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is round_.taken
+                )
+                for trial in round_.confirmed
             ]
         if own[0].confirmed:
-            found.append(Judged("", "add", unit, math.nan, own[0].placebo_gain, False))
-    return tuple(found)
+            judged.append(CandidateEvaluation("", "add", unit, math.nan, own[0].placebo_gain, False))
+    return tuple(judged)
 
 
 def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> Iterator[Cause]:
-    """What the rounds took and what of it stayed, each with what else was likely."""
+    """The causes that the rounds took and that remain, each with its likely alternatives."""
     first = rounds[0].before
     all_closed = _all_closed(bench, first, rounds, seed)
-    taken = {one.taken.trial.name for one in rounds if one.taken is not None}
-    for number, one in enumerate(rounds):
-        if one.taken is None or _is_undone(one.taken, rounds[number + 1 :]):
+    taken = {round_.taken.trial.name for round_ in rounds if round_.taken is not None}
+    for number, round_ in enumerate(rounds):
+        if round_.taken is None or _is_undone(round_.taken, rounds[number + 1 :]):
             continue
         by_name: dict[str, tuple[float, Evaluation]] = {}
-        beside = taken - {one.taken.trial.name}
-        for chance, trial in zip(probabilities(one, beside), one.confirmed, strict=True):
+        present = taken - {round_.taken.trial.name}
+        for chance, trial in zip(probabilities(round_, present), round_.confirmed, strict=True):
             before = by_name.get(trial.trial.name, (0.0, trial))
-            by_name[trial.trial.name] = (before[0] + chance, trial if trial is one.taken else before[1])
-        own = by_name[one.taken.trial.name][0]
+            by_name[trial.trial.name] = (before[0] + chance, trial if trial is round_.taken else before[1])
+        own = by_name[round_.taken.trial.name][0]
         likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
         for name, (chance, trial) in by_name.items():
-            if name in beside:
+            if name in present:
                 continue
-            if (trial is one.taken or chance > ALTERNATIVE) and not _undoes(trial, one.before):
-                cause = _cause(bench, unit, first, one.before, trial, chance, tuple(sorted(likely - {name})), seed)
+            if (trial is round_.taken or chance > ALTERNATIVE) and not _undoes(trial, round_.before):
+                cause = _cause(bench, unit, first, round_.before, trial, chance, tuple(sorted(likely - {name})), seed)
                 if cause.closed is None or cause.closed > LEAST:
                     yield replace(cause, all_closed=all_closed)
 
 
 def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: int) -> float | None:
-    """The share of a unit's gap that is closed by everything that was taken."""
-    taken = [one.taken for one in rounds if one.taken is not None]
+    """Share of a unit's gap that all its causes together close."""
+    taken = [round_.taken for round_ in rounds if round_.taken is not None]
     last = taken[-1].standing if taken else first
-    in_either = bool(taken) and all(one.trial.needs_both for one in taken)
-    before, after = (_deviating(bench, first, one, in_either) for one in (first, last))
-    return replace(before, after=after.after).shrunk(seed).closed
+    in_either = bool(taken) and all(evaluation.trial.needs_both for evaluation in taken)
+    before, after = (_deviating(bench, first, state, in_either) for state in (first, last))
+    return replace(before, after=after.after).closure(seed).closed
 
 
 def _is_undone(taken: Evaluation, later: Sequence[Round]) -> bool:
-    """Whether a later round took the effect out again, or put another of its kind in its place."""
-    return any(one.taken is not None and one.taken.trial.removed == taken.trial.name for one in later)
+    """Whether a later round removed the effect, or replaced it by another of its kind."""
+    return any(round_.taken is not None and round_.taken.trial.removed == taken.trial.name for round_ in later)
 
 
 def _undoes(trial: Evaluation, before: UnitState) -> bool:
-    """Whether it only takes out what an earlier round put in."""
+    """Whether a trial only removes what an earlier round added."""
     added = {effect.name for model in before.models.values() for effect in model.added}
     return not trial.trial.effects and trial.trial.removed in added
 
@@ -132,14 +139,14 @@ def _cause(
 ) -> Cause:
     counted = _deviating(bench, first, before, taken.trial.needs_both)
     with_it = _deviating(bench, first, taken.standing, taken.trial.needs_both)
-    shrunk = replace(counted, before=counted.after, after=with_it.after).shrunk(seed)
+    closure = replace(counted, before=counted.after, after=with_it.after).closure(seed)
     effect = taken.trial.effects[0] if taken.trial.effects else None
     own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
     sensors = (own, *others) if own else taken.trial.members or unit
     effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
     models = taken.standing.models
-    whole = {name: _with_fitted(one, models.get(name)) if one else None for name, one in effects.items()}
-    each = {name: to_table(one, bench.base.headers[name].unit) if one else {} for name, one in whole.items()}
+    whole = {name: _with_fitted(acting, models.get(name)) if acting else None for name, acting in effects.items()}
+    each = {name: to_table(acting, bench.base.headers[name].unit) if acting else {} for name, acting in whole.items()}
     return Cause(
         taken.trial.name,
         taken.trial.action,
@@ -147,8 +154,8 @@ def _cause(
         _axes(effect),
         share,
         each[sensors[0]],
-        shrunk.closed,
-        shrunk.interval,
+        closure.closed,
+        closure.interval,
         confusable,
         _origin(taken.trial),
         taken.gain,
@@ -159,7 +166,9 @@ def _cause(
 
 
 def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
-    """A `thermal_bias` with the slope that is fitted to every sensor: what it adds to that tells nobody anything."""
+    """A `thermal_bias` with the slope that is fitted to every sensor included, since the addition alone means nothing
+    to a user.
+    """
     if model is None or not isinstance(effect, ThermalBias) or effect.reference_degc != REFERENCE_DEGC:
         return effect
     x, y, z = np.add(effect.slope, model.fitted.slope).tolist()
@@ -167,7 +176,7 @@ def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
 
 
 def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool) -> DeviatingStatistics:
-    """What deviated of a unit at first, with its scores then; of both parts if one may not show it."""
+    """Statistics of a unit that deviated at first, with their scores then; of both parts if one may not show them."""
     pairs = bench.pairs(bench.own(first.unit))
     if in_either:
         return deviating_in_either(pairs, first.scores, then.scores)
@@ -209,21 +218,21 @@ def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
     return kept
 
 
-def _is_same(headers: Mapping[str, SensorHeader], one: Cause, other: Cause) -> bool:
-    chips = {headers[name].chip for name in (*one.sensors, *other.sensors)}
-    is_same_effect = (one.effect, one.action, one.axes) == (other.effect, other.action, other.axes)
+def _is_same(headers: Mapping[str, SensorHeader], first: Cause, other: Cause) -> bool:
+    chips = {headers[name].chip for name in (*first.sensors, *other.sensors)}
+    is_same_effect = (first.effect, first.action, first.axes) == (other.effect, other.action, other.axes)
     return (
         is_same_effect
         and len(chips) == 1
-        and not set(one.sensors) & set(other.sensors)
-        and _agree(one.parameters, other.parameters)
+        and not set(first.sensors) & set(other.sensors)
+        and _agree(first.parameters, other.parameters)
     )
 
 
-def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    if one.keys() != other.keys():
+def _agree(first_table: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    if first_table.keys() != other.keys():
         return False
-    for key, value in one.items():
+    for key, value in first_table.items():
         first, second = np.atleast_1d(value), np.atleast_1d(other[key])
         if first.dtype.kind not in "if" or second.dtype.kind not in "if":
             if value != other[key]:
@@ -243,30 +252,30 @@ def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return True
 
 
-def _joined(one: Cause, other: Cause) -> Cause:
-    """Two that are the same: odds are multiplied, shares closed weighed by what they gain."""
-    odds = [cause.share / max(1 - cause.share, 1e-9) for cause in (one, other)]
+def _joined(first: Cause, other: Cause) -> Cause:
+    """Two equal causes joined: odds are multiplied, closed shares averaged."""
+    odds = [cause.share / max(1 - cause.share, 1e-9) for cause in (first, other)]
     both = odds[0] * odds[1]
     return replace(
-        one,
-        sensors=(*one.sensors, *other.sensors),
-        share=max(one.share, other.share, both / (1 + both)),
-        all_closed=_mean(one.all_closed, other.all_closed, len(one.sensors)),
-        closed=_mean(one.closed, other.closed, len(one.sensors)),
-        closed_ci95=_widest(one, other),
-        confusable_with=tuple(sorted({*one.confusable_with} & {*other.confusable_with})),
-        gain=one.gain + other.gain,
-        each={**one.each, **other.each},
-        needs_both=one.needs_both or other.needs_both,
+        first,
+        sensors=(*first.sensors, *other.sensors),
+        share=max(first.share, other.share, both / (1 + both)),
+        all_closed=_mean(first.all_closed, other.all_closed, len(first.sensors)),
+        closed=_mean(first.closed, other.closed, len(first.sensors)),
+        closed_ci95=_widest(first, other),
+        confusable_with=tuple(sorted({*first.confusable_with} & {*other.confusable_with})),
+        gain=first.gain + other.gain,
+        each={**first.each, **other.each},
+        needs_both=first.needs_both or other.needs_both,
     )
 
 
-def _mean(one: float | None, other: float | None, weight: int) -> float | None:
-    if one is None or other is None:
-        return one if other is None else other
-    return (weight * one + other) / (weight + 1)
+def _mean(first: float | None, other: float | None, weight: int) -> float | None:
+    if first is None or other is None:
+        return first if other is None else other
+    return (weight * first + other) / (weight + 1)
 
 
-def _widest(one: Cause, other: Cause) -> tuple[float, float] | None:
-    known = [cause.closed_ci95 for cause in (one, other) if cause.closed_ci95 is not None]
+def _widest(first: Cause, other: Cause) -> tuple[float, float] | None:
+    known = [cause.closed_ci95 for cause in (first, other) if cause.closed_ci95 is not None]
     return (min(low for low, _ in known), max(high for _, high in known)) if known else None

@@ -1,8 +1,8 @@
-"""How far the gap shrinks: the excess of squared scores on held-out data, before and after the causes are in the model.
+"""Closure: the reduction of the excess of squared scores on held-out data by the causes.
 
-Which statistics count is decided on the training part, by what deviates there; what they show on the held-out part
-says how far the gap was, and is, closed. Domains weigh alike, whatever number of statistics they have, and no score
-counts for more than `LARGEST`. Where nothing is wrong the mean square of scores is 1: that is taken off.
+The statistics that count are those that deviate on the training part; their scores on the held-out part, before and
+after the causes are in the model, give the closure. Domains have equal weights, whatever their number of statistics,
+and no score counts for more than `LARGEST`. Without a gap the mean square of scores is 1, which is subtracted.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from imuarray.gap.statistics.pairs import Pairs
 
 LARGEST = 100.0
 DEVIATES, BY_ITSELF = 3.5, 5.0
-"""Score on the training part from which on a statistic counts; on the held-out part, if the other can't tell."""
+"""Least score on the training part of a statistic that counts; on the held-out part, for statistics that the training
+part cannot show.
+"""
 
 _DRAWS = 400
 _FAR = 10.0
 _LEAST_EXCESS = 1.0
-"""Mean squared excess below which no share of it is told."""
+"""Least mean squared excess of which a closed share is given."""
 
 
 class ClosureEstimate(NamedTuple):
-    """Root mean square scores before and after, and the share of the excess that is closed with its 95 % interval; None
-    where there's too little to close.
+    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; None where
+    there is too little to close.
     """
 
     before: float
@@ -42,8 +44,8 @@ class ClosureEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviatingStatistics:
-    """The statistics that count: their keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,):
-    on held-out data, or where something shows in one part only, on both parts.
+    """Statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,), on
+    held-out data, or on both parts for what one part alone shows.
     """
 
     keys: tuple[Key, ...]
@@ -52,9 +54,9 @@ class DeviatingStatistics:
     before: Floats
     after: Floats
 
-    def shrunk(self, seed: int) -> ClosureEstimate:
-        """Of all of them; the interval from drawing blocks of one sensor, phase and domain anew (bootstrap), and in
-        each the chance of the recording once more.
+    def closure(self, seed: int) -> ClosureEstimate:
+        """Closure over all statistics; the interval by bootstrap of blocks (one sensor, phase and domain), each draw
+        with the chance of the recording added once more.
         """
         if len(self.keys) == 0:
             return ClosureEstimate(1.0, 1.0, None, None)
@@ -66,17 +68,19 @@ class DeviatingStatistics:
         return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
 
     def of(self, chosen: Booleans) -> DeviatingStatistics:
-        """Some of them, each domain with the same weight again."""
+        """Some of the statistics, with equal weights for domains."""
         keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
     def domains(self) -> tuple[str, ...]:
-        """Those that there are."""
+        """The domains of the statistics."""
         return tuple(dict.fromkeys(key.domain for key in self.keys))
 
     def _interval(self, seed: int) -> Interval | None:
-        """Of draws that have a gap. Chance adds 1 to a squared score, each time that it is drawn; a few blocks alone
-        would say that they know, and one block that it is sure.
+        """Interval over the draws that have a gap.
+
+        Chance adds 1 to a squared score each time that it is drawn. Without it, few blocks would have too narrow an
+        interval and a single block one of width 0.
         """
         stream = np.random.default_rng(seed)
         blocks = list(_blocks(self.keys).values())
@@ -96,10 +100,10 @@ class DeviatingStatistics:
 
 
 def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> DeviatingStatistics:
-    """What deviates on the training part, from scores (n,) of all statistics.
+    """Statistics that deviate on the training part, from scores (n,) of all statistics.
 
-    A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), is
-    chosen by itself, and has to be farther off: levels of another run.
+    A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), such
+    as the level of another run, is chosen by itself and has to deviate further.
     """
     train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
     alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
@@ -113,26 +117,26 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
 
 
 def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
-    """What deviates by itself in either part, for what happens in one of them: the other doesn't know of it."""
+    """Statistics that deviate in one part alone, for events that occur in one part only."""
     parts = ((pairs.train, pairs.keys), (pairs.held_out, pairs.keys))
-    found = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
-    chosen = [(key, at) for key, at in found if abs(np.nan_to_num(before[at])) > BY_ITSELF]
+    candidates = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
+    chosen = [(key, at) for key, at in candidates if abs(np.nan_to_num(before[at])) > BY_ITSELF]
     return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
 
 
 def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
-    """Overall, and by domain."""
-    whole = counted.shrunk(seed)
+    """The gap overall, and by domain."""
+    whole = counted.closure(seed)
     domains = {}
     for domain in counted.domains():
         chosen = np.array([key.domain == domain for key in counted.keys], bool)
-        part = counted.of(chosen).shrunk(seed)
+        part = counted.of(chosen).closure(seed)
         domains[domain] = (part.before, part.after, part.closed)
     return Gap(whole.before, whole.after, floor, whole.closed, whole.interval, domains)
 
 
 def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Floats) -> float:
-    """Root mean square score of the same statistics where nothing is wrong: the median of replicates."""
+    """Root mean square score of the same statistics without a gap: the median of replicates."""
     if len(counted.places) == 0:
         return 1.0
     squares = np.nan_to_num(before.likelihood.scores(replicates)[:, counted.places]) ** 2
@@ -146,16 +150,16 @@ def _of(keys: tuple[Key, ...], places: Indices, before: Floats, after: Floats) -
 
 
 def _weights(keys: Sequence[Key]) -> Floats:
-    """(k,) one over the number of statistics of the same domain."""
+    """Weights (k,): one over the number of statistics of the same domain."""
     domains = [key.domain for key in keys]
     return np.array([1 / domains.count(domain) for domain in domains])
 
 
 def _blocks(keys: Sequence[Key]) -> dict[tuple[object, ...], list[int]]:
-    found: dict[tuple[object, ...], list[int]] = {}
+    blocks: dict[tuple[object, ...], list[int]] = {}
     for at, key in enumerate(keys):
-        found.setdefault((key.log, key.phase_number, key.sensor, key.domain), []).append(at)
-    return found
+        blocks.setdefault((key.log, key.phase_number, key.sensor, key.domain), []).append(at)
+    return blocks
 
 
 def _squares(scores: Floats) -> Floats:

@@ -1,5 +1,5 @@
-"""What numbers alone don't say, and what the causes leave: single statistics beyond chance, probes that lie to one side
-everywhere, where lines lie that no cause explains, which ones are aliases, and biases that change in all units alike.
+"""Notes on the recordings and the remainder after the causes: single statistics beyond chance, probes with a constant
+sign of their residual, unexplained lines, aliases, and bias changes that all units share.
 """
 
 from __future__ import annotations
@@ -28,44 +28,46 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.units import READABLE
 
 MOST = 6
-"""So many axes are described."""
+"""Most axes that are described."""
 
 _SCORE = 6.0
-"""A peak that far beyond its neighbours is a line."""
+"""Least score of a peak against its neighbours that is a line."""
 
 _LEAST_UNITS, _SPREAD = 3, 0.5
-"""Units of a chip, and their standard deviation over their mean, of which a change counts as shared."""
+"""Least number of units of a chip with a shared change, and the largest standard deviation of it over its mean."""
 
 LINES = 4
-"""So many of a sensor are told."""
+"""Most lines of a sensor that are listed."""
 
 _SEARCHED, _APART = 12, 8.0
-"""Peaks that are looked at, and bins between two lines, and from the lowest one to 0: a line that drifts has several
-peaks, and a bias that wanders has some there."""
+"""Peaks that are searched, and least bins between two lines and from the lowest line to 0: a drifting line has several
+peaks, and a wandering bias has some near 0.
+"""
 
 _FIRST = 4
 _STEADY = 1.5
-"""A frequency that changes by fewer bins is steady."""
+"""Change of a frequency, in bins, below which it is steady."""
 
 ONE_SIDED = 2.0
-"""An average is so much beyond any replicate's to be something else: of forty phases it tells what no use would notice,
-as that a telegraph is a little longer in one of its states than the effect has it.
+"""Ratio of a mean residual to the largest of any replicate from which on it is significant. With a ratio of one it
+would report what matters to no user, such as a telegraph noise with slightly longer states.
 """
 
 
 UNLIKELY = 1.6
-"""From so many times the size on at which something is left, no combination of known effects makes a recording likely.
-Less is a form that is a little different: of a chip that stood still for a moment with the right cause in, the worst
-statistic was 1.03 times that size.
+"""Size of a remainder from which on no combination of known effects makes a recording likely. A smaller one is a
+slightly different form: for a chip that stalled for a moment, with the right cause in, the worst statistic was 1.03
+times that size.
 """
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is left with all causes in: the statistics that are beyond chance (`places` of pairs), the worst first, the
-    probes that lie to one side in all phases (`one_sided`), all of it in the terms of a page (`where`), by sensor the
-    size of what is left that matters and that the causes' form doesn't excuse, in units of the least that counts
-    (`sizes`, above 1).
+    """The remainder with all causes in the model.
+
+    `places` of pairs of the statistics beyond chance, the worst first; `one_sided`, probes whose residual has one sign
+    in all phases; both as report entries (`where`); `sizes` by sensor of the remainder that matters and that the form
+    of the causes does not excuse, in units of the least that counts (above 1).
     """
 
     places: tuple[int, ...]
@@ -80,25 +82,25 @@ class Remainder:
 
     @property
     def one_sidedness(self) -> float:
-        """The largest average, in units of the largest of any replicate; 0 without."""
-        return max((abs(one.score) / one.furthest for one in self.one_sided), default=0.0)
+        """The largest mean residual, in units of the largest of any replicate; 0 without."""
+        return max((abs(group.score) / group.furthest for group in self.one_sided), default=0.0)
 
 
-NOTHING_LEFT = Remainder((), (), (), {})
-"""Where there is no gap."""
+NO_REMAINDER = Remainder((), (), (), {})
+"""The remainder without a gap."""
 
 
 def remainder_of(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
-    """What the causes leave of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
+    """The remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
     sizes = np.nan_to_num(np.abs(after.scores))
     places = tuple(int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit)
     single = tuple(report.where(at, after, after.p) for at in places)
     one_sided = _one_sided(comparison, after, repaired, causes) if causes else ()
     worst = _worst_places(comparison, after, one_sided, places)
     where = (*single, *(report.where(at, after, after.p) for at in worst))
-    averages = [(one.sensor, abs(one.score) / (ONE_SIDED * one.furthest)) for one in one_sided]
+    averages = [(group.sensor, abs(group.score) / (ONE_SIDED * group.furthest)) for group in one_sided]
     largest: dict[str, float] = {}
     for sensor, size in (*averages, *_material(comparison, after, repaired, places, single)):
         largest[sensor] = max(size, largest.get(sensor, 0.0))
@@ -108,19 +110,21 @@ def remainder_of(
 def _material(
     comparison: Comparison, after: Assessment, repaired: Floats, places: Sequence[int], single: Sequence[Where]
 ) -> Iterator[tuple[str, float]]:
-    """Sensors and sizes of what is left that matters and that the causes' form doesn't excuse, in units of what is well
-    beyond any replicate's: of a few events one in thirty is a strange one.
+    """Sensors and sizes of the remainder that matters and that the form of the causes does not excuse, in units of
+    clearly more than any replicate has (one in thirty is extreme for rare events).
     """
     scores = beyond_form(comparison.pairs, comparison.judged, after, comparison.real.values, repaired)
     sizes = np.nan_to_num(np.abs(scores))[list(places)] / (MORE * after.furthest)
-    for one, size in zip(single, sizes.tolist(), strict=True):
-        if one.size == "material":
-            yield one.sensor, size
+    for entry, size in zip(single, sizes.tolist(), strict=True):
+        if entry.size == "material":
+            yield entry.sensor, size
 
 
 def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Floats, replicates: Floats) -> Floats:
-    """(m,) scores of the recording under the model with its causes in, as `after` has them by these `replicates`; but
-    causes may miss what they have moved since `before` by the share by which the form of the right ones may be wrong.
+    """Scores (m,) of the recording under the model with its causes, with an allowance for the form of the causes.
+
+    The scale is widened by the relative error of form times the shift from `before` to `after`; `replicates` are those
+    of `after`.
     """
     moved = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
     wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * moved))
@@ -130,49 +134,53 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
 def _one_sided(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause]
 ) -> tuple[GroupResidual, ...]:
-    """What sensors with a cause keep to one side of it in all their phases, well beyond any replicate."""
+    """Probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
     groups = overall(comparison.bench.keys, comparison.judged.likelihood, after.likelihood, real, repaired)
-    return tuple(one for one in groups if one.sensor in concerned and abs(one.score) > ONE_SIDED * one.furthest)
+    return tuple(
+        group for group in groups if group.sensor in concerned and abs(group.score) > ONE_SIDED * group.furthest
+    )
 
 
 def _worst_places(
     comparison: Comparison, after: Assessment, one_sided: Sequence[GroupResidual], known: Sequence[int]
 ) -> list[int]:
-    """Where each one-sided probe of a sensor shows most, as places of pairs; without what is `known` already."""
+    """The place of pairs at which each one-sided probe of a sensor is worst, without those `known` already."""
     sizes, keys = np.nan_to_num(np.abs(after.scores)), comparison.pairs.keys
     worst: dict[tuple[str, str], int] = {}
-    for one in one_sided:
-        own = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (one.sensor, one.probe)]
-        worst.setdefault((one.sensor, one.probe), max(own, key=lambda at: sizes[at]))
+    for group in one_sided:
+        own = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (group.sensor, group.probe)]
+        worst.setdefault((group.sensor, group.probe), max(own, key=lambda at: sizes[at]))
     named = {(keys[at].sensor, keys[at].probe) for at in known}
     return [at for place, at in worst.items() if place not in named]
 
 
-def lines_left(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each axis whose line is not explained, the worst first, log by log; `names` are the logs'."""
-    axes = dict.fromkeys((one.sensor, one.axis) for one in unexplained if one.statistic == "line" and one.axis)
+def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each axis with an unexplained line, the worst first, log by log; `names` are the logs'."""
+    axes = dict.fromkeys(
+        (entry.sensor, entry.axis) for entry in unexplained if entry.statistic == "line" and entry.axis
+    )
     return tuple(
-        f"{sensor} {axis}: a line that no cause explains: {'; '.join(told)}."
+        f"{sensor} {axis}: a line that no cause explains: {'; '.join(lines)}."
         for sensor, axis in list(axes)[:MOST]
-        if (told := list(_by_log(campaign, sensor, AXES.index(axis), names)))
+        if (lines := list(_by_log(campaign, sensor, AXES.index(axis), names)))
     )
 
 
 def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause]) -> tuple[str, ...]:
-    """A sentence for each sensor of which a line is `odd` or a cause: at which frequencies its mean spectrum at rest
-    has lines, highest first, explained or not, and which of them are aliases of the mains.
+    """A sentence for each sensor with a deviating line or a line as cause: the frequencies of the lines of its mean
+    spectrum at rest, the highest first, explained or not, with aliases of the mains marked.
     """
-    told = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
-    names = dict.fromkeys([*told, *(one.sensor for one in odd if one.statistic == "line")])
+    named = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
+    names = dict.fromkeys([*named, *(entry.sensor for entry in odd if entry.statistic == "line")])
     sentences = ((name, "; ".join(_lines_of(campaign, name))) for name in list(names)[:MOST])
     return tuple(f"{name}, lines at rest: {lines}." for name, lines in sentences if lines)
 
 
 def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
     rows_per_s = _rows_per_s(campaign, sensor)
-    spectrum = pooled([one.spectrum for log in campaign.logs for one in log.still(sensor)])
+    spectrum = pooled([summary.spectrum for log in campaign.logs for summary in log.still(sensor)])
     if rows_per_s is None or spectrum is None:
         return
     bin_hz = rows_per_s / spectrum.segment_rows
@@ -190,7 +198,7 @@ def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
 
 
 def _mains(hertz: float) -> str:
-    """A frequency, and which multiple of the mains' it is."""
+    """A frequency in words, with the multiple of the mains' frequency that it is."""
     for mains_hz in MAINS_HZ:
         if (number := round(hertz / mains_hz)) * mains_hz == hertz:
             multiple = "the mains" if number == 1 else f"harmonic {number} of the mains at {mains_hz:g} Hz"
@@ -199,38 +207,43 @@ def _mains(hertz: float) -> str:
 
 
 def _rows_per_s(campaign: Campaign, sensor: str) -> float | None:
-    """Of its usual interval; None if it was never at rest."""
-    summaries = (one for log in campaign.logs for one in log.still(sensor))
-    intervals = [one.intervals.mean_s for one in summaries if one.intervals.count]
+    """Rows per second by the usual interval; None if the sensor was never at rest."""
+    summaries = (summary for log in campaign.logs for summary in log.still(sensor))
+    intervals = [summary.intervals.mean_s for summary in summaries if summary.intervals.count]
     return float(1 / np.median(intervals)) if intervals else None
 
 
-def changes_alike(
+def shared_changes(
     keys: Sequence[Key], values: Floats, held_out: Sequence[bool], headers: Mapping[str, SensorHeader]
 ) -> tuple[str, ...]:
-    """A sentence for each axis on which the level of a held-out log is another than that of the training part, and
-    that by as much in all units of a chip, along their own axes: what their design shares. `values` (n,) of residual
-    statistics.
+    """A sentence for each axis on which the level of a held-out log differs from the training part equally in all units
+    of a chip, along their own axes, as an error of their design does. `values` (n,) are residual statistics.
     """
     groups: dict[tuple[str, str, int, str], list[float]] = {}
     for key, value, out in zip(keys, values.tolist(), held_out, strict=True):
         header = headers[key.sensor]
         if out and key.probe == "level" and np.isfinite(value) and header.unit in READABLE:
             groups.setdefault((header.chip, header.unit, key.log, key.axis), []).append(value)
-    return tuple(_told(*place, np.array(found)) for place, found in groups.items() if _is_alike(np.array(found)))
+    return tuple(
+        _shared_change_text(*place, np.array(changes))
+        for place, changes in groups.items()
+        if _is_shared(np.array(changes))
+    )
 
 
-def _is_alike(found: Floats) -> bool:
-    """All one way, and about as far."""
-    same = bool((np.sign(found) == np.sign(found[0])).all())
-    return len(found) >= _LEAST_UNITS and same and float(found.std(ddof=1)) < _SPREAD * abs(float(found.mean()))
+def _is_shared(changes: Floats) -> bool:
+    """Whether all changes have the same sign and about the same size."""
+    same = bool((np.sign(changes) == np.sign(changes[0])).all())
+    return len(changes) >= _LEAST_UNITS and same and float(changes.std(ddof=1)) < _SPREAD * abs(float(changes.mean()))
 
 
-def _told(chip: str, unit: str, log: int, axis: str, found: Floats) -> str:
+def _shared_change_text(chip: str, unit: str, log: int, axis: str, changes: Floats) -> str:
     factor, unit = READABLE[unit]
-    size = f"{factor * found.mean():+.3g} {unit} (standard deviation between units {factor * found.std(ddof=1):.2g})"
+    size = (
+        f"{factor * changes.mean():+.3g} {unit} (standard deviation between units {factor * changes.std(ddof=1):.2g})"
+    )
     return (
-        f"All {len(found)} {chip}, {axis}: held-out log {log + 1} lies {size} from the part fitted to, along the "
+        f"All {len(changes)} {chip}, {axis}: held-out log {log + 1} lies {size} from the part fitted to, along the "
         "chips' own axes: a change of bias that the units share."
     )
 
@@ -247,13 +260,13 @@ def line_hz(summary: Summary, axis: int) -> float | None:
 def _by_log(campaign: Campaign, sensor: str, axis: int, names: Sequence[str]) -> Iterator[str]:
     for name, log in zip(names, campaign.logs, strict=True):
         phases = log.still(sensor)
-        found = [hz for hz in (line_hz(phase, axis) for phase in phases) if hz is not None]
-        if not found:
+        lines_hz = [hz for hz in (line_hz(phase, axis) for phase in phases) if hz is not None]
+        if not lines_hz:
             continue
         finest = max(phase.spectrum.resolution_hz / phase.intervals.mean_s for phase in phases if phase.intervals.count)
-        where = f"in {len(found)} of {len(phases)} stretches at rest of {name}"
-        if np.ptp(found) < _STEADY * finest:
-            yield f"{np.median(found):.3g} Hz {where}"
+        where = f"in {len(lines_hz)} of {len(phases)} stretches at rest of {name}"
+        if np.ptp(lines_hz) < _STEADY * finest:
+            yield f"{np.median(lines_hz):.3g} Hz {where}"
         else:
-            course = f"{found[0]:.3g} at first and {found[-1]:.3g} at last"
-            yield f"{min(found):.3g} to {max(found):.3g} Hz {where}, {course}"
+            course = f"{lines_hz[0]:.3g} at first and {lines_hz[-1]:.3g} at last"
+            yield f"{min(lines_hz):.3g} to {max(lines_hz):.3g} Hz {where}, {course}"

@@ -1,10 +1,9 @@
-"""Single statistics that deviate: where they are, by how much, and whether that matters.
+"""Single statistics that deviate: where, by how much, and whether that matters.
 
-A difference matters from the least one on that changes a figure of use by 5 %. Noise matters by the error of heading or
-velocity after coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2) tau sigma_A(tau). Of white noise
-sigma_A(tau) = noise / sqrt(tau rows_per_s): what the model has at the least, whatever else the recording has. A level
-adds in quadrature: it matters if the integral over these 60 s is 0.32 E, sqrt(1.05^2 - 1), which raises the error's rms
-by 5 %.
+A difference matters if it changes a figure of use by 5 %. Noise matters by the error of heading or velocity after
+coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2) tau sigma_A(tau). For white noise sigma_A(tau) = noise
+/ sqrt(tau rows_per_s), which every recording has at least. A level adds in quadrature: it matters if the integral over
+these 60 s is 0.32 E, sqrt(1.05^2 - 1), which raises the error's rms by 5 %.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from imuarray.log.format import SensorHeader
 
 COASTING_S = 60.0
 SHARE = 0.05
-"""Of a figure of use: what matters."""
+"""Relative change of a figure of use that matters."""
 
 TWO_SIDED_95 = 1.96
 
-_BESIDE = math.sqrt((1 + SHARE) ** 2 - 1)
-"""What raises an rms by that share, as a share of the rms."""
+_QUADRATURE = math.sqrt((1 + SHARE) ** 2 - 1)
+"""Contribution, as a share of an rms, that raises the rms by `SHARE` when added in quadrature."""
 
 _RMS = math.log1p(SHARE)
 _VARIANCE = 2 * _RMS
 _GENEROUS = math.log(1.25)
-"""Density at one place of the spectrum, from which the integral over 60 s takes next to nothing."""
+"""Margin of the log density at one place of the spectrum, of which the integral over 60 s passes next to nothing."""
 
 _CORRELATION = SHARE
 _SCORE = 3.0
@@ -48,11 +47,11 @@ _THREE_SIGMA = 3.0
 _ROWS_SHARE = 0.001
 _CODES_SHARE = 0.05
 _STIMULUS: Mapping[str, float] = MappingProxyType({"angular_rate": 90.0, "specific_force": 1.0})
-"""In the sensor's unit: a quarter turn, or gravity, for one second."""
+"""Stimulus of one second in the sensor's unit: a quarter turn, or gravity."""
 
 
 class Setting(NamedTuple):
-    """Of one sensor in one log: `noise` of single readings in its unit, rows per second, and how long it lasted."""
+    """Conditions of one sensor in one log: `noise` of single readings in its unit, rows per second, and length."""
 
     header: SensorHeader
     noise: float
@@ -62,25 +61,25 @@ class Setting(NamedTuple):
     @property
     def level(self) -> float:
         """A constant whose integral over 60 s raises the rms of E by 5 %: 0.32 sqrt(2) sigma_A(60 s)."""
-        return _BESIDE * math.sqrt(2) * self.noise / math.sqrt(COASTING_S * self.rows_per_s)
+        return _QUADRATURE * math.sqrt(2) * self.noise / math.sqrt(COASTING_S * self.rows_per_s)
 
 
 Rule = Callable[[Setting], float]
 
 
 def fixed(value: float) -> Rule:
-    """The same for every sensor."""
+    """A rule with the same margin for every sensor."""
     return lambda _: value
 
 
 def level(per: float = 1.0) -> Rule:
-    """A coefficient whose product with `per` is a level that matters."""
+    """A rule for a coefficient whose product with `per` is a level."""
     return lambda setting: setting.level / per
 
 
 def response(setting: Setting) -> float:
-    """Share of a motion, or delay in s, that raises the rms of E by 5 % where the box makes a quarter turn in a second
-    (feels 1 g for one second).
+    """Margin of a response to motion, or of a delay in s, that raises the rms of E by 5 % where the box makes a quarter
+    turn in a second (feels 1 g for one second).
     """
     return setting.level * COASTING_S / _STIMULUS.get(setting.header.quantity, 1.0)
 
@@ -95,12 +94,12 @@ def unevenness(setting: Setting) -> float:
 
 
 def share(of_rows: float, usual: float = 0.0) -> float:
-    """What `of_rows` more than a `usual` share make in the arcsine of its root."""
+    """The change of the arcsine statistic of a share that rises by `of_rows` from its `usual` value."""
     return math.asin(math.sqrt(usual + of_rows)) - math.asin(math.sqrt(usual))
 
 
 _ROWS = fixed(share(_ROWS_SHARE))
-"""One reading in a thousand that is late, missing, clipped or none."""
+"""One reading in a thousand that is late, missing, clipped or invalid."""
 
 _CODES = fixed(share(_CODES_SHARE))
 _HALF = fixed(share(_CODES_SHARE / 2, usual=0.5))
@@ -222,15 +221,16 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
 
 
 def sized(shift: float, scale: float, margin: float) -> Size:
-    """How much a difference `shift` with standard error `scale` matters: "material" if all of its size's 95 % interval
-    is beyond the margin, "harmless" if all is within (two one-sided tests, however significant it is), else "can't
-    tell"; that, too, of nan.
+    """Judges a difference `shift` with standard error `scale` by two one-sided tests.
+
+    "material" if the 95 % interval of its size is beyond the margin, "harmless" if it is within (however significant),
+    otherwise "can't tell", also for nan.
     """
     return sizes(np.array([shift]), np.array([scale]), np.array([margin]))[0]
 
 
 def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
-    """`sized` of many, (n,) each."""
+    """`sized` for arrays (n,)."""
     size, reach = np.abs(shift), TWO_SIDED_95 * np.asarray(scale)
     names: tuple[Size, ...] = ("can't tell", "harmless", "material")
     with np.errstate(invalid="ignore"):
@@ -239,14 +239,14 @@ def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
 
 
 def needed(seconds: float, scale: float, margin: float) -> float:
-    """Seconds of a log that would tell a difference as small as `margin`, if one of `seconds` has the standard error
-    `scale`: it falls with the root of the length. inf for a margin of 0.
+    """Seconds of a log that would resolve a difference of `margin`, if one of `seconds` has the standard error `scale`,
+    which falls with the root of the length; inf for a margin of 0.
     """
     return seconds * (TWO_SIDED_95 * scale / margin) ** 2 if margin > 0 else math.inf
 
 
 def record_words(seconds: float) -> str:
-    """What to record, in words and two digits, rounded up: "record 25 minutes"."""
+    """The length to record in words with two digits, rounded up: "record 25 minutes"."""
     if not math.isfinite(seconds):
         return "no log is long enough"
     unit, size = next((name, size) for name, size, limit in _UNITS if seconds <= limit)
@@ -259,17 +259,17 @@ def record_words(seconds: float) -> str:
 def where_of(
     report: StatisticReport, assessment: Assessment, places: Iterable[int], p: Mapping[int, float]
 ) -> tuple[Where, ...]:
-    """The statistics at these places of the pairs, as one model makes them; `p` of those that have their own."""
+    """Report entries of the statistics at these places of the pairs, by one model; `p` of those that have their own."""
     return tuple(report.where(at, assessment, p.get(at, assessment.p)) for at in places)
 
 
 def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:
-    """Largest scores by sensor and domain."""
+    """The largest scores by sensor and domain."""
     domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
     tables = []
-    for one in (before, after):
+    for assessment in (before, after):
         table = np.full((len(sensors), len(domains)), np.nan)
-        for key, score in zip(pairs.keys, one.scores.tolist(), strict=True):
+        for key, score in zip(pairs.keys, assessment.scores.tolist(), strict=True):
             if math.isfinite(score):
                 place = sensors.index(key.sensor), domains.index(key.domain)
                 table[place] = np.fmax(table[place], abs(score))
@@ -290,7 +290,7 @@ class StatisticReport:
         self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
 
     def where(self, at: int, assessment: Assessment, p: float) -> Where:
-        """The statistic at one place of the pairs."""
+        """The report entry of the statistic at one place of the pairs."""
         key, header = self._pairs.keys[at], self._bench.base.headers[self._pairs.keys[at].sensor]
         probe = PROBES[key.probe]
         shift, scale = self._shift(at, assessment), self.scale(at, assessment)
@@ -321,7 +321,7 @@ class StatisticReport:
         return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.rate_and_length(at))
 
     def rate_and_length(self, at: int) -> tuple[float, float]:
-        """Rows a second of the sensor, and how many seconds of its log were looked at."""
+        """Rows per second of the sensor, and the seconds of its log that were used."""
         key = self._key(at)
         phases = self._phases[self._side(at)][max(key.log, 0)]
         own = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
@@ -336,12 +336,12 @@ class StatisticReport:
         return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
 
     def _shift(self, at: int, assessment: Assessment) -> float:
-        """How far the recording lies from the middle of the model, the mean over the parts."""
+        """Difference of the recording from the model's location, averaged over the parts."""
         parts = assessment.apart[self._parts(at)]
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
     def _parts(self, at: int) -> list[int]:
-        """Where the statistic stands among those of both parts."""
+        """The places of the statistic in both parts."""
         return [int(place) for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
 
     def _log(self, at: int) -> str:
@@ -349,12 +349,12 @@ class StatisticReport:
         return f"all {key.phase} logs" if key.log < 0 else self._logs[self._side(at)][key.log]
 
     def _key(self, at: int) -> Key:
-        """As its own part has it."""
+        """The key of the statistic in its own part."""
         places = (self._pairs.train, self._pairs.held_out)[self._side(at)]
         return self._bench.keys[int(places[at])]
 
     def _side(self, at: int) -> int:
-        """0 for the training part, 1 for what the held-out part alone has."""
+        """0 for the training part, 1 for a statistic of the held-out part alone."""
         return 0 if self._pairs.train[at] >= 0 else 1
 
 

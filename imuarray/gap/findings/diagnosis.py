@@ -1,4 +1,4 @@
-"""What a diagnosis says, whatever way it was found: the verdict, where the gap is, its causes, how far it shrinks."""
+"""The result of a diagnosis: the verdict, where the gap is, its causes, and how far they close it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ Size = Literal["material", "harmless", "can't tell"]
 Origin = Literal["sensor", "environment", "metadata"]
 
 Interval = tuple[float, float]
-"""95 % confidence."""
+"""95 % confidence interval."""
 
 
 @dataclass(frozen=True)
 class Where:
-    """One statistic that differs: what the recording has, what the simulation has instead, in `unit` ("" for pure
-    numbers). `significance` is the difference in standard deviations of chance, `effect_size` the difference in units
-    of the least one that matters (`margin`,
-    `imuarray.gap.findings.deviations`); `axis` and `phase` are "" for all.
+    """One statistic that differs: its value in the recording (`real`) and in the simulation, in `unit` ("" for pure
+    numbers).
+
+    `significance` is the difference in standard deviations of chance, `effect_size` the difference in units of the
+    least one that matters (`margin`, `imuarray.gap.findings.deviations`); `axis` and `phase` are "" for all.
     """
 
     log: str
@@ -51,13 +52,15 @@ class Where:
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause, with the probability that it is there: its `share` among all that would explain as much, times how
-    often causes of sensors of whose gap so much is closed, by all of their causes together (`all_closed`), are right.
+    """One cause with the probability that it is present.
+
+    The probability is its `share` among the effects that explain as much, times the rate at which causes are right
+    whose sensors' gap is closed as far by all causes together (`all_closed`).
 
     `sensors` and `axes` concerned (no axes: all); `parameters` by their names with units, of the first sensor where
-    they differ (`each` has all); `closed` is the share of the gap of these sensors that goes with it, on data that it
-    was not fitted to. `gain` is how much likelier it makes that data, in nats. `needs_both`: the training part alone
-    doesn't show it, so that it was told, and its share closed, by both parts together.
+    they differ (`each` has all); `closed` is the share of these sensors' gap that it closes on data to which it was not
+    fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training part alone doesn't show
+    it, so that it was detected, and its closed share measured, on both parts together.
     """
 
     effect: str
@@ -78,14 +81,14 @@ class Cause:
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:
-    """Whether no cause is left that one part of the campaign tells, so that the other could judge it."""
+    """Whether no cause is shown by one part of the campaign alone, such that the other part could judge it."""
     return bool(causes) and all(cause.needs_both for cause in causes)
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A candidate that was looked at for some sensors, whether or not it became a cause; placebos are `effect` "".
-    `fits` and `gain`: nats by which it makes the training and the held-out part likelier.
+class CandidateEvaluation:
+    """A candidate that was evaluated for some sensors, whether or not it became a cause; placebos have `effect` "".
+    `fits` and `gain`: log-likelihood ratios in nats on the training and the held-out part.
     """
 
     effect: str
@@ -98,8 +101,8 @@ class Judged:
 
 @dataclass(frozen=True)
 class Gap:
-    """Root mean square score of the statistics that differ, on held-out data: `before`, `after` the causes were added,
-    and where nothing is wrong (`floor`); `closed` is the share of the squared excess that is gone (None without a gap).
+    """Root mean square score of the statistics that differ, on held-out data: `before` and `after` the causes were
+    added, and without a gap (`floor`); `closed` is the closed share of the squared excess (None without a gap).
     """
 
     before: float
@@ -131,7 +134,9 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Unobservable:
-    """What can't be told: `effect` (or a statistic that is too uncertain) of these sensors, and what to `record`."""
+    """An effect that the recordings cannot show, or a statistic that is too uncertain, for these sensors, and what to
+    `record`.
+    """
 
     effect: str
     sensors: tuple[str, ...]
@@ -140,9 +145,9 @@ class Unobservable:
 
 @dataclass(frozen=True)
 class Pull:
-    """A quantity that the data sheet leaves to the part: its fitted `value` in `unit`, the `tolerance` that the data
-    sheet allows to either side in the same unit, and the `pull`, the deviation from the nominal value in tolerances.
-    `axis` is "" for all axes; `source` names where the tolerance is printed, such as "BMA-64".
+    """A quantity that the data sheet leaves to the part: its fitted `value` in `unit`, the `tolerance` to either side
+    in the same unit, and the `pull`, the deviation from the nominal value in tolerances. `axis` is "" for all axes;
+    `source` names where the tolerance is printed, such as "BMA-64".
     """
 
     quantity: str
@@ -162,8 +167,8 @@ class Pull:
 
 @dataclass(frozen=True)
 class Map:
-    """Largest size of score for each sensor (rows) and domain (columns), before and after; nan where nothing is said,
-    `limit` is what chance reaches in one of twenty campaigns.
+    """The largest absolute score of each sensor (rows) and domain (columns), before and after; nan where there is none.
+    `limit` is reached by chance in one of twenty campaigns.
     """
 
     sensors: tuple[str, ...]
@@ -187,7 +192,7 @@ class RecordingSummary:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that a diagnosis says."""
+    """The complete result of a diagnosis."""
 
     verdict: Verdict
     sentence: str
@@ -200,7 +205,7 @@ class Diagnosis:
     next_experiment: str
     unshown: tuple[Unobservable, ...]
     uses: tuple[Use, ...]
-    judged: tuple[Judged, ...]
+    judged: tuple[CandidateEvaluation, ...]
     map: Map
     overlays: tuple[Overlay, ...]
     recorded: tuple[RecordingSummary, ...]
@@ -222,7 +227,7 @@ class Diagnosis:
     """The quantities that data sheets leave to the part, against their tolerances. None of them is a cause."""
 
     def as_json(self) -> dict[str, Any]:
-        """As one JSON object; numbers that aren't finite are null."""
+        """The diagnosis as one JSON object; numbers that aren't finite are null."""
         plain = {
             "verdict": self.verdict,
             "sentence": self.sentence,
@@ -251,7 +256,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has words for."""
+    """A value in JSON's types."""
     if is_dataclass(value):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):

@@ -1,7 +1,7 @@
-"""What to record next: of a menu of experiments the one that tells two causes apart which fit what was recorded alike.
+"""The next experiment: from a menu, the one that best separates two causes which explain the recordings equally.
 
-Both models of one sensor are simulated on every experiment; what is expected of it are the nats by which a recording
-of the one would be likelier under the one than under the other (Kullback and Leibler 1951), per hour of work.
+Both models of one sensor are simulated in every experiment. The criterion is the expected log-likelihood ratio in nats
+of a recording under its own model and the other (Kullback and Leibler 1951), per hour of work.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from imuarray.simulate.simulation import Plan, Simulation
 from imuarray.simulate.timeline import Polled
 
 LEAST = 3.0
-"""Nats from which on an experiment tells two causes apart: 20 to 1."""
+"""Least nats that separate two causes, 20 to 1."""
 
 ENOUGH = 12.0
-"""More nats are worth nothing."""
+"""Nats above which more have no value."""
 
 REPLICATES = 6
 _FIRST = 4_000_000
@@ -49,9 +49,7 @@ _FIRST = 4_000_000
 
 @dataclass(frozen=True)
 class Offer:
-    """An experiment: what happens to the box in each of its logs, hours that it takes with all handling, and what to
-    do, in words.
-    """
+    """An experiment: the motions of the box in its logs, hours of work with all handling, and instructions."""
 
     motions: tuple[Motion, ...] = field(repr=False)
     hours: float
@@ -75,7 +73,9 @@ MENU: Mapping[Kind, Offer] = MappingProxyType(
         ),
     }
 )
-"""By kind. The hours are ours: the logs, 3 minutes to set up, 1 minute for every switching on, 15 for every heat."""
+"""The experiments by kind. The hours are our estimate: the logs, 3 minutes to set up, 1 minute for every power-on, 15
+for every heating.
+"""
 
 _MORE: Mapping[str, Kind] = MappingProxyType(
     {
@@ -95,11 +95,11 @@ _MORE: Mapping[str, Kind] = MappingProxyType(
         "status": "static",
     }
 )
-"""What shows more of a domain's statistics."""
+"""The experiment that shows more of a domain's statistics."""
 
 
 class Rivals(NamedTuple):
-    """Two causes of one unit, one of which was taken, and the share of its statistics that is independent."""
+    """Two confusable causes of one unit, one of which was taken, and the independent share of its statistics."""
 
     sensors: tuple[str, ...]
     taken: Evaluation
@@ -115,12 +115,12 @@ def next_experiment(
     unshown: Sequence[Unobservable],
     run: Run,
 ) -> str:
-    """What to record next, in words: what tells the most probable cause from its rivals; else what shows more of what
-    is unexplained (worst first), else of what can't be told.
+    """What to record next, in words: what separates the most probable cause from its rivals; otherwise what shows more
+    of the unexplained remainder (worst first), or of what is not observable.
     """
     rivals = rivals_of(searched, causes)
     if rivals is not None:
-        return _told_apart(bench, rivals, run)
+        return _separating_experiment(bench, rivals, run)
     if unexplained:
         worst = unexplained[0]
         place = f"{worst.sensor} {worst.axis}".rstrip()
@@ -131,80 +131,82 @@ def next_experiment(
         )
     if unshown:
         first = unshown[0]
-        return f"To see {first.effect.replace('_', ' ')}, which nothing recorded shows: {first.record}."
-    return "Nothing: what was recorded tells all causes of the library apart."
+        return f"To observe {first.effect.replace('_', ' ')}, which these recordings cannot show: {first.record}."
+    return "Nothing: these recordings separate all causes of the library."
 
 
 def rivals_of(searched: SearchResult, causes: Sequence[Cause]) -> Rivals | None:
-    """The most probable cause that is confusable with another one that was tried in the same round."""
+    """The most probable cause with a confusable one from the same round."""
     for cause in causes:
         for unit, rounds in searched.rounds.items():
-            for one in rounds if cause.confusable_with and set(unit) <= set(cause.sensors) else ():
-                pair = _pair(cause, one)
+            for round_ in rounds if cause.confusable_with and set(unit) <= set(cause.sensors) else ():
+                pair = _pair(cause, round_)
                 if pair is not None:
-                    return Rivals(unit, *pair, one.before.independent)
+                    return Rivals(unit, *pair, round_.before.independent)
     return None
 
 
 def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
-    """Nats expected of each experiment of the menu, of the unit's first two sensors (or its only one)."""
-    sides = [_models_of(bench, rivals, one.standing.models) for one in (rivals.taken, rivals.rival)]
-    wanted = rivals.sensors[:2]
-    benches = run(_laid_out, [_Wanted(kind, sides[0]) for kind in MENU])
+    """Expected nats of each experiment of the menu, for the unit's first two sensors (or its only one)."""
+    sides = [_models_of(bench, rivals, evaluation.standing.models) for evaluation in (rivals.taken, rivals.rival)]
+    sensors = rivals.sensors[:2]
+    benches = run(_bench_of_experiment, [_ExperimentRequest(kind, sides[0]) for kind in MENU])
     numbers = range(_FIRST, _FIRST + REPLICATES)
-    values = run(_replicates, [_Asked(own, side, wanted, numbers) for own in benches for side in sides])
-    found: dict[Kind, float] = {}
+    values = run(_replicates, [_SimulationRequest(own, side, sensors, numbers) for own in benches for side in sides])
+    nats: dict[Kind, float] = {}
     for kind, own, first, second in zip(MENU, benches, values[::2], values[1::2], strict=True):
-        found[kind] = nats_between(first, second, own.resolutions[own.columns(wanted, cross=True)], rivals.independent)
-    return found
+        nats[kind] = nats_between(first, second, own.resolutions[own.columns(sensors, cross=True)], rivals.independent)
+    return nats
 
 
 def nats_between(first: Floats, second: Floats, floor: Floats, independent: float) -> float:
-    """Nats by which a recording of the one model is likelier under it than under the other, from replicates (r, n) of
-    both with the same draws. `floor` (n,) is the least scatter that means anything, `independent` the share of the n
-    statistics that is.
+    """Expected log-likelihood ratio between two models in nats, from replicates (r, n) of both with the same draws.
 
-    Each statistic counts by the squared distance of the means over the scatter of single recordings, bounded by
-    Student's t as in the search; what r replicates make of nothing is taken off.
+    `floor` (n,) is the least meaningful scatter, `independent` the share of the n statistics that is independent. Each
+    statistic counts by the squared distance of the means over the scatter of single recordings, bounded by Student's t
+    as in the search; the chance level of r replicates is subtracted.
     """
     there = [np.isfinite(side).all(axis=0) for side in (first, second)]
     known = there[0] & there[1]
     strange = (there[0] & ~np.isfinite(second).any(axis=0)) | (there[1] & ~np.isfinite(first).any(axis=0))
-    apart = first[:, known] - second[:, known]
-    distance = apart.mean(axis=0)
+    difference = first[:, known] - second[:, known]
+    distance = difference.mean(axis=0)
     scatter = (first[:, known].var(axis=0, ddof=1) + second[:, known].var(axis=0, ddof=1)) / 2
     least = np.maximum(floor[known], _ROUNDING * (1 + np.abs(first[:, known].mean(axis=0))))
     freedom = 2 * (len(first) - 1)
-    chance = apart.var(axis=0, ddof=1) / len(first) * freedom / (freedom - 2)  # 1 over the scatter is so much too large
+    chance = (
+        difference.var(axis=0, ddof=1) / len(first) * freedom / (freedom - 2)
+    )  # 1 over the scatter is so much too large
     square = (distance**2 - chance) / (np.maximum(scatter, least**2) + (FORM * distance) ** 2)
     bounded = np.sign(square) * np.log1p(np.abs(square) / FREEDOM)
     total = bounded.sum() + np.count_nonzero(strange) * math.log1p(LARGEST_SCORE**2 / FREEDOM)
     return max(independent * (FREEDOM + 1) / 2 * float(total), 0.0)
 
 
-def _told_apart(bench: Bench, rivals: Rivals, run: Run) -> str:
-    found = separations(bench, rivals, run)
+def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
+    expected = separations(bench, rivals, run)
     what = f"{rivals.taken.trial.name} from {rivals.rival.trial.name} of {rivals.sensors[0]}"
-    ranked = sorted(found, key=lambda kind: -min(found[kind], ENOUGH) / MENU[kind].hours)
-    good = [kind for kind in ranked if found[kind] >= LEAST]
+    ranked = sorted(expected, key=lambda kind: -min(expected[kind], ENOUGH) / MENU[kind].hours)
+    good = [kind for kind in ranked if expected[kind] >= LEAST]
     if not good:
-        most = max(found, key=found.__getitem__)
+        most = max(expected, key=expected.__getitem__)
         return (
-            f"Nothing on the menu ({', '.join(MENU)}) tells {what}: at most {_nats(found[most])} expected, from"
+            f"Nothing on the menu ({', '.join(MENU)}) separates {what}: at most {_nats(expected[most])} expected, from"
             f" {MENU[most].words}."
         )
     best = good[0]
     other = "static" if best != "static" else ranked[ranked[0] == best]
     return (
-        f"Record {MENU[best].words}. It tells {what} ({_nats(found[best])} expected in {_hours(MENU[best].hours)};"
-        f" {other} {_nats(found[other])} in {_hours(MENU[other].hours)})."
+        f"Record {MENU[best].words}. It separates {what} ({_nats(expected[best])} expected in"
+        f" {_hours(MENU[best].hours)};"
+        f" {other} {_nats(expected[other])} in {_hours(MENU[other].hours)})."
     )
 
 
-def _pair(cause: Cause, one: Round) -> tuple[Evaluation, Evaluation] | None:
-    """The best trials of the cause and of what it is confusable with."""
-    taken = next((trial for trial in one.confirmed if _is(trial, cause)), None)
-    rival = next((trial for trial in one.confirmed if trial.trial.name in cause.confusable_with), None)
+def _pair(cause: Cause, round_: Round) -> tuple[Evaluation, Evaluation] | None:
+    """The best trials of the cause and of an effect that is confusable with it."""
+    taken = next((trial for trial in round_.confirmed if _is(trial, cause)), None)
+    rival = next((trial for trial in round_.confirmed if trial.trial.name in cause.confusable_with), None)
     return None if taken is None or rival is None else (taken, rival)
 
 
@@ -213,50 +215,50 @@ def _is(trial: Evaluation, cause: Cause) -> bool:
 
 
 def _models_of(bench: Bench, rivals: Rivals, models: Models) -> Models:
-    """Of the unit's first two sensors, and of those whose data they have."""
+    """Models of the unit's first two sensors, and of the sensors whose data they have."""
     own = {name: models[name] for name in rivals.sensors[:2]}
     drawn = bench.base.effects(0)
-    sources = {getattr(one, "sensor", "") for name, model in own.items() for one in (*drawn[name], *model.added)}
+    sources = {getattr(effect, "sensor", "") for name, model in own.items() for effect in (*drawn[name], *model.added)}
     return {**{name: model for name, model in bench.models().items() if name in sources}, **own}
 
 
-class _Wanted(NamedTuple):
+class _ExperimentRequest(NamedTuple):
     kind: Kind
     models: Models
 
 
-class _Asked(NamedTuple):
+class _SimulationRequest(NamedTuple):
     bench: Bench
     models: Models
     sensors: tuple[str, ...]
     numbers: Sequence[int]
 
 
-def _laid_out(bench: Bench, wanted: _Wanted) -> Bench:
-    """The bench of an experiment, as if the first replicate had been recorded."""
+def _bench_of_experiment(bench: Bench, request: _ExperimentRequest) -> Bench:
+    """The bench of an experiment, as if its first replicate had been recorded."""
     base = replace(
         bench.base,
-        headers={name: bench.base.headers[name] for name in wanted.models},
-        fitted={name: model.fitted for name, model in wanted.models.items()},
+        headers={name: bench.base.headers[name] for name in request.models},
+        fitted={name: model.fitted for name, model in request.models.items()},
     )
-    motions = MENU[wanted.kind].motions
+    motions = MENU[request.kind].motions
     phases = [phases_within(motion.phases, round(motion.seconds * 1e9)) for motion in motions]
-    split = split_of([wanted.kind] * len(motions), phases)
-    experiments = [Experiment(_plan(bench, wanted.models, motion.seconds), motion) for motion in motions]
-    kinds = (wanted.kind,) * len(motions)
-    layouts = tuple(_layouts(*one) for one in zip(experiments, split.phases(), strict=True))
+    split = split_of([request.kind] * len(motions), phases)
+    experiments = [Experiment(_plan(bench, request.models, motion.seconds), motion) for motion in motions]
+    kinds = (request.kind,) * len(motions)
+    layouts = tuple(_layouts(*of_log) for of_log in zip(experiments, split.phases(), strict=True))
     stage = Stage(kinds, split, layouts, tuple(experiments), base)
-    return bench_of(stage.simulated(wanted.models, _FIRST), split, experiments, base)
+    return bench_of(stage.simulated(request.models, _FIRST), split, experiments, base)
 
 
-def _replicates(_: Bench, asked: _Asked) -> Floats:
-    """(r, n) statistics of the sensors that matter."""
-    campaigns = asked.bench.campaigns([(asked.models, number) for number in asked.numbers])
-    return np.array([one.values for one in asked.bench.each_measured(campaigns, asked.sensors)])
+def _replicates(_: Bench, request: _SimulationRequest) -> Floats:
+    """Statistics (r, n) of the sensors concerned."""
+    campaigns = request.bench.campaigns([(request.models, number) for number in request.numbers])
+    return np.array([measured.values for measured in request.bench.each_measured(campaigns, request.sensors)])
 
 
 def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:
-    """Each sensor read as often as it was, at even times."""
+    """A plan that reads each sensor at its recorded rate, at even times."""
     rates = {
         name: line.rows_per_s
         for experiment in bench.experiments
@@ -269,7 +271,7 @@ def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:
 
 
 def _layouts(experiment: Experiment, phases: Sequence[Phase]) -> tuple[Layout, ...]:
-    """How finely its phases can be looked at."""
+    """The layouts of an experiment's phases."""
     sources = simulated_sources(Simulation(experiment.plan, experiment.motion, {}))
     return tuple(layout_of(sources, phase) for phase in phases)
 

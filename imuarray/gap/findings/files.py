@@ -1,4 +1,4 @@
-"""A diagnosis from the JSON that it was written as (`gap.json`), with all but its curves and the repaired model."""
+"""Reads a diagnosis from its JSON (`gap.json`), except its curves and the repaired model."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ _NAMES = {"unshown": "cannot_tell"}
 _NOT_KEPT: Mapping[str, Any] = types.MappingProxyType({"overlays": (), "repaired": None})
 _DEPTH = 12
 _HUGE = 1e30
-"""No figure of a diagnosis comes near it."""
+"""Limit of the figures of a diagnosis."""
 
 
 def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
-    """What `Diagnosis.as_json` gave, read back; numbers that JSON could not say are nan. LogError."""
+    """The diagnosis of a table that `Diagnosis.as_json` made; numbers that JSON could not represent are nan. LogError
+    for anything else.
+    """
     hints = get_type_hints(Diagnosis, {**vars(parts), "Model": object})
     if not isinstance(table, Mapping):
-        raise LogError(f"{where}: no diagnosis: an object is wanted")
+        raise LogError(f"{where}: not a diagnosis: it must be an object")
     values = {}
     for item in fields(Diagnosis):
         if item.name in _NOT_KEPT:
@@ -35,13 +37,13 @@ def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
         if key not in table and item.default is not MISSING:
             continue  # files of earlier versions lack it
         if key not in table:
-            raise LogError(f"{where}: no diagnosis: {key} is missing")
+            raise LogError(f"{where}: not a diagnosis: {key} is missing")
         values[item.name] = _read(table[key], hints[item.name], f"{where}: {key}", _DEPTH)
-    found = Diagnosis(**values)
-    shape = (len(found.map.sensors), len(found.map.domains))
-    if found.map.before.shape != shape or found.map.after.shape != shape:
-        raise LogError(f"{where}: map: {shape[0]} sensors by {shape[1]} domains are wanted")
-    return found
+    diagnosis = Diagnosis(**values)
+    shape = (len(diagnosis.map.sensors), len(diagnosis.map.domains))
+    if diagnosis.map.before.shape != shape or diagnosis.map.after.shape != shape:
+        raise LogError(f"{where}: map: its size must be {shape[0]} sensors by {shape[1]} domains")
+    return diagnosis
 
 
 def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
@@ -57,14 +59,14 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
         return _dataclass(value, kind, where, depth)
     if origin is tuple:
         if not isinstance(value, list) or (inside[-1] is not Ellipsis and len(value) != len(inside)):
-            raise LogError(f"{where}: a list is wanted")
+            raise LogError(f"{where}: must be a list")
         kinds = [inside[0]] * len(value) if inside[-1] is Ellipsis else inside
         return tuple(_read(one, each, where, depth - 1) for one, each in zip(value, kinds, strict=True))
     if origin is np.ndarray or kind is np.ndarray:
         return _array(value, where)
     if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
-            raise LogError(f"{where}: an object is wanted")
+            raise LogError(f"{where}: must be an object")
         return {_text(key, where): _read(one, inside[1], where, depth - 1) for key, one in value.items()}
     if kind is Any or kind is object:
         return _anything(value, where, depth)
@@ -73,7 +75,7 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
 
 def _dataclass(value: Any, kind: Any, where: str, depth: int) -> Any:
     if not isinstance(value, Mapping):
-        raise LogError(f"{where}: an object is wanted")
+        raise LogError(f"{where}: must be an object")
     hints = get_type_hints(kind)
     known = [item.name for item in fields(kind) if item.name in value]
     try:
@@ -85,12 +87,12 @@ def _dataclass(value: Any, kind: Any, where: str, depth: int) -> Any:
 def _array(value: Any, where: str) -> Any:
     try:
         rows = [[nan if one is None else float(one) for one in row] for row in value]
-        found = np.array(rows, float).reshape(len(value), -1)
-        if (np.abs(found) >= _HUGE).any():
+        table = np.array(rows, float).reshape(len(value), -1)
+        if (np.abs(table) >= _HUGE).any():
             raise ValueError("beyond any figure of a diagnosis")
-        return found
+        return table
     except (TypeError, ValueError, OverflowError):
-        raise LogError(f"{where}: rows of numbers are wanted") from None
+        raise LogError(f"{where}: must be rows of numbers") from None
 
 
 def _plain(value: Any, kind: Any, where: str) -> Any:
@@ -102,14 +104,14 @@ def _plain(value: Any, kind: Any, where: str) -> Any:
             raise LogError(f"{where}: {value!r:.40}; allowed are {', '.join(get_args(kind))}")
         return value
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise LogError(f"{where}: {value!r:.40} is not what stands there")
+        raise LogError(f"{where}: {value!r:.40} has the wrong type")
     if kind is int:
         _number(value, where)
     return _text(value, where) if kind is str else value
 
 
 def _anything(value: Any, where: str, depth: int) -> Any:
-    """A value of which no type is known, with nothing in it that no float is or no file can hold."""
+    """A value of any type, without what a float or a file cannot hold."""
     if depth == 0:
         raise LogError(f"{where}: nested without end")
     if isinstance(value, Mapping):
@@ -122,16 +124,16 @@ def _anything(value: Any, where: str, depth: int) -> Any:
 
 
 def _number(value: Any, where: str) -> float:
-    """A number, as it stands; JSON's whole numbers have no end."""
+    """A number in the allowed range; JSON's integers are unbounded."""
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= _HUGE:
-        raise LogError(f"{where}: {str(value)[:40]!r} is no number that stands there")
+        raise LogError(f"{where}: {str(value)[:40]!r} is not a number in the allowed range")
     return value
 
 
 def _text(value: str, where: str) -> str:
-    """A text that a file can hold: JSON can spell halves of characters."""
+    """A text that a file can hold; JSON can encode halves of characters."""
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise LogError(f"{where}: {value!r:.40}: half a character") from None
+        raise LogError(f"{where}: {value!r:.40} contains half a character") from None
     return value

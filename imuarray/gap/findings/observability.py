@@ -1,5 +1,5 @@
-"""What a campaign can't tell: effects for which nothing was recorded that shows them, and statistics that scatter more
-than the differences that matter.
+"""What a campaign cannot show: effects that no recorded experiment shows, and statistics with more scatter than the
+differences that matter.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from imuarray.simulate.converters import THERMOMETERS
 
 Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
 Needs = tuple[tuple[Need, ...], ...]
-"""One of several sets, all of it."""
+"""Alternative sets of needs; one whole set suffices."""
 
 LEAST_FACES, LEAST_DEGC, LEAST_RUNS, LEAST_REST_S = 2, 5.0, 4, 60.0
-"""With fewer faces level and scale are one; within less warmth, drift and slope; fewer runs have no spread
-(`imuarray.gap.statistics.probes.run_to_run`); a shorter rest is no static log."""
+"""Least faces (with fewer, level and scale are not separated), span of temperature (drift and slope), runs (a spread:
+`imuarray.gap.statistics.probes.run_to_run`) and rest of a static log.
+"""
 
 LONGEST_S = 48 * 3600.0
 MOST_RUNS = 20.0
-"""Nobody records for longer, or so many times as many runs."""
+"""Longest log, and largest multiple of runs, that is suggested."""
 
 _RECORD: Mapping[Need, str] = MappingProxyType(
     {
@@ -45,7 +46,7 @@ _RECORD: Mapping[Need, str] = MappingProxyType(
         "warm_turns": "turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more",
     }
 )
-"""In words, where the candidate has none for the kind of experiment."""
+"""What to record, where the candidate has no text for the kind of experiment."""
 
 _KIND: Mapping[Need, Kind] = MappingProxyType(
     {
@@ -58,7 +59,7 @@ _KIND: Mapping[Need, Kind] = MappingProxyType(
     }
 )
 _DONE_BY: tuple[Need, ...] = ("faces", "warmth", "runs", "turns")
-"""What makes an experiment of its kind."""
+"""The needs that make an experiment of its kind."""
 
 _NEEDS: Mapping[str, Needs] = MappingProxyType(
     {
@@ -76,9 +77,10 @@ _NEEDS: Mapping[str, Needs] = MappingProxyType(
         "bistable_bias": (("runs",),),
     }
 )
-"""Any of these, the usual one first; without, an effect can't be told, whatever else was recorded: in one attitude it
-looks like a bias (a clipped axis like one that is quiet besides), and so does what never changes with warmth or from
-run to run."""
+"""Alternative needs of each effect, the usual one first. Without any of them the effect is not observable, whatever
+else was recorded: in one attitude it looks like a bias (a clipped axis like a quiet one with a bias), and so does an
+effect that does not change with temperature or from run to run.
+"""
 
 _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
     {
@@ -90,45 +92,46 @@ _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
         "thermal_scale": (("warm_turns",),),
     }
 )
-"""The same where a gyroscope, which feels nothing on any face, needs something else."""
+"""Needs of a gyroscope where they differ, since it feels nothing on any face."""
 
 _ONLY: Mapping[str, str] = MappingProxyType({"g_sensitivity": "angular_rate", "size_effect": "specific_force"})
-"""Effects that sensors of one quantity alone have."""
+"""Effects that only sensors of one quantity have."""
 
 _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
-"""What an effect can't be told from as long as nothing was recorded that shows it."""
+"""The effect from which an effect is not separable as long as no recorded experiment shows it."""
 
 _INSTEAD: Mapping[str, str] = MappingProxyType(
     {
-        "level": f"tumble: {_RECORD['faces']}, tell scale and misalignment from a level",
+        "level": f"tumble: {_RECORD['faces']}, separate scale and misalignment from a level",
         "force": "tumble: all six faces, several times",
         "temperature": "heating: by more degC, several times",
         "motion": "motion: faster and longer turns",
-        "cross_sensor": "heating: what sensors share grows with what causes it",
+        "cross_sensor": "heating: shared errors grow with their cause",
     }
 )
-"""By domain, what does more than a longer log."""
+"""What gives more than a longer log, by domain."""
 
 _ABSENT: Mapping[str, str] = MappingProxyType(
     {
         "temperature": "temperature: no log spans 1 degC",
         "force": "force: no log has faces",
-        "motion": "motion: no log tells how the box moved",
-        "run_to_run": "runs: there are no several logs of one kind",
-        "cross_sensor": "what sensors share: there are no two of them",
+        "motion": "motion: no log has a track of the box's motion",
+        "run_to_run": "runs: there is only one log of each kind",
+        "cross_sensor": "shared errors: there is only one sensor",
     }
 )
-"""Domains that some campaigns tell nothing of, and why."""
+"""Domains that some campaigns have no statistics of, and why."""
 
 _TRIAD = 3
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What was done in a campaign: how many `faces` the box rested on, poses by hand too; largest `span_degc` of
-    temperature in one log; `runs` of a turn-on series; whether the box `has_turned` while gyroscopes were read;
-    `rest_s` at rest in all; `warm_faces`: on how many of the faces, and `has_turned_warm`: whether its turns, were at
-    temperatures that far apart.
+    """What was recorded in a campaign.
+
+    Number of `faces` the box rested on, including poses by hand; largest `span_degc` of temperature in one log; `runs`
+    of a turn-on series; whether the box `has_turned` while gyroscopes were read; total `rest_s` at rest; `warm_faces`:
+    the number of faces, and `has_turned_warm`: whether there were turns, at temperatures that far apart.
     """
 
     faces: int
@@ -141,11 +144,11 @@ class Facts:
 
 
 def facts_of(campaign: Campaign) -> Facts:
-    """From its phases."""
+    """The facts of a campaign, by its phases."""
     phases = [phase for log in campaign.logs for phase in log.phases]
     still = [phase for phase in phases if phase.is_still]
     moving = [sensor for phase in phases if not phase.is_still for sensor in phase.sensors.values()]
-    turned = [one for one in moving if one.rows and one.header.quantity == "angular_rate"]
+    turned = [summary for summary in moving if summary.rows and summary.header.quantity == "angular_rate"]
     faces = {attitude_of(phase.phase) for phase in still} - {""}
     return Facts(
         faces=len(faces),
@@ -164,24 +167,25 @@ def facts_of(campaign: Campaign) -> Facts:
 def unobservable_effects(
     kinds: Collection[str], facts: Facts, candidates: Mapping[str, Candidate], sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """The candidate effects that no recorded kind of experiment shows, each with all the triads that it may concern.
+    """Candidate effects that no recorded kind of experiment shows, each with all the triads that it may concern.
 
-    A kind counts if it was done in earnest: a tumble on at least 2 faces, heat over 5 degC, 4 runs, a minute's rest.
-    Faces, warmth and turns in a log of another kind count as well. A candidate with an empty `shown_by` is left out,
-    unless it is known what it needs: nothing can be asked for.
+    A kind counts if it has enough content: a tumble at least 2 faces, a heating 5 degC, 4 runs, a minute's rest. Faces,
+    heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
+    needs is left out, since nothing can be suggested.
     """
     done, met = _kinds_done(kinds, facts), {need for need in _KIND if _is_met(need, kinds, facts)}
     triads = {name: header for name, header in sensors.items() if len(header.columns) == _TRIAD}
-    found = (_of_candidate(candidate, done, met, triads) for candidate in candidates.values())
-    return tuple(one for one in found if one is not None)
+    unobservable = (_of_candidate(candidate, done, met, triads) for candidate in candidates.values())
+    return tuple(effect for effect in unobservable if effect is not None)
 
 
 def uncertain_domains(
     scales: Floats, margins: Floats, keys: Sequence[Key], seconds: Floats | float, sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Where differences that matter can't be excluded, by domain and chip: statistics whose 95 % interval, 1.96 of
-    their `scales` (n,) of chance to either side, is wider than their `margins` (n,). `seconds` (n,), or one number:
-    length of the log of each. What never says anything (nan) is left out.
+    """Domains and chips in which differences that matter can't be excluded.
+
+    These are statistics whose 95 % interval, 1.96 of their `scales` (n,) of chance to either side, is wider than their
+    `margins` (n,); nan is left out. `seconds` (n,), or one number: length of each one's log.
     """
     lasted = np.broadcast_to(np.asarray(seconds, float), len(keys))
     places: dict[tuple[str, str], list[int]] = {}
@@ -194,43 +198,41 @@ def uncertain_domains(
         Unobservable(
             f"differences of {domain.replace('_', ' ')}",
             tuple(dict.fromkeys(keys[number].sensor for number in members)),
-            _longer(domain, [(float(lasted[at]), float(scales[at]), float(margins[at])) for at in members]),
+            _more_of(domain, [(float(lasted[at]), float(scales[at]), float(margins[at])) for at in members]),
         )
         for (domain, _), members in places.items()
     )
 
 
 def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tuple[str, ...]:
-    """What recordings lack, so that statistics which need it are not compared, in phrases: reference temperatures, chip
-    thermometers, and statistics of others than these `domains`.
+    """What recordings lack for statistics that are therefore not compared, in phrases: reference temperatures, chip
+    thermometers, and statistics of other than these `domains`.
     """
-    found = []
+    phrases = []
     for recording in recordings:
         if not recording.has_reference_temperature:
-            found.append(f"no reference temperature in {recording.name}")
+            phrases.append(f"no reference temperature in {recording.name}")
         headers = [header for header, _ in recording.experiment.plan.sensors.values() if header.chip in THERMOMETERS]
         without = [header.name for header in headers if not header.has_temperature]
         if without and len(without) == len(headers):
-            found.append(f"no chip thermometer in {recording.name}")
+            phrases.append(f"no chip thermometer in {recording.name}")
         elif without:
-            found.append(f"no chip thermometer of {', '.join(without)} in {recording.name}")
-    found += [f"no statistic of {words}" for domain, words in _ABSENT.items() if domain not in domains]
-    return tuple(found)
+            phrases.append(f"no chip thermometer of {', '.join(without)} in {recording.name}")
+    phrases += [f"no statistic of {words}" for domain, words in _ABSENT.items() if domain not in domains]
+    return tuple(phrases)
 
 
 def with_unobservable_rivals(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:
-    """The causes, confusable also with what they can't be told from because nothing that was recorded shows it, of one
-    of the sensors concerned at least: `hidden` effects.
-    """
-    twins = {_SAME_AS[one.effect]: one for one in hidden if one.effect in _SAME_AS}
+    """The causes, also confusable with `hidden` effects that no recording shows, of at least one of their sensors."""
+    twins = {_SAME_AS[effect.effect]: effect for effect in hidden if effect.effect in _SAME_AS}
 
-    def told(cause: Cause) -> Cause:
+    def with_rival(cause: Cause) -> Cause:
         twin = twins.get(cause.effect)
         if twin is None or not set(twin.sensors) & set(cause.sensors):
             return cause
         return replace(cause, confusable_with=tuple(sorted({*cause.confusable_with, twin.effect})))
 
-    return tuple(map(told, causes))
+    return tuple(map(with_rival, causes))
 
 
 def _sensors(phases: Sequence[PhaseSummary]) -> list[Summary]:
@@ -268,14 +270,18 @@ def _of_candidate(
     candidate: Candidate, done: Collection[str], met: Collection[Need], triads: Mapping[str, SensorHeader]
 ) -> Unobservable | None:
     effect = candidate.effect
-    concerned = {name: one.quantity for name, one in triads.items() if _ONLY.get(effect, one.quantity) == one.quantity}
-    texts = {name: _lacking(candidate, quantity, done, met) for name, quantity in concerned.items()}
+    concerned = {
+        name: header.quantity
+        for name, header in triads.items()
+        if _ONLY.get(effect, header.quantity) == header.quantity
+    }
+    texts = {name: _needed_record(candidate, quantity, done, met) for name, quantity in concerned.items()}
     lacking = {name: text for name, text in texts.items() if text}
     return Unobservable(effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values()))) if lacking else None
 
 
-def _lacking(candidate: Candidate, quantity: str, done: Collection[str], met: Collection[Need]) -> str:
-    """What to record so that a sensor of this quantity shows the effect; "" if that was done."""
+def _needed_record(candidate: Candidate, quantity: str, done: Collection[str], met: Collection[Need]) -> str:
+    """What to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
     special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
     needs = special.get(candidate.effect, _NEEDS.get(candidate.effect, ()))
     if not needs:
@@ -290,12 +296,14 @@ def _words(candidate: Candidate, need: Need) -> str:
     return f"{kind}: {candidate.shown_by.get(kind, _RECORD[need])}"
 
 
-def _longer(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
-    """Of seconds, scales and margins: the median length that would tell, or what does more."""
-    wanted_s = float(np.median([needed(*one) for one in known]))
+def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
+    """The median length that would resolve the differences, from seconds, scales and margins, or what gives more than
+    that.
+    """
+    wanted_s = float(np.median([needed(*item) for item in known]))
     if domain == "run_to_run":
         times = wanted_s / float(np.median([seconds for seconds, _, _ in known]))
         return f"turn-on: {times:.1f} times as many runs" if times < MOST_RUNS else "no series is long enough"
     if wanted_s <= LONGEST_S:
         return record_words(wanted_s)
-    return "; ".join(["a longer log won't do", *filter(None, [_INSTEAD.get(domain)])])
+    return "; ".join(["a longer log is not enough", *filter(None, [_INSTEAD.get(domain)])])

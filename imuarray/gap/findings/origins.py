@@ -1,4 +1,4 @@
-"""Causes that come of the surroundings, told from faults of sensors: what all feel along the box's axes."""
+"""Causes in the environment: signals that all sensors measure along the box's axes, and that are no sensor faults."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imuarray.gap.statistics.environment import AMPLITUDE_RATIO, LEAST_COMMON_SH
 from imuarray.log.format import SensorHeader
 
 SAME_HZ = 0.01
-"""Lines whose frequencies differ by no larger share are one."""
+"""Largest relative difference of the frequencies of one line."""
 
 WANDER: Mapping[Pace, frozenset[str]] = MappingProxyType(
     {
@@ -23,7 +23,7 @@ WANDER: Mapping[Pace, frozenset[str]] = MappingProxyType(
         "fast": frozenset({"bias_instability", "common_mode", "white_noise"}),
     }
 )
-"""Effects that a stimulus of that pace is taken for."""
+"""Effects that a stimulus of that pace may be mistaken for."""
 
 _LEAST_SENSORS = 3
 
@@ -31,10 +31,10 @@ _LEAST_SENSORS = 3
 def with_origins(
     causes: Sequence[Cause], headers: Mapping[str, SensorHeader], shared: Sequence[SharedSignal] = ()
 ) -> tuple[Cause, ...]:
-    """The causes, those that come of the box's surroundings with the origin "environment".
+    """The causes, with the origin "environment" for those in the box's environment.
 
-    A `tone` does where the same line (`lines_of`) is in each of its sensors. A wander does where its sensors are among
-    those of a stimulus of `environment_of` that explains at least half of it, along the axes on which it mostly is.
+    A `tone` is, if the same line (`lines_of`) is in each of its sensors. A wander is, if its sensors share a stimulus
+    of `environment_of` that explains at least half of it, along the axes on which it mostly is.
     """
     lines = lines_of(causes, headers)
 
@@ -53,8 +53,8 @@ def with_origins(
 
 @dataclass(frozen=True)
 class Line:
-    """One line that reaches several sensors, along the box axis `axis` ("" if they show it along different ones);
-    `causes` are the tones that are nothing else.
+    """A line that several sensors measure, along the box axis `axis` ("" if along different ones); `causes` are the
+    tones that consist of it.
     """
 
     frequency_hz: float
@@ -64,14 +64,15 @@ class Line:
 
 
 def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tuple[Line, ...]:
-    """The lines that are no fault of a sensor, of the added causes `tone`.
+    """The lines that are no fault of a sensor, from the added causes `tone`.
 
-    Frequencies agree within 1 %, and amplitudes in the box within a factor of 1.5, of two chips that measure the same;
-    of accelerometers and gyroscopes, the frequency alone. Half of the array's sensors of each quantity show it. Of a
-    single chip all must, three at least, and not as well along their own axes: its design may have the line.
+    Frequencies agree within 1 %, and amplitudes in the box within a factor of 1.5 between two chips that measure the
+    same quantity; between accelerometers and gyroscopes, the frequency alone. Half of the array's sensors of each
+    quantity show it. For a single chip all must, at least three, and not equally along their own axes: its design may
+    have the line.
     """
     tones = [_Tone.of(cause, headers[name]) for cause in causes if _is_tone(cause) for name in cause.sensors]
-    found = []
+    lines = []
     while tones:
         first = tones[0]
         together = [tone for tone in tones if _is_one_line(first, tone)]
@@ -80,25 +81,26 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
             names = tuple(dict.fromkeys(tone.header.name for tone in together))
             axes = {_strongest(tone) for tone in together}
             own = tuple(cause for cause in causes if _is_whole(cause, together))
-            found.append(Line(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, own))
-    return tuple(found)
+            lines.append(Line(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, own))
+    return tuple(lines)
 
 
 def notes_of(lines: Sequence[Line], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
-    """What the box felt, in sentences."""
-    told = [
-        f"{_listed(line.sensors)} show the same line at {line.frequency_hz:.1f} Hz"
-        f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration that reaches all of them, not a fault "
-        "of the sensors."
+    """Sentences on what the box felt."""
+    sentences = [
+        f"{_listed(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
+        f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration of the box, not a fault of the "
+        "sensors."
         for line in lines
     ]
     words = {"slow": "wander together", "fast": "shake together"}
-    told += [
-        f"{_listed(one.sensors)} {words[one.pace]} along the box axis {one.axis} in phase {one.phase!r} (correlation "
-        f"{one.correlation:.2g}), whichever way they are mounted: the box moved, not a fault of the sensors."
-        for one in shared
+    sentences += [
+        f"{_listed(signal.sensors)} {words[signal.pace]} along the box axis {signal.axis} in phase {signal.phase!r} "
+        f"(correlation {signal.correlation:.2g}), whatever their mounting: motion of the box, "
+        "not a fault of the sensors."
+        for signal in shared
     ]
-    return tuple(told)
+    return tuple(sentences)
 
 
 class _Tone(NamedTuple):
@@ -122,16 +124,16 @@ def _is_tone(cause: Cause) -> bool:
     return cause.effect == "tone" and cause.action == "add" and "frequency_hz" in cause.parameters
 
 
-def _is_one_line(one: _Tone, other: _Tone) -> bool:
-    if abs(one.frequency_hz - other.frequency_hz) > SAME_HZ * max(one.frequency_hz, other.frequency_hz):
+def _is_one_line(first: _Tone, other: _Tone) -> bool:
+    if abs(first.frequency_hz - other.frequency_hz) > SAME_HZ * max(first.frequency_hz, other.frequency_hz):
         return False
-    return one.header.quantity != other.header.quantity or _alike(one.amplitude_box, other.amplitude_box)
+    return first.header.quantity != other.header.quantity or _agree(first.amplitude_box, other.amplitude_box)
 
 
-def _alike(one: Floats, other: Floats) -> bool:
-    """Whether the axes on which there is much agree; small amplitudes may be lost in one chip's noise."""
-    much = np.maximum(one, other) > max(one.max(), other.max()) / 3
-    return bool((np.maximum(one, other)[much] <= AMPLITUDE_RATIO * np.minimum(one, other)[much]).all())
+def _agree(first: Floats, other: Floats) -> bool:
+    """Whether large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
+    much = np.maximum(first, other) > max(first.max(), other.max()) / 3
+    return bool((np.maximum(first, other)[much] <= AMPLITUDE_RATIO * np.minimum(first, other)[much]).all())
 
 
 def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> bool:
@@ -143,11 +145,11 @@ def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> boo
         return True
     if len(names) < _LEAST_SENSORS or names != there[0]:
         return False
-    return any(not _alike(tones[0].amplitude, tone.amplitude) for tone in tones)
+    return any(not _agree(tones[0].amplitude, tone.amplitude) for tone in tones)
 
 
 def _is_whole(cause: Cause, tones: Sequence[_Tone]) -> bool:
-    """Whether these are the cause's tones, in each of its sensors."""
+    """Whether these are the cause's tones in each of its sensors."""
     return {tone.header.name for tone in tones if tone.cause is cause} == {*cause.sensors}
 
 
@@ -156,11 +158,13 @@ def _strongest(tone: _Tone) -> str:
 
 
 def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedSignal]) -> bool:
-    """Whether half of the sensor's squared wander lies along axes of the box that show a stimulus."""
+    """Whether half of the sensor's squared wander is along axes of the box with a stimulus."""
     axes = {
-        one.axis
-        for one in shared
-        if cause.effect in WANDER[one.pace] and header.name in one.sensors and one.correlation >= LEAST_COMMON_SHARE
+        signal.axis
+        for signal in shared
+        if cause.effect in WANDER[signal.pace]
+        and header.name in signal.sensors
+        and signal.correlation >= LEAST_COMMON_SHARE
     }
     table = cause.each.get(header.name) or cause.parameters
     own = _sizes(table, f"rms_{header.unit}", f"amplitude_{header.unit}", f"density_{header.unit}_per_sqrt_s")
@@ -170,7 +174,7 @@ def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedS
 
 
 def _sizes(table: Mapping[str, Any], *names: str) -> Floats:
-    """(3,) the first of these parameters that there is; zeros without."""
+    """The first of these parameters that there is (3,); zeros without."""
     value = next((table[name] for name in names if name in table), 0.0)
     return np.asarray(np.broadcast_to(np.asarray(value, float), (3,)))
 

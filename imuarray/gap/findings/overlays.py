@@ -1,6 +1,6 @@
-"""Curves of the recording over those of simulations, before and after the causes were added, where it differs most.
+"""Curves of the recording with those of simulations, before and after the causes were added, where it differs most.
 
-Curves are of the held-out part: models were fitted to the other one, and agree with it more than they ought to.
+Curves are of the held-out part: the models were fitted to the other part and agree with it too well.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from imuarray.units import READABLE
 Kind = Literal["spectrum", "allan", "temperature", "codes"]
 
 REPLICATES = 12
-"""Of each model; their 95 % band reaches nearly from the lowest to the highest."""
+"""Replicates of each model; their 95 % band reaches nearly from the lowest to the highest."""
 
 OF_SENSOR = 3
-"""More curves of one sensor are not drawn."""
+"""Most curves of one sensor."""
 
 CODES, BINS = 200, 40
 """Most places of a histogram, and of temperatures."""
@@ -50,21 +50,21 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "temperature": "temperature",
     }
 )
-"""The curve in which a domain's statistics show. Times, and responses to force and motion, show in none."""
+"""The curve that shows a domain's statistics. Timing, and responses to force and motion, have none."""
 
 _FIRST = 3_000_000
 _TERMS = 4
-"""An Allan variance of fewer differences is no curve."""
+"""Fewest differences of an Allan variance that is drawn."""
 
 _NAMED = 3
-"""More phases are counted, not named."""
+"""Most phases that are named; more are counted."""
 
 _RARE = 0.001
-"""Share of the readings at either end that doesn't widen a histogram."""
+"""Share of the readings at either end that does not widen a histogram."""
 
 
 class Curve(NamedTuple):
-    """What is drawn of one axis: `phases` are places in the log's own order, one but for temperatures."""
+    """A curve of one axis: `phases` are places in the log's own order, a single one except for temperatures."""
 
     kind: Kind
     sensor: str
@@ -73,16 +73,16 @@ class Curve(NamedTuple):
     phases: tuple[int, ...]
 
 
-class Drawn(NamedTuple):
-    """A curve's places on x, and as the sensor's summaries have it, what is drawn there."""
+class CurveShape(NamedTuple):
+    """The x positions of a curve, and the function of the sensor's summaries that gives its values there."""
 
     x: Floats
     values: Callable[[Sequence[Summary]], Floats]
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What a job gets: curves with the recorded summaries that lay them out."""
+class _CurveRequest:
+    """Input of a job: curves with the recorded summaries that lay them out."""
 
     models: Models = field(repr=False)
     numbers: Sequence[int]
@@ -92,18 +92,18 @@ class _Asked:
 def overlays_of(
     bench: Bench,
     campaign: Campaign,
-    found: Sequence[Where],
+    where: Sequence[Where],
     models_before: Models,
     models_after: Models,
     run: Run,
     most: int = 12,
     names: Sequence[str] = (),
 ) -> tuple[Overlay, ...]:
-    """The curves in which the statistics `found` (worst first) show, of `campaign` as it was recorded and in 12
-    replicates of either model: each once, at most `most`, at most `OF_SENSOR` of one sensor. `names` are the logs' (as
-    in `found`); without, a phase is known by its own name.
+    """Curves that show the statistics `where` (worst first), of the recorded `campaign` and of 12 replicates of either
+    model: each once, at most `most`, at most `OF_SENSOR` of one sensor. `names` are the logs' (as in `where`); without
+    them, a phase is known by its own name.
     """
-    curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, found, most, names))
+    curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, where, most, names))
     if not curves:
         return ()
     sensors = {curve.sensor for curve, _ in curves}
@@ -111,60 +111,70 @@ def overlays_of(
     unlike = sides if sides[0] != sides[1] else sides[:1]
     numbers = range(_FIRST, _FIRST + REPLICATES)
     groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]
-    came = list(
-        chain.from_iterable(run(_simulated, [_Asked(side, some, curves) for side in unlike for some in groups]))
+    simulated = list(
+        chain.from_iterable(run(_simulated, [_CurveRequest(side, some, curves) for side in unlike for some in groups]))
     )
-    before, after = came[:REPLICATES], came[-REPLICATES:]
+    before, after = simulated[:REPLICATES], simulated[-REPLICATES:]
     return tuple(
-        _overlay(bench, curve, own, bands([one[at] for one in before]), bands([one[at] for one in after]))
+        _overlay(
+            bench,
+            curve,
+            own,
+            bands([replicate[at] for replicate in before]),
+            bands([replicate[at] for replicate in after]),
+        )
         for at, (curve, own) in enumerate(curves)
     )
 
 
 def curves_of(
-    bench: Bench, campaign: Campaign, found: Sequence[Where], most: int, names: Sequence[str] = ()
+    bench: Bench, campaign: Campaign, where: Sequence[Where], most: int, names: Sequence[str] = ()
 ) -> tuple[Curve, ...]:
-    """What to draw for the statistics `found`, worst first."""
+    """The curves to draw for the statistics `where`, worst first."""
     kept: dict[tuple[str, str, int], Curve] = {}
     many: Counter[str] = Counter()
-    for one in found:
-        kind = KINDS.get(one.domain)
-        axis = one.axis or next((other.axis for other in found if other.sensor == one.sensor and other.axis), "x")
-        what = (kind or "", one.sensor, "xyz".index(axis))
-        if kind is None or what in kept or many[one.sensor] >= OF_SENSOR or len(kept) >= most:
+    for entry in where:
+        kind = KINDS.get(entry.domain)
+        axis = entry.axis or next((other.axis for other in where if other.sensor == entry.sensor and other.axis), "x")
+        what = (kind or "", entry.sensor, "xyz".index(axis))
+        if kind is None or what in kept or many[entry.sensor] >= OF_SENSOR or len(kept) >= most:
             continue
-        place = _warmed(bench, campaign, one) if kind == "temperature" else _phase(bench, campaign, one, kind, names)
+        place = (
+            _widest_heating(bench, campaign, entry)
+            if kind == "temperature"
+            else _phase(bench, campaign, entry, kind, names)
+        )
         if place is not None:
-            kept[what] = Curve(kind, one.sensor, what[2], *place)
-            many[one.sensor] += 1
+            kept[what] = Curve(kind, entry.sensor, what[2], *place)
+            many[entry.sensor] += 1
     return tuple(kept.values())
 
 
 def summaries_of(campaign: Campaign, curve: Curve) -> tuple[Summary, ...]:
-    """Of the curve's phases, in a campaign summarised in all phases of its split."""
+    """Summaries of the curve's phases, in a campaign summarised in all phases of its split."""
     return tuple(campaign.logs[curve.log].phases[at].sensors[curve.sensor] for at in curve.phases)
 
 
-def drawn(curve: Curve, recorded: Sequence[Summary]) -> Drawn:
-    """How a curve is drawn, by what was recorded: simulations stand at the same places on x."""
+def drawn(curve: Curve, recorded: Sequence[Summary]) -> CurveShape:
+    """The shape of a curve by the recorded summaries; simulations have the same x positions."""
     return _DRAWN[curve.kind](curve.axis, recorded)
 
 
 def bands(replicates: Sequence[Floats]) -> Floats:
-    """(3, n) middle and 95 % band of replicates, each (n,); nan where fewer than half of them say anything."""
+    """Median and 95 % band (3, n) of replicates, each (n,); nan where fewer than half of them have a value."""
     values = np.array(replicates)
-    found = np.full((3, values.shape[1]), np.nan)
+    table = np.full((3, values.shape[1]), np.nan)
     known = 2 * np.isfinite(values).sum(axis=0) >= len(values)
-    found[:, known] = np.nanquantile(values[:, known], (0.5, 0.025, 0.975), axis=0)
-    return found
+    table[:, known] = np.nanquantile(values[:, known], (0.5, 0.025, 0.975), axis=0)
+    return table
 
 
-def _simulated(bench: Bench, asked: _Asked) -> list[list[Floats]]:
-    """All curves in each replicate, from their logs alone."""
-    replicates = [(asked.models, number) for number in asked.numbers]
-    campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in asked.curves})
+def _simulated(bench: Bench, request: _CurveRequest) -> list[list[Floats]]:
+    """All curves in each replicate, with only their logs simulated."""
+    replicates = [(request.models, number) for number in request.numbers]
+    campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in request.curves})
     return [
-        [drawn(curve, recorded).values(summaries_of(campaign, curve)) for curve, recorded in asked.curves]
+        [drawn(curve, recorded).values(summaries_of(campaign, curve)) for curve, recorded in request.curves]
         for campaign in campaigns
     ]
 
@@ -187,33 +197,33 @@ def _caption(bench: Bench, curve: Curve, recorded: Sequence[Summary]) -> str:
 
 
 def _phase(
-    bench: Bench, campaign: Campaign, one: Where, kind: Kind, names: Sequence[str]
+    bench: Bench, campaign: Campaign, entry: Where, kind: Kind, names: Sequence[str]
 ) -> tuple[int, tuple[int, ...]] | None:
     """The held-out phase of a statistic, or the longest one at rest. A moving box has no spectrum of its noise."""
-    wanted = _log_beside(bench, campaign, one, names)
+    own_log = _held_out_log(bench, campaign, entry, names)
     known = [
         (log, at)
-        for log, at in _held_out(bench, campaign, one.sensor)
+        for log, at in _held_out(bench, campaign, entry.sensor)
         if kind == "codes" or campaign.logs[log].phases[at].is_still
     ]
-    own = [(log, at) for log, at in known if campaign.logs[log].phases[at].phase.name == one.phase]
+    own = [(log, at) for log, at in known if campaign.logs[log].phases[at].phase.name == entry.phase]
     still = [(log, at) for log, at in known if campaign.logs[log].phases[at].is_still]
-    choice = [place for place in own if place[0] == wanted] or own or still
+    choice = [place for place in own if place[0] == own_log] or own or still
     if not choice:
         return None
-    log, at = max(choice, key=lambda place: campaign.logs[place[0]].phases[place[1]].sensors[one.sensor].rows)
+    log, at = max(choice, key=lambda place: campaign.logs[place[0]].phases[place[1]].sensors[entry.sensor].rows)
     return log, (at,)
 
 
-def _warmed(bench: Bench, campaign: Campaign, one: Where) -> tuple[int, tuple[int, ...]] | None:
+def _widest_heating(bench: Bench, campaign: Campaign, entry: Where) -> tuple[int, tuple[int, ...]] | None:
     """All held-out phases at rest of the log with the widest span of temperatures."""
     logs: dict[int, list[int]] = {}
-    for log, at in _held_out(bench, campaign, one.sensor):
+    for log, at in _held_out(bench, campaign, entry.sensor):
         if campaign.logs[log].phases[at].is_still:
             logs.setdefault(log, []).append(at)
 
     def span_degc(log: int) -> float:
-        parts = [campaign.logs[log].phases[at].sensors[one.sensor].segments for at in logs[log]]
+        parts = [campaign.logs[log].phases[at].sensors[entry.sensor].segments for at in logs[log]]
         return float(np.ptp(np.concatenate([part.temperature_degc[part.rows > 0] for part in parts])))
 
     if not logs:
@@ -222,11 +232,11 @@ def _warmed(bench: Bench, campaign: Campaign, one: Where) -> tuple[int, tuple[in
     return (widest, tuple(logs[widest])) if span_degc(widest) > 0 else None
 
 
-def _log_beside(bench: Bench, campaign: Campaign, one: Where, names: Sequence[str]) -> int | None:
-    """The held-out log that stands beside the one of the training part by which a pair of statistics is named."""
+def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequence[str]) -> int | None:
+    """The held-out log that belongs to the training log by which a pair of statistics is named."""
     train, held_out = (side(campaign).logs for side in (bench.split.train, bench.split.held_out))
     known = [names[log] for log in train] if names else []
-    place = known.index(one.log) if one.log in known else len(held_out)
+    place = known.index(entry.log) if entry.log in known else len(held_out)
     return held_out[place] if place < len(held_out) else None
 
 
@@ -238,7 +248,7 @@ def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[i
                 yield log, at
 
 
-def _spectrum(axis: int, recorded: Sequence[Summary]) -> Drawn:
+def _spectrum(axis: int, recorded: Sequence[Summary]) -> CurveShape:
     """Amplitude spectral density without the bin of the mean."""
     rows_per_s = 1 / recorded[0].intervals.mean_s
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
@@ -247,23 +257,23 @@ def _spectrum(axis: int, recorded: Sequence[Summary]) -> Drawn:
         density = own[0].spectrum.density[1:, axis]
         return np.asarray(factor * np.sqrt(density / rows_per_s))
 
-    return Drawn(np.asarray(recorded[0].spectrum.frequency_hz[1:] * rows_per_s), values)
+    return CurveShape(np.asarray(recorded[0].spectrum.frequency_hz[1:] * rows_per_s), values)
 
 
-def _allan(axis: int, recorded: Sequence[Summary]) -> Drawn:
+def _allan(axis: int, recorded: Sequence[Summary]) -> CurveShape:
     """Allan deviation."""
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
     known = recorded[0].allan.terms >= _TERMS
     factors = 2.0 ** np.flatnonzero(known)
-    return Drawn(
+    return CurveShape(
         np.asarray(factors * recorded[0].intervals.mean_s),
         lambda own: np.asarray(factor * np.sqrt(own[0].allan.variance[known, axis])),
     )
 
 
-def _codes(axis: int, recorded: Sequence[Summary]) -> Drawn:
-    """Shares of the codes about the middle one. A simulation is moved there by whole steps of either side's codes: its
-    level is another matter, and which codes come is not touched.
+def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
+    """Shares of the codes about the median. A simulation is shifted there by whole steps of both sides' codes, since
+    its level is shown elsewhere and the set of codes must not change.
     """
     real = recorded[0].codes[axis]
     middle, low, high = (_quantile(real, share) for share in (0.5, _RARE, 1 - _RARE))
@@ -280,14 +290,14 @@ def _codes(axis: int, recorded: Sequence[Summary]) -> Drawn:
         counts, _ = np.histogram(codes.codes + moved, edges - 0.5, weights=codes.counts)
         return np.asarray(counts / max(int(codes.counts.sum()), 1), float)
 
-    return Drawn(np.asarray(edges[:-1] + (width - 1) / 2, float), values)
+    return CurveShape(np.asarray(edges[:-1] + (width - 1) / 2, float), values)
 
 
-def _temperature(axis: int, recorded: Sequence[Summary]) -> Drawn:
-    """Means of readings at about the same recorded temperature, less that of the whole log: shape, not level."""
+def _temperature(axis: int, recorded: Sequence[Summary]) -> CurveShape:
+    """Means of readings at similar recorded temperatures, less that of the whole log: shape, not level."""
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
     degc, rows = (
-        np.concatenate([np.asarray(getattr(one.segments, name), float) for one in recorded])
+        np.concatenate([np.asarray(getattr(summary.segments, name), float) for summary in recorded])
         for name in ("temperature_degc", "rows")
     )
     held = (rows > 0) & np.isfinite(degc)
@@ -302,13 +312,13 @@ def _temperature(axis: int, recorded: Sequence[Summary]) -> Drawn:
         return np.asarray(np.divide(sums, weights, out=np.full(len(filled), np.nan), where=weights > 0))
 
     def values(own: Sequence[Summary]) -> Floats:
-        found = means(factor * np.concatenate([one.segments.mean[:, axis] for one in own]))
+        found = means(factor * np.concatenate([summary.segments.mean[:, axis] for summary in own]))
         return np.asarray(found - np.nanmean(found)) if np.isfinite(found).any() else found
 
-    return Drawn(means(degc), values)
+    return CurveShape(means(degc), values)
 
 
-_DRAWN: Mapping[Kind, Callable[[int, Sequence[Summary]], Drawn]] = MappingProxyType(
+_DRAWN: Mapping[Kind, Callable[[int, Sequence[Summary]], CurveShape]] = MappingProxyType(
     {"spectrum": _spectrum, "allan": _allan, "codes": _codes, "temperature": _temperature}
 )
 
@@ -316,8 +326,8 @@ _LABELS: Mapping[Kind, tuple[str, str]] = MappingProxyType(
     {
         "spectrum": ("frequency (Hz)", "amplitude density ({u}/√Hz)"),
         "allan": ("averaging time τ (s)", "Allan deviation ({u})"),
-        "codes": ("code (LSB), simulations moved to the recorded middle", "share of readings"),
-        "temperature": ("temperature (°C)", "mean reading, less the log's ({u})"),
+        "codes": ("code (LSB), simulations shifted to the recorded median", "share of readings"),
+        "temperature": ("temperature (°C)", "mean reading less that of the log ({u})"),
     }
 )
 
@@ -327,7 +337,7 @@ def _readable(summary: Summary) -> tuple[float, str]:
 
 
 def _quantile(seen: Histogram, share: float) -> int:
-    """The code at or below which this share of the readings lies; 0 of none."""
+    """The code at or below which this share of the readings lies; 0 without readings."""
     if not len(seen.codes):
         return 0
     passed = np.cumsum(seen.counts)
@@ -335,6 +345,6 @@ def _quantile(seen: Histogram, share: float) -> int:
 
 
 def _step(seen: Histogram) -> int:
-    """What divides every distance of the usual codes; 1 if none was seen."""
+    """The greatest common divisor of the distances of the usual codes; 1 without codes."""
     usual = seen.codes[seen.counts > _RARE * seen.counts.sum()]
     return max(int(np.gcd.reduce(np.diff(usual))), 1) if len(usual) > 1 else 1

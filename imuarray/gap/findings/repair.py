@@ -1,6 +1,6 @@
 """The repaired model: the base model with every cause in it, as a file to simulate with and to diagnose with again.
 
-Every sensor has what was fitted to it and what was found; what else it has stays with its design, as a population.
+Every sensor has its fitted parameters and its causes; its other effects stay with its design, as populations.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from imuarray.simulate.parameters import to_table
 from imuarray.simulate.population import Recipe, figure_of
 
 _SLOPE = "slope_"
-"""Begins the key of the part of `thermal_bias` that is fitted anew."""
+"""Prefix of the keys of the fitted part of `thermal_bias`."""
 
 _QUADRATIC = "quadratic_"
 
 _HARMLESS: Recipe = {}
-"""An effect made without arguments does nothing."""
+"""An effect without arguments does nothing."""
 
 
 def repaired(
     bench: Bench, models: Models, model: Model | None, name: str, *, about: str = "", logs: Sequence[str] = ()
 ) -> Model:
-    """The model called `name` of the bench's sensors: what `models` have, over the designs of `model`, on which the
+    """The repaired model called `name` of the bench's sensors: `models` over the designs of `model`, on which the
     diagnosis was based (None: the data sheets' scale and misalignment). Known units of `model` that were not recorded
     stay as they are.
 
-    An effect that was found missing in a sensor takes the one of its design out with its harmless values. `about` is
-    what the file says of itself; without, what was diagnosed, from which kinds of `logs` (or from these).
+    An effect that was detected as missing replaces the one of the design with its harmless values. `about` is the
+    description in the file; by default, what was diagnosed from which kinds of `logs`, or from these.
     """
     headers = bench.base.headers
     rest = model or usual_model(headers.values())
@@ -45,20 +45,20 @@ def repaired(
     return Model(name, about or _about(bench, models, model, logs), rest.designs, (*sensors, *others))
 
 
-def _sensor(model: Model, header: SensorHeader, found: SensorModel) -> Part:
-    """One sensor: what its designs say no other word of is left to them."""
+def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
+    """One sensor; effects that it shares with its designs are left to them."""
     parts = model.parts(header)
     added: dict[str, list[Recipe]] = {}
-    for effect in (*found.fitted.effects(), *found.added):
+    for effect in (*own_model.fitted.effects(), *own_model.added):
         added.setdefault(effect.name, []).append(_recipe(effect, header))
     effects: dict[str, tuple[Recipe, ...]] = {}
     for kind in EFFECTS:
         had = tuple(_kept(kind, parts[kind].effects[kind])) if kind in parts else ()
-        kept = () if kind in found.removed else had
+        kept = () if kind in own_model.removed else had
         is_own = kind in parts and bool(parts[kind].name)
         if kind in added or (kept and is_own):
             effects[kind] = (*kept, *added.get(kind, ()))
-        elif kind in found.removed and kind in model.parts(header, population=True):
+        elif kind in own_model.removed and kind in model.parts(header, population=True):
             effects[kind] = (_HARMLESS,)
     known = TRIADS.get(header.chip)
     range_ = header.range if known is None or header.range in known.sensitivity else None
@@ -66,7 +66,7 @@ def _sensor(model: Model, header: SensorHeader, found: SensorModel) -> Part:
 
 
 def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
-    """What of a model's effect is not fitted: all, nothing, or the curve of a bias over temperature."""
+    """The part of a model's effect that is not fitted: all, nothing, or the curve of a bias over temperature."""
     if kind not in ORDINARY:
         yield from recipes
     elif kind == ThermalBias.name:
@@ -80,16 +80,16 @@ def _recipe(effect: Effect, header: SensorHeader) -> Recipe:
 
 
 def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str]) -> str:
-    """What was diagnosed, from what."""
+    """Describes what was diagnosed from which logs."""
     kinds = " and ".join(f"{count} {kind}" for kind, count in Counter(bench.kinds).items())
     source = ", ".join(logs) or f"{kinds} {'log' if len(bench.kinds) == 1 else 'logs'}"
-    found = [f"{name} {words}" for name, one in models.items() if (words := ", ".join(_changes(one)))]
+    own_model = [f"{name} {words}" for name, own in models.items() if (words := ", ".join(_changes(own)))]
     before = f"model {model.name}" if model else "the data sheets"
-    changes = f"with {'; '.join(found)}" if found else "with no cause found"
+    changes = f"with {'; '.join(own_model)}" if own_model else "with no cause found"
     return f"{len(bench.base.headers)} sensors as diagnosed from {source}: {before}, fitted, {changes}."
 
 
-def _changes(one: SensorModel) -> Iterator[str]:
-    kinds = [effect.name for effect in one.added]
+def _changes(own: SensorModel) -> Iterator[str]:
+    kinds = [effect.name for effect in own.added]
     yield from dict.fromkeys(kinds)
-    yield from (f"without {kind}" for kind in sorted(one.removed - set(kinds)))
+    yield from (f"without {kind}" for kind in sorted(own.removed - set(kinds)))

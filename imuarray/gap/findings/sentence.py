@@ -1,4 +1,4 @@
-"""The diagnosis in the sentences that a person would say."""
+"""The diagnosis in one paragraph of plain sentences."""
 
 from __future__ import annotations
 
@@ -23,45 +23,46 @@ def sentence_of(
     pulls: Sequence[Pull] = (),
     against: Sequence[str] = (),
 ) -> str:
-    """What was found, why, how far it is closed, and which parts are out of specification; `against` names the earlier
-    recordings with which these were compared.
+    """States what differs, why, how far it is closed, and which parts are out of specification; `against` names the
+    earlier recordings of a comparison.
     """
     outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
     other = ", ".join(against) or "the simulator"
     if verdict == "no gap":
-        unchanged = f"The recordings look like {other}: nothing has changed beyond chance." if against else _ALIKE
-        return " ".join([unchanged, *outside])
+        agreement = f"The recordings agree with {other}: nothing has changed beyond chance." if against else _AGREEMENT
+        return " ".join([agreement, *outside])
     worst = where[0]
     parts = [f"The recordings differ from {other}, most in {worst.domain.replace('_', ' ')} of {_place(worst)}."]
     likely = [cause for cause in causes if cause.probability >= EVEN] or list(causes[:1])
     named = [f"{_named(cause)}." for cause in likely[:_MOST_CAUSES]]
     if verdict == "unexplained":
         parts.append(_unexplained(unexplained or where))
-        parts += ["No known effect makes these recordings likely; the nearest:", *named[:1]] if named else []
+        parts += ["No known effect makes these recordings likely; the nearest is", *named[:1]] if named else []
     else:
         parts += named
     if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)
-        data = "the data that told of it" if needs_both_parts(causes) else "held-out data"
+        data = "the data that showed it" if needs_both_parts(causes) else "held-out data"
         parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on {data}.")
     parts += list(_in_use(uses, causes))
     if verdict == "partly explained" and unexplained:
-        left = unexplained[0]
-        parts.append(f"Not explained: {left.about}, {_place(left)}{f' in {left.phase}' if left.phase else ''}.")
+        remaining = unexplained[0]
+        parts.append(
+            f"Not explained: {remaining.about}, {_place(remaining)}"
+            f"{f' in {remaining.phase}' if remaining.phase else ''}."
+        )
     return " ".join([*parts, *outside])
 
 
 def _unexplained(where: Sequence[Where]) -> str:
-    """What something outside the library looks like: in which domain of which axes, how far off, in which log and
-    phase.
-    """
+    """Describes a gap outside the library: the domain and axes, how far off, in which log and phase."""
     places: dict[tuple[str, str, str], Where] = {}
-    for one in where:  # worst first
-        places.setdefault((one.sensor, one.axis, one.domain), one)
+    for entry in where:  # worst first
+        places.setdefault((entry.sensor, entry.axis, entry.domain), entry)
     looks = [
-        f"{one.domain.replace('_', ' ')} of {_place(one)} ({one.about}: {one.significance:+.0f} standard deviations in "
-        f"{' of '.join(filter(None, (one.phase, one.log)))})"
-        for one in list(places.values())[:_MOST_PLACES]
+        f"{entry.domain.replace('_', ' ')} of {_place(entry)} ({entry.about}: {entry.significance:+.0f} standard "
+        f"deviations in {' of '.join(filter(None, (entry.phase, entry.log)))})"
+        for entry in list(places.values())[:_MOST_PLACES]
     ]
     return f"Unexplained: something outside the library. It shows in {'; '.join(looks)}."
 
@@ -71,14 +72,14 @@ def _place(where: Where) -> str:
 
 
 def meaning(effect: str) -> str:
-    """An effect in words, as its module begins; "" for a name that isn't in the library."""
+    """An effect in words, from the first line of its module; "" for a name that isn't in the library."""
     if effect not in EFFECTS:
         return ""
     first = cleandoc(sys.modules[EFFECTS[effect].__module__].__doc__ or "").partition("\n")[0]
     return first.partition(": ")[2].rstrip(".")
 
 
-_ALIKE = "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+_AGREEMENT = "The recordings agree with the simulator: no statistic is beyond chance."
 _MOST_CAUSES = 4
 _MOST_PLACES = 3
 
@@ -86,7 +87,9 @@ _MOST_PLACES = 3
 def _named(cause: Cause) -> str:
     what = {"add": "", "remove": "without ", "replace": "another "}[cause.action] + cause.effect
     words = f" ({meaning(cause.effect)}: {parameters_text(cause.parameters)})" if cause.parameters else ""
-    confusable = f"; it could as well be {' or '.join(cause.confusable_with)}" if cause.confusable_with else ""
+    confusable = (
+        f"; {' or '.join(cause.confusable_with)} would explain it equally well" if cause.confusable_with else ""
+    )
     return f"{places_text(cause)}: {what}{words}, probability {cause.probability:.2f}{confusable}"
 
 

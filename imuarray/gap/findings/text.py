@@ -1,5 +1,5 @@
-"""A diagnosis in plain words: for the terminal, at most 120 columns, and the numbers and parameters as a person reads
-them, which the HTML page takes from here.
+"""A diagnosis as text for the terminal, at most 120 columns, and the formatting of numbers and parameters, which the
+HTML page shares.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ NOTHING = "–"
 
 _WORST = 10
 _COLUMNS = (12, 15, 18, 7, 8, 8, 11, 6, 5, 10)
-"""Greatest widths of the table of statistics, together `WIDTH` with two spaces before each."""
+"""Greatest widths of the columns of the table of statistics, together `WIDTH` with two spaces before each."""
 _MOST = 9
-"""So many numbers of a list are said, as many as a response has."""
+"""Most numbers of a list that are shown, as many as a response has."""
 
 _MOST_NOTES = 12
-"""So many notes are shown: of a campaign of many logs each has its own."""
+"""Most notes that are shown: each of many logs has its own."""
 
 _SMALL_G = 0.1
 """Accelerations below it are written in mg."""
@@ -41,8 +41,8 @@ _WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_
 
 
 def text_of(diagnosis: Diagnosis) -> str:
-    """What a terminal shows: sentence, gap, causes, parts out of specification, the worst statistics, notes, what
-    can't be told, what is missing and what to do next.
+    """Formats a diagnosis for the terminal: sentence, gap, causes, parts out of specification, the worst statistics,
+    notes, what is not observable, what is missing and what to record next.
     """
     parts = (
         wrap(_printable(diagnosis.sentence), WIDTH),
@@ -59,7 +59,7 @@ def text_of(diagnosis: Diagnosis) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """To so many significant digits, no exponent below a million; "–" for what isn't finite."""
+    """Formats a number with so many significant digits, without exponent below a million; "–" for what isn't finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value + 0.0:.{digits}g}"  # -0 becomes 0
@@ -67,14 +67,14 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def scored(score: float) -> str:
-    """A score: one digit after the point below ten, else whole; "∞" beyond all numbers, "–" where nothing is said."""
+    """Formats a score: one digit after the point below ten, otherwise whole; "∞" for infinity, "–" for nan."""
     if not isfinite(score):
         return "∞" if score > 0 else NOTHING
     return f"{score:.1f}" if abs(score) < 9.95 else f"{score:.0f}"
 
 
 def share(value: float | None) -> str:
-    """In percent; "–" for None. Only 0 and 1 themselves are 0 and 100 %."""
+    """Formats a share in percent; "–" for None. Only exact 0 and 1 are 0 and 100 %."""
     if value is None or not isfinite(value):
         return NOTHING
     for limit, edge in ((0.005, 0.0), (0.995, 1.0)):
@@ -84,12 +84,12 @@ def share(value: float | None) -> str:
 
 
 def chance(p: float) -> str:
-    """A p-value: "p = 0.03", "p < 0.001"."""
+    """Formats a p-value: "p = 0.03", "p < 0.001"."""
     return f"p {NOTHING}" if not isfinite(p) else "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
 def closed_text(closed: float | None, interval: Interval | None) -> str:
-    """A closed share and its 95 % interval: "86 % (75 to 94)"."""
+    """Formats a closed share and its 95 % interval: "86 % (75 to 94)"."""
     if closed is None or interval is None:
         return share(closed)
     low, high = (f"{100 * end:.0f}" if isfinite(end) else NOTHING for end in interval)
@@ -97,8 +97,8 @@ def closed_text(closed: float | None, interval: Interval | None) -> str:
 
 
 def gap_text(gap: Gap) -> str:
-    """Before, after, floor and closed share in one line."""
-    floor = f"{scored(gap.floor)} where nothing is wrong"
+    """Formats before, after, floor and closed share in one line."""
+    floor = f"{scored(gap.floor)} without a gap"
     if gap.closed is None:
         return f"{scored(gap.before)} standard deviations (rms), {floor}: nothing to close"
     return (
@@ -108,7 +108,7 @@ def gap_text(gap: Gap) -> str:
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """Parameters of an effect with their units behind them, small accelerations in mg: "offset 12, -3, 0.5 mg"."""
+    """Formats parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"."""
     return "; ".join(_parameter(str(key), value) for key, value in parameters.items())
 
 
@@ -125,26 +125,26 @@ def specification_text(pull: Pull) -> str:
 
 
 def _parameter(key: str, value: Any) -> str:
-    values, found = _numbers(value), _WITH_UNIT.fullmatch(key)
-    if values is None or found is None:
+    values, match = _numbers(value), _WITH_UNIT.fullmatch(key)
+    if values is None or match is None:
         return f"{key.replace('_', ' ')} {value}"
     if key in _SHARES:
-        return f"{key} {', '.join(number(100 * one) for one in values)} %"
-    over, under = found["over"] or "", found["under"]
+        return f"{key} {', '.join(number(100 * value_of_axis) for value_of_axis in values)} %"
+    over, under = match["over"] or "", match["under"]
     unit = _UNITS.get(over, "")
     if over == "g" and max(map(abs, values), default=0.0) < _SMALL_G:
-        unit, values = "mg", [1000 * one for one in values]
+        unit, values = "mg", [1000 * value_of_axis for value_of_axis in values]
     unit += f"/{_UNITS[under]}" if under else ""
     space = "" if unit == "°" else " "
-    said = ", ".join(map(number, values[:_MOST])) + (f" ... ({len(values)} in all)" if len(values) > _MOST else "")
-    return f"{found['name'].replace('_', ' ')} {said}{space}{unit}".rstrip()
+    text = ", ".join(map(number, values[:_MOST])) + (f" ... ({len(values)} in all)" if len(values) > _MOST else "")
+    return f"{match['name'].replace('_', ' ')} {text}{space}{unit}".rstrip()
 
 
 def _numbers(value: Any) -> list[float] | None:
     """One number or several; None for anything else."""
     several = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     try:
-        return None if any(isinstance(one, str) for one in several) else [float(one) for one in several]
+        return None if any(isinstance(item, str) for item in several) else [float(item) for item in several]
     except (TypeError, ValueError):
         return None
 
@@ -168,8 +168,8 @@ def _causes(diagnosis: Diagnosis) -> Iterator[str]:
         yield line
         more = [parameters_text(cause.parameters)] if cause.parameters else []
         more += [f"may also be {' or '.join(cause.confusable_with)}"] if cause.confusable_with else []
-        more += ["told by both parts together, nothing was withheld from it"] if cause.needs_both else []
-        more += [f"not of the sensor but of the {cause.origin}"] if cause.origin != "sensor" else []
+        more += ["detected on both parts together, none was held out"] if cause.needs_both else []
+        more += [f"in the {cause.origin}, not in the sensor"] if cause.origin != "sensor" else []
         yield from _hanging(" " * 8, ". ".join(more)) if more else []
 
 
@@ -181,8 +181,10 @@ def _where(where: Sequence[Where]) -> Iterator[str]:
     if not where:
         return
     kinds: dict[tuple[str, str, str], Where] = {}
-    for one in where:
-        kinds.setdefault((one.sensor, one.axis, one.statistic), one)  # where it is worst: logs repeat each other
+    for entry in where:
+        kinds.setdefault(
+            (entry.sensor, entry.axis, entry.statistic), entry
+        )  # where it is worst: logs repeat each other
     worst = list(kinds.values())[:_WORST]
     more = f", the worst {len(worst)}" if len(where) > len(worst) else ""
     yield f"Where it differs: {len(where)} statistics{more} (sd of chance; size in margins, matters from 1 on)"
@@ -190,14 +192,18 @@ def _where(where: Sequence[Where]) -> Iterator[str]:
     yield from _aligned([heading, *map(_row, worst)], (4, 5, 7, 8), _COLUMNS)
 
 
-def _row(one: Where) -> list[str]:
-    values = [number(one.real), number(one.simulated), one.unit]
-    sizes = [f"{one.significance:+.{1 if abs(one.significance) < 1000 else 0}f}", number(one.effect_size, 2), one.size]
+def _row(entry: Where) -> list[str]:
+    values = [number(entry.real), number(entry.simulated), entry.unit]
+    sizes = [
+        f"{entry.significance:+.{1 if abs(entry.significance) < 1000 else 0}f}",
+        number(entry.effect_size, 2),
+        entry.size,
+    ]
     return [
-        f"{_cut(one.sensor, _COLUMNS[0] - 2)} {one.axis}".rstrip(),
-        one.domain,
-        one.statistic,
-        one.phase or "all",
+        f"{_cut(entry.sensor, _COLUMNS[0] - 2)} {entry.axis}".rstrip(),
+        entry.domain,
+        entry.statistic,
+        entry.phase or "all",
         *values,
         *sizes,
     ]
@@ -214,10 +220,10 @@ def _notes(notes: Sequence[str]) -> Iterator[str]:
 
 def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:
     if unshown:
-        yield "Can't be told from these recordings"
-    for one in unshown:
-        sensors = f" of {', '.join(one.sensors)}" if one.sensors else ""
-        yield from _hanging(f"  {_printable(one.effect)}", f"{sensors}: record {one.record}", "    ")
+        yield "Not observable in these recordings"
+    for item in unshown:
+        sensors = f" of {', '.join(item.sensors)}" if item.sensors else ""
+        yield from _hanging(f"  {_printable(item.effect)}", f"{sensors}: record {item.record}", "    ")
 
 
 def _pulls(pulls: Sequence[Pull]) -> Iterator[str]:
@@ -272,5 +278,5 @@ def _hanging(head: str, text: str, indent: str | None = None) -> list[str]:
 
 
 def _printable(text: str) -> str:
-    """Without what would steer a terminal."""
+    """The text without characters that control a terminal."""
     return "".join(sign if sign.isprintable() else " " if sign.isspace() else "?" for sign in text)

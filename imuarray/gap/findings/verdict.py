@@ -1,10 +1,9 @@
-"""The verdict, and how probable each cause and something outside the library are: rules by which these can't contradict
-each other.
+"""The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent.
 
-A share among rivals says which effect the data prefer. It says too much: simulated effects have not quite the form of
-real ones, and what is at work need not be in the library. So it is tempered, by rates measured on emulated cases whose
-mechanisms have forms of their own (`imuarray.validation.calibration`), and a gate comes before it: where no combination
-of known effects makes a recording likely, no known effect is probable.
+A share among rivals says which effect the data prefer. It is too confident: simulated effects do not have exactly the
+form of real ones, and the true effect need not be in the library. It is therefore tempered by rates measured on
+emulated cases whose mechanisms have forms of their own (`imuarray.validation.calibration`), and a gate comes first: if
+no combination of known effects makes a recording likely, no known effect is probable.
 """
 
 from __future__ import annotations
@@ -18,28 +17,29 @@ from imuarray.gap.findings.diagnosis import Cause, Gap, Verdict
 from imuarray.gap.inference.assessment import Assessment, largest_of
 
 EXPLAINED, PARTLY = 0.9, 0.3
-"""Shares of the gap closed from which on it is explained, or partly. What is at work closes more than nine tenths as a
-rule: of causes of one mechanism that closed 0.8 to 0.9, in all runs that have been looked at, 6 were right and 11 not.
+"""Closed shares from which on a gap is explained, or partly explained. The true effect usually closes more than nine
+tenths: of causes of one mechanism that closed 0.8 to 0.9, in all runs so far, 6 were right and 11 wrong.
 """
 
 EVEN = 0.5
-"""As probable as not: what explains a gap is at least as probable, and what is unknown explains none that is explained.
+"""Even odds: a cause that explains a gap is at least as probable, and an unknown effect is less probable where the gap
+is explained.
 """
 
 DOUBT = 0.05
-"""The p of what is left below which something is left."""
+"""p of the remainder below which it is significant."""
 
 _HALF, _STEEP = 0.65, 6.0
-"""Share closed at which something unknown is as probable as not, and how fast that changes."""
+"""Closed share at which an unknown effect has even odds, and the steepness of the transition."""
 
 _SURE = 1e-4
-"""No share counts as nearer to 0 or 1."""
+"""Shares are limited to this distance from 0 and 1."""
 
 
 class Rates(NamedTuple):
-    """Of being right: `least` of causes without a rival that together close nothing of their sensors' gap, `most` where
-    they close all of it; between them it goes with the power `steep` of what is closed. Odds against rivals count with
-    the power `rivals`.
+    """Rates of causes being right: `least` for causes without a rival that together close nothing of their sensors'
+    gap, `most` if they close all of it; in between the power `steep` of the closed share. Odds against rivals count
+    with the power `rivals`.
     """
 
     least: float
@@ -49,14 +49,14 @@ class Rates(NamedTuple):
 
 
 RATES = Rates(0.02, 0.99, 1.6, 0.33)
-"""The likeliest of 160 causes told in cases of two sealed runs that had been opened and of one of the development half,
-105 of them right. Of those without a rival that closed 0.98 and more, 30 of 31 were right in the latest; of odds of ten
-against a rival every third was wrong.
+"""Maximum likelihood on 160 causes from cases of two sealed runs that had been opened and of one of the development
+half, 105 of them right. Of those without a rival that closed 0.98 and more, 30 of 31 were right in the latest run; at
+odds of ten against a rival every third was wrong.
 """
 
 
 class Judgement(NamedTuple):
-    """What `judge` says: the verdict, the gap, the causes (most probable first), and the probability that something
+    """The result of `judge`: the verdict, the gap, the causes (most probable first), and the probability that something
     outside the library is present.
     """
 
@@ -73,13 +73,13 @@ def judge(
     *,
     is_gap: bool,
     unlikely: Collection[str] = (),
-    is_left: bool = False,
+    has_remainder: bool = False,
 ) -> Judgement:
     """The verdict, and the probabilities and the closure that agree with it.
 
     `causes` have their calibrated probabilities, `unknown` is the estimate of `unknown_probability`. `unlikely` names
     the sensors whose recordings no combination of known effects makes likely: what is left of them with all causes in
-    is far beyond chance, and matters. A cause is *sound* if it concerns none of these. `is_left`: something that
+    is far beyond chance, and matters. A cause is *sound* if it concerns none of these. `has_remainder`: something that
     matters is left of any sensor, maybe no more than the form of a cause that is a little different. The first rule
     that applies gives the verdict:
 
@@ -102,7 +102,7 @@ def judge(
     if not is_gap:
         return Judgement("no gap", replace(gap, after=gap.before, closed=None, closed_ci95=None), (), 0.0)
     verdict = _verdict(gap.closed, causes, unknown, unlikely)
-    if verdict == "explained" and is_left:
+    if verdict == "explained" and has_remainder:
         verdict = "partly explained"
     if verdict != "explained":
         unknown = max(unknown, EVEN) if verdict == "unexplained" else min(unknown, EVEN)
@@ -113,7 +113,7 @@ def judge(
 
 
 def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str]) -> Verdict:
-    """Of a gap, by the rules of `judge`."""
+    """The verdict on a gap, by the rules of `judge`."""
     most = max((cause.probability for cause in causes), default=0.0)
     most_sound = max((cause.probability for cause in causes if _is_sound(cause, unlikely)), default=0.0)
     closes = most >= EVEN if closed is None else closed >= PARTLY
@@ -129,14 +129,15 @@ def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
 
 
 def _is_sound(cause: Cause, unlikely: Collection[str]) -> bool:
-    """Whether the recordings of all sensors concerned (no names: of all) are likely with the causes in."""
+    """Whether the recordings of all sensors concerned (no names: of all) are likely with the causes in the model."""
     return not set(unlikely) & set(cause.sensors) if cause.sensors else not unlikely
 
 
 def unknown_probability(closed: float | None, after: Assessment, one_sided: float = 0.0) -> float:
-    """Probability that something outside the library is present: by the share of the gap that the causes leave open,
-    and by how far beyond chance what is left goes, in one place or always to one side (`one_sided`,
-    `imuarray.gap.inference.residuals`), in units of what chance reaches.
+    """Probability that something outside the library is present.
+
+    By the share of the gap that the causes leave open, and by how far the remainder exceeds chance in one place or with
+    one sign (`one_sided`, `imuarray.gap.inference.residuals`), in units of the largest chance value.
     """
     share = closed if closed is not None else (1.0 if after.p > DOUBT else 0.0)
     largest = float(largest_of(after.scores))
@@ -145,8 +146,8 @@ def unknown_probability(closed: float | None, after: Assessment, one_sided: floa
 
 
 def calibrated_probability(share: float, all_closed: float | None, rates: Rates = RATES) -> float:
-    """The probability of a cause with such a `share` among its rivals, by what is closed of its sensors' gap in all
-    (None: nothing was to be closed), before what is left is looked at (`judge`).
+    """Probability of a cause with such a `share` among its rivals, by the share of its sensors' gap that all causes
+    close (None: there was nothing to close), before the remainder is considered (`judge`).
     """
     closed = min(max(all_closed or 0.0, 0.0), 1.0)
     right = rates.least + (rates.most - rates.least) * math.pow(closed, rates.steep)
@@ -154,6 +155,6 @@ def calibrated_probability(share: float, all_closed: float | None, rates: Rates 
 
 
 def _tempered(share: float, power: float) -> float:
-    """With odds raised to that power."""
+    """A probability with its odds raised to that power."""
     share = min(max(share, _SURE), 1 - _SURE)
     return 1 / (1 + math.exp(-power * math.log(share / (1 - share))))
