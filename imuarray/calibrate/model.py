@@ -226,7 +226,7 @@ class Calibration:
         text = tomli_w.dumps(
             {"calibration": head, "sensor": [to_table(sensor) for sensor in self.sensors.values()]}, indent=2
         )
-        return _LIST.sub(lambda found: found[0] if len(found[1]) > _SHORT else _on_a_line(found[1]), text)
+        return _LIST.sub(lambda match: match[0] if len(match[1]) > _SHORT else _on_a_line(match[1]), text)
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the file; OutputExistsError if it is there, OutputError if it can't be written."""

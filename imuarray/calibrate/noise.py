@@ -359,11 +359,11 @@ def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, fa
     )
 
 
-def _drift(found: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None) -> Drift | None:
+def _drift(stretches: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None) -> Drift | None:
     """The drift over the stretches; None where they are too short, or too many, to show any."""
-    rows = sum(part.stop - part.start for _, _, part in found)
+    rows = sum(part.stop - part.start for _, _, part in stretches)
     segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # time constants are two of them at least
-    long = [(pose, here, part) for pose, here, part in found if part.stop - part.start >= LEAST_SEGMENTS * segment]
+    long = [(pose, here, part) for pose, here, part in stretches if part.stop - part.start >= LEAST_SEGMENTS * segment]
     if not long:
         return None
     _, here, part = max(long, key=lambda entry: entry[2].stop - entry[2].start)

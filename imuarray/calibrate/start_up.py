@@ -101,10 +101,10 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     return in_states(result, calibration), result
 
 
-def in_states(found: Mapping[str, StartUp], calibration: Calibration) -> Calibration:
+def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibration:
     """The calibration with the biases of the states in which gyroscopes came up."""
     sensors = dict(calibration.sensors)
-    for name, start in found.items():
+    for name, start in starts.items():
         known = sensors[name].turn_on
         turns = sensors[name].quantity == "angular_rate"  # an accelerometer's state has the runs' tilt in it
         if turns and known is not None and len(known.states) > 1 and not start.fault:
@@ -144,13 +144,13 @@ def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
     return means
 
 
-def in_this_pose(found: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
+def in_this_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
     """Without accelerometers that are merely far off, if most are: the box lies another way."""
-    feel = [name for name in found if calibration.sensors[name].quantity == "specific_force"]
-    far = [name for name in feel if found[name].fault]
+    feel = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
+    far = [name for name in feel if starts[name].fault]
     elsewhere = 2 * len(far) > len(feel)
     return {
         name: start
-        for name, start in found.items()
+        for name, start in starts.items()
         if not (elsewhere and name in feel) or start.explanation.endswith(calibration.sensors[name].unit)
     }

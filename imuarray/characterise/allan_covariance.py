@@ -85,8 +85,8 @@ def covariance(factors: tuple[int, ...], rows: int, theta: Floats) -> Floats:
     sums = _sums(factors, rows)
     random, ramp = theta[:-1], theta[-1]
     m = np.array(factors, float)
-    found = 2 * np.einsum("ijab,a,b->ij", sums.squares, random, random)
-    return np.asarray(found + 4 * ramp * np.outer(m**2, m**2) * (sums.means @ random))
+    gaussian = 2 * np.einsum("ijab,a,b->ij", sums.squares, random, random)
+    return np.asarray(gaussian + 4 * ramp * np.outer(m**2, m**2) * (sums.means @ random))
 
 
 @lru_cache(maxsize=64)
@@ -112,15 +112,15 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
     binomial = (1, -2, 1)
     shifts = np.array([b * n - a * m for a in range(3) for b in range(3)], float)
     signs = np.outer(binomial, binomial).ravel().astype(float)
-    found = np.asarray(signs @ _autocovariance(term, lags + shifts[:, None]))
+    products = np.asarray(signs @ _autocovariance(term, lags + shifts[:, None]))
     if term == "quantisation":
-        return found
+        return products
     if term == "flicker":
         away = np.abs(lags + n - m)
         far = away > _FAR * n
-        return np.where(far, -((m * n / np.where(far, away, 1.0)) ** 2) / pi, found)
+        return np.where(far, -((m * n / np.where(far, away, 1.0)) ** 2) / pi, products)
     apart = (lags >= 2 * m) | (lags <= -2 * n)  # nothing in common; what is left of |lag|^3 there is rounding
-    return np.where(apart, 0.0, found)
+    return np.where(apart, 0.0, products)
 
 
 def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
@@ -131,8 +131,8 @@ def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
     first, last = -(rows - 2 * m), rows - 2 * n
     near = np.arange(0, 3 * _FINE + 1) / _FINE
     far = 3 * _WIDER ** np.arange(1, 1 + np.ceil(np.log(max(2 * rows / (3 * m), 1)) / np.log(_WIDER)))
-    one = m * np.concatenate([-far[::-1], -near[:0:-1], near, far])
-    lags = np.unique(np.clip(np.rint(np.concatenate([m - b * n + one for b in range(3)])), first, last))
+    around = m * np.concatenate([-far[::-1], -near[:0:-1], near, far])
+    lags = np.unique(np.clip(np.rint(np.concatenate([m - b * n + around for b in range(3)])), first, last))
     gaps = np.diff(lags, prepend=lags[0] - 1, append=lags[-1] + 1)
     starts = np.minimum(rows + 1 - 2 * m, rows + 1 - 2 * n - lags) - np.maximum(0, -lags)
     return lags, starts, (gaps[1:] + gaps[:-1]) / 2

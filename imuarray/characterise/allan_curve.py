@@ -87,7 +87,7 @@ def make_curve(
     deviations = np.sqrt(sums / (2.0 * terms[across])) / m[across]
     noises = [_noises(column.averages, factors) for column in columns]
     points = list(zip(factors, terms.tolist(), strides, strict=True))
-    freedom = [[degrees_of_freedom(noise, *at) for noise, at in zip(found, points, strict=True)] for found in noises]
+    freedom = [[degrees_of_freedom(noise, *at) for noise, at in zip(row, points, strict=True)] for row in noises]
     freedoms = np.array(freedom).T.reshape(deviations.shape)
     low, high = interval(deviations, freedoms, confidence)
     kinds = np.array(noises).T.reshape(deviations.shape)
@@ -98,6 +98,6 @@ def make_curve(
 def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:
     """Noise type at each factor; one too long to tell has the type of the next shorter."""
     known: dict[int, Noise] = {}
-    for m, found in sorted(zip(factors, averages, strict=True), key=lambda pair: pair[0]):
-        known[m] = identify_noise(found, m) or (list(known.values()) or ["white"])[-1]
+    for m, values in sorted(zip(factors, averages, strict=True), key=lambda pair: pair[0]):
+        known[m] = identify_noise(values, m) or (list(known.values()) or ["white"])[-1]
     return [known[m] for m in factors]

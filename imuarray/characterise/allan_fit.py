@@ -27,7 +27,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_covariance import TERMS, Term
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve
-from imuarray.characterise.allan_least_squares import Observed, Solution, interval_of, needed, solve
+from imuarray.characterise.allan_least_squares import AllanEstimate, Solution, interval_of, needed, solve
 
 NAMES: dict[Term, str] = {"quantisation": "Q", "white": "N", "flicker": "B", "random walk": "K", "ramp": "R"}
 
@@ -121,11 +121,11 @@ def fit_noise(
     factors = np.rint(curve.tau_s[points] / curve.interval_s).astype(int)
     deviation = curve.deviation.reshape(len(curve.tau_s), -1)[points, column]
     size = float(deviation.max())
-    told = Observed((deviation / size) ** 2, size, tuple(factors.tolist()), curve.rows, curve.interval_s)
+    estimate = AllanEstimate((deviation / size) ** 2, size, tuple(factors.tolist()), curve.rows, curve.interval_s)
     wanted = [at for at, term in enumerate(TERMS) if term in terms][: len(points)]
-    included = needed(told, wanted)
-    coefficients = tuple(_coefficient(told, term, included, wanted, unit, confidence) for term in wanted)
-    return _judged(told, solve(told, included), len(included), coefficients)
+    included = needed(estimate, wanted)
+    coefficients = tuple(_coefficient(estimate, term, included, wanted, unit, confidence) for term in wanted)
+    return _assess(estimate, solve(estimate, included), len(included), coefficients)
 
 
 def _points(curve: AllanCurve, column: int, shortest_s: float, longest_s: float) -> npt.NDArray[np.intp]:
@@ -139,7 +139,7 @@ def _points(curve: AllanCurve, column: int, shortest_s: float, longest_s: float)
 
 
 def _coefficient(
-    told: Observed, term: int, included: Sequence[int], wanted: Sequence[int], unit: str, confidence: float
+    estimate: AllanEstimate, term: int, included: Sequence[int], wanted: Sequence[int], unit: str, confidence: float
 ) -> Coefficient:
     """Value and interval of one term in its unit.
 
@@ -148,23 +148,23 @@ def _coefficient(
     """
     significant, name = term in included, TERMS[term]
     models = [sorted({*included, term}), list(wanted)]
-    values, ends = zip(*(interval_of(told, term, terms, confidence) for terms in models), strict=True)
+    values, ends = zip(*(interval_of(estimate, term, terms, confidence) for terms in models), strict=True)
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
     squares = (values[0], low, high) if significant else (0.0, 0.0, high)
-    scale = told.size * told.interval_s ** _POWERS[name]
+    scale = estimate.size * estimate.interval_s ** _POWERS[name]
     value, low, high = (float(np.sqrt(square)) * scale for square in squares)
     return Coefficient(name, value, low, high, UNITS[name].format(unit=unit), significant)
 
 
-def _judged(told: Observed, found: Solution, count: int, coefficients: tuple[Coefficient, ...]) -> NoiseFit:
+def _assess(estimate: AllanEstimate, solution: Solution, count: int, coefficients: tuple[Coefficient, ...]) -> NoiseFit:
     """The fit with its tail probability and the verdict."""
     from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
 
-    freedom = len(told.factors) - count
-    misfit = told.misfit(found.theta)
+    freedom = len(estimate.factors) - count
+    misfit = estimate.misfit(solution.theta)
     p_value = float(gammaincc(freedom / 2, misfit / 2)) if freedom else float("nan")
-    tau_s, fitted = np.array(told.factors) * told.interval_s, np.sqrt(told.design() @ found.theta)
-    ratio = np.sqrt(told.variance) / fitted
+    tau_s, fitted = np.array(estimate.factors) * estimate.interval_s, np.sqrt(estimate.design() @ solution.theta)
+    ratio = np.sqrt(estimate.variance) / fitted
     worst = int(np.argmax(np.abs(np.log(ratio))))
     verdict = _verdict(p_value, float(ratio[worst]), float(tau_s[worst]), coefficients)
     return NoiseFit(
@@ -173,7 +173,7 @@ def _judged(told: Observed, found: Solution, count: int, coefficients: tuple[Coe
         misfit,
         freedom,
         tau_s,
-        told.size * fitted,
+        estimate.size * fitted,
         float(ratio[worst]),
         float(tau_s[worst]),
         verdict,

@@ -33,7 +33,7 @@ _CONVERGED = 1e-6
 
 
 @dataclass(frozen=True)
-class Observed:
+class AllanEstimate:
     """What is fitted: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
 
     They are in units of `size` squared, in which the largest is 1.
@@ -71,9 +71,9 @@ class Observed:
 
     def _scatter(self, theta: Floats) -> tuple[Floats, Floats]:
         """Matrix (t, t) that decorrelates, and standard deviations (t,)."""
-        found = covariance(self.factors, self.rows, theta)
-        spread = np.sqrt(np.diag(found) + (_LEAST_SPREAD * (self.design() @ theta)) ** 2)
-        sizes, ways = np.linalg.eigh(found / np.outer(spread, spread))
+        covariance_ = covariance(self.factors, self.rows, theta)
+        spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design() @ theta)) ** 2)
+        sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread
 
 
@@ -87,31 +87,31 @@ class Solution:
     target: Floats
 
 
-def needed(told: Observed, wanted: Sequence[int]) -> list[int]:
+def needed(estimate: AllanEstimate, wanted: Sequence[int]) -> list[int]:
     """The terms that are needed: each is tested against the best fit without it, weighted as if it were not there."""
-    left = list(wanted)
-    while len(left) > 1:
-        gains = {term: _gain(told, left, term) for term in left}
+    terms = list(wanted)
+    while len(terms) > 1:
+        gains = {term: _gain(estimate, terms, term) for term in terms}
         least = min(gains, key=gains.__getitem__)
         if gains[least] >= _NEEDED:
             break
-        left.remove(least)
-    return left
+        terms.remove(least)
+    return terms
 
 
-def _gain(told: Observed, terms: Sequence[int], term: int) -> float:
+def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
     """By how much one of the terms betters the fit of the others."""
-    others = solve(told, [other for other in terms if other != term])
+    others = solve(estimate, [other for other in terms if other != term])
     return others.misfit - _non_negative(others.design, others.target, terms)[1]
 
 
-def solve(told: Observed, terms: Sequence[int]) -> Solution:
+def solve(estimate: AllanEstimate, terms: Sequence[int]) -> Solution:
     """Squared coefficients of `terms`, fitted and weighted in turn."""
-    design = told.design()
-    theta, _ = _non_negative(design / told.variance[:, None], np.ones(len(told.variance)), terms)
+    design = estimate.design()
+    theta, _ = _non_negative(design / estimate.variance[:, None], np.ones(len(estimate.variance)), terms)
     for _ in range(_TURNS):
-        whitener, last = told.whitener(theta), theta
-        white, target = whitener @ design, whitener @ told.variance
+        whitener, last = estimate.whitener(theta), theta
+        white, target = whitener @ design, whitener @ estimate.variance
         theta, misfit = _non_negative(white, target, terms)
         if not theta.any():  # a curve so far from the terms that correlated residuals turn all of them away
             return Solution(last, float(np.sum((white @ last - target) ** 2)), white, target)
@@ -126,13 +126,13 @@ def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple
 
     chosen = list(terms)
     theta, scale = np.zeros(design.shape[1]), np.linalg.norm(design[:, chosen], axis=0)
-    found, residual = nnls(design[:, chosen] / scale, target)
-    theta[chosen] = found / scale
+    solution, residual = nnls(design[:, chosen] / scale, target)
+    theta[chosen] = solution / scale
     return theta, float(residual) ** 2
 
 
 def interval_of(
-    told: Observed, term: int, terms: Sequence[int], confidence: float
+    estimate: AllanEstimate, term: int, terms: Sequence[int], confidence: float
 ) -> tuple[float, tuple[float, float]]:
     """Squared coefficient of one of the terms, and its interval.
 
@@ -141,20 +141,20 @@ def interval_of(
     """
     from scipy.special import ndtri
 
-    theta, z = solve(told, terms).theta, float(ndtri((1 + confidence) / 2))
+    theta, z = solve(estimate, terms).theta, float(ndtri((1 + confidence) / 2))
     value, high = float(theta[term]), float(theta[term])
-    share = z * _error(told, theta, term, terms) / value if value else np.inf
+    share = z * _error(estimate, theta, term, terms) / value if value else np.inf
     if share < _SURE:
         return value, (value * np.exp(-share), value * np.exp(share))
     for _ in range(_TURNS_OF_BOUND):
         theta[term] = high
-        high = value + z * _error(told, theta, term, terms)
+        high = value + z * _error(estimate, theta, term, terms)
     return value, (0.0, high)
 
 
-def _error(told: Observed, theta: Floats, term: int, terms: Sequence[int]) -> float:
+def _error(estimate: AllanEstimate, theta: Floats, term: int, terms: Sequence[int]) -> float:
     """Standard error of one squared coefficient if `theta` are the true ones."""
-    white = told.whitener(theta) @ told.design()[:, list(terms)]
+    white = estimate.whitener(theta) @ estimate.design()[:, list(terms)]
     scale = np.linalg.norm(white, axis=0)
     at = list(terms).index(term)
     return float(np.sqrt(np.linalg.pinv((white / scale).T @ (white / scale))[at, at]) / scale[at])

@@ -85,21 +85,21 @@ def find_bands(
         _level(density, round(line.frequency_hz / spectrum.resolution_hz))
     boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
     taken = np.zeros(len(density), bool)
-    found = []
+    bands = []
     for box in boxes:
         around = slice(max(box.first - (box.stop - box.first), 0), box.stop + (box.stop - box.first))
         if not taken[around].any():
-            found.append(_band(spectrum, density, box))
+            bands.append(_band(spectrum, density, box))
             taken[around] = True
-    return tuple(sorted(found, key=lambda band: -band.amplitude))
+    return tuple(sorted(bands, key=lambda band: -band.amplitude))
 
 
 def _level(density: Floats, at: int) -> None:
     """Put what lies beside a narrow line in its place."""
     first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
-    beside = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
-    if len(beside):
-        density[first:stop] = np.median(beside)
+    neighbours = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
+    if len(neighbours):
+        density[first:stop] = np.median(neighbours)
 
 
 def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
@@ -109,7 +109,7 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
     widths = [width for width in WIDTHS if 8 * width < len(density)]
     tried = sum(2 * len(density) // width for width in widths)
     mirrored = np.concatenate([density, density[-2 : -2 - 4 * WIDTHS[-1] : -1]])  # the bins above half the rate
-    found = []
+    boxes = []
     for width in widths:
         starts = np.arange(_FIRST, len(density) - width, width // 2)
         floor, bins = _floors(mirrored, starts, width)
@@ -119,8 +119,8 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
         chance = tried * f.sf(ratio / SLACK, *sure)
         for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
             first = int(starts[at])
-            found.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
-    return found
+            boxes.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
+    return boxes
 
 
 def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:

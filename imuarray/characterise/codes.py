@@ -208,8 +208,8 @@ def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
     code, count = int(seen.codes[at]), int(seen.counts[at])
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):
-        beside = int(seen.counts[seen.codes == code + inwards].sum())
-        p_value = _at_least(count, count + beside)
+        next_count = int(seen.counts[seen.codes == code + inwards].sum())
+        p_value = _at_least(count, count + next_count)
     return End(code, count / int(seen.counts.sum()), p_value)
 
 

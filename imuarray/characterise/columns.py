@@ -33,17 +33,17 @@ _LISTED_CODES = 4096
 _ALIASES_TO_HZ = 500.0
 
 
-def timing_of(found: Survey) -> dict[str, Any]:
+def timing_of(survey: Survey) -> dict[str, Any]:
     """Intervals, their jitter and gaps; how often a reading repeats the one before."""
-    intervals = asdict(found.intervals) | {"longest": [gap._asdict() for gap in found.intervals.longest]}
-    repeats = asdict(found.repeats)
-    rate_hz = 1 / found.intervals.mean_s if found.intervals.mean_s > 0 else math.nan
-    return {**intervals, "repeats": repeats | {"update_rate_hz": found.repeats.update_rate_hz(rate_hz)}}
+    intervals = asdict(survey.intervals) | {"longest": [gap._asdict() for gap in survey.intervals.longest]}
+    repeats = asdict(survey.repeats)
+    rate_hz = 1 / survey.intervals.mean_s if survey.intervals.mean_s > 0 else math.nan
+    return {**intervals, "repeats": repeats | {"update_rate_hz": survey.repeats.update_rate_hz(rate_hz)}}
 
 
-def spectrum_of(found: Survey) -> dict[str, Any]:
+def spectrum_of(survey: Survey) -> dict[str, Any]:
     """What the spectra of all columns have in common."""
-    spectrum = found.spectrum
+    spectrum = survey.spectrum
     return {
         "frequency_hz": spectrum.frequency_hz,
         "freedom": spectrum.freedom[len(spectrum.freedom) // 2],
@@ -53,14 +53,14 @@ def spectrum_of(found: Survey) -> dict[str, Any]:
     }
 
 
-def column_of(found: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
+def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
     """One column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
-    correlation = found.correlation
-    seen = found.histograms[column]
+    correlation = survey.correlation
+    seen = survey.histograms[column]
     return {
-        "fit": _fit(found, column, sensor),
-        "density": found.spectrum.density[:, column],
-        **_lines(found.spectrum, column),
+        "fit": _fit(survey, column, sensor),
+        "density": survey.spectrum.density[:, column],
+        **_lines(survey.spectrum, column),
         "autocorrelation": {
             "correlation": correlation.correlation[:, column],
             "error": correlation.error[:, column],
@@ -71,12 +71,12 @@ def column_of(found: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
     }
 
 
-def _fit(found: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
+def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
     """White noise, flicker and random walk of the Allan curve; None for a curve that tells nothing."""
-    if found.curve is None:
+    if survey.curve is None:
         return None
     shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0
-    fit = fit_noise(found.curve, column, unit="counts", shortest_s=shortest_s)
+    fit = fit_noise(survey.curve, column, unit="counts", shortest_s=shortest_s)
     return None if fit is None else _fit_table(fit)
 
 
@@ -111,7 +111,7 @@ def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[d
     """The lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
     for line in lines:
         line["fundamental_hz"] = None
-        for other in sorted(lines, key=lambda one: one["frequency_hz"]):
+        for other in sorted(lines, key=lambda line: line["frequency_hz"]):
             order = round(line["frequency_hz"] / other["frequency_hz"])
             apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
             sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])

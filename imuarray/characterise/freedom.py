@@ -81,8 +81,8 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
     r = _lag1(series)
     if r < 1 / 3:
         return "white"
-    one = np.array([0.0, 1.0])
-    limit = (_correlation("flicker", one, factor)[1] + _correlation("random walk", one, factor)[1]) / 2
+    unit_lag = np.array([0.0, 1.0])
+    limit = (_correlation("flicker", unit_lag, factor)[1] + _correlation("random walk", unit_lag, factor)[1]) / 2
     return "flicker" if _lag1(np.diff(series)) < limit else "random walk"
 
 

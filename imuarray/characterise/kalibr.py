@@ -76,8 +76,8 @@ def _bound(sensor: Mapping[str, Any], term: str) -> float | None:
 
 
 def _terms(sensor: Mapping[str, Any], term: str) -> list[Mapping[str, Any]]:
-    found = [axis["fit"]["terms"].get(term) for axis in sensor["axes"] if axis.get("fit")]
-    return [item for item in found if item]
+    terms = [axis["fit"]["terms"].get(term) for axis in sensor["axes"] if axis.get("fit")]
+    return [item for item in terms if item]
 
 
 def _largest(sensor: Mapping[str, Any], values: list[float]) -> float | None:

@@ -106,8 +106,8 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
     if not 0 < rate_hz < inf or not 0 <= apparent_hz <= rate_hz / 2:
         raise ValueError(f"{apparent_hz} Hz sampled at {rate_hz} Hz: 0 to half of a positive rate is wanted")
     turns = range(int(max(0.0, highest_hz + apparent_hz) / rate_hz) + 1)
-    found = {turn * rate_hz + side * apparent_hz for turn in turns for side in (-1, 1)}
-    return tuple(sorted(frequency_hz for frequency_hz in found if 0 <= frequency_hz <= highest_hz))
+    frequencies_hz = {turn * rate_hz + side * apparent_hz for turn in turns for side in (-1, 1)}
+    return tuple(sorted(frequency_hz for frequency_hz in frequencies_hz if 0 <= frequency_hz <= highest_hz))
 
 
 def _mirrored(density: Floats) -> Floats:
@@ -137,10 +137,10 @@ def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) ->
     """
     from scipy.special import fdtri  # the inverse of Fisher's F without the weight of scipy.stats
 
-    beside = float(_reflected(power, int(floor.bins[at]) + _BESIDE).mean())
+    neighbours = float(_reflected(power, int(floor.bins[at]) + _BESIDE).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))
-    return bool(power[floor.bins[at]] > beside * fdtri(freedom, len(_BESIDE) * freedom, 1 - chance))
+    return bool(power[floor.bins[at]] > neighbours * fdtri(freedom, len(_BESIDE) * freedom, 1 - chance))
 
 
 def _tilt(power: Floats, bin_: int) -> float:

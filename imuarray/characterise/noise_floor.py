@@ -131,18 +131,18 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
     means: dict[int, Floats] = {
         side: np.lib.stride_tricks.sliding_window_view(logs, side).mean(axis=1) for side in np.unique(sides).tolist()
     }
-    found = []
+    groups = []
     for few in (True, False):
         which = np.flatnonzero((sides < sides.max()) == few)
         if len(which) == 0:
             continue
         side, place = sides[which], places[which]
         below, above = place - _GUARD - side, place + _GUARD + 1
-        left = np.array([means[each][at - 1] for each, at in zip(side.tolist(), below.tolist(), strict=True)])
-        right = np.array([means[each][at - 1] for each, at in zip(side.tolist(), above.tolist(), strict=True)])
-        share = (logs[place - 1] - left) / (right - left)
-        found.append(_Neighbourhoods(side, which, below, above, share))
-    return found
+        low_end = np.array([means[each][at - 1] for each, at in zip(side.tolist(), below.tolist(), strict=True)])
+        high_end = np.array([means[each][at - 1] for each, at in zip(side.tolist(), above.tolist(), strict=True)])
+        share = (logs[place - 1] - low_end) / (high_end - low_end)
+        groups.append(_Neighbourhoods(side, which, below, above, share))
+    return groups
 
 
 def _median(height: Floats, first: Indices, side: Indices) -> Floats:

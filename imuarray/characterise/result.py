@@ -110,7 +110,7 @@ def _sensor(
     timing = find_timing(sensor, rows, counted=pattern.kind == "bursts")
     statistics = noise_statistics(sensor, rows)
     run = _run(sensor, timing)
-    found = survey(sensor, rows, timing, run["interval_s"], estimator)
+    surveyed = survey(sensor, rows, timing, run["interval_s"], estimator)
     count = statistics.rows or math.nan
     per_count = _per_count(sensor, scale)
     rails = find_rails(sensor) if sensor.is_triad else None
@@ -125,11 +125,11 @@ def _sensor(
         "gaps": timing.gaps,
         "largest_gap_s": timing.largest_gap_s,
         "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
-        "allan_estimator": found and found.estimator,
-        "timing": found and timing_of(found) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
-        "spectrum": found and spectrum_of(found),
+        "allan_estimator": surveyed and surveyed.estimator,
+        "timing": surveyed and timing_of(surveyed) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
+        "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
-        "axes": _axes(sensor, per_count, found, statistics, progress),
+        "axes": _axes(sensor, per_count, surveyed, statistics, progress),
     }
 
 
@@ -157,7 +157,7 @@ def _per_count(sensor: SensorLog, scale: Sequence[float] | None) -> npt.NDArray[
 def _axes(
     sensor: SensorLog,
     per_count: npt.NDArray[np.float64],
-    found: Survey | None,
+    surveyed: Survey | None,
     statistics: NoiseStatistics,
     progress: Progress,
 ) -> list[dict[str, Any]]:
@@ -166,9 +166,9 @@ def _axes(
     for column, name in enumerate(_columns(sensor)):
         unit = float(per_count[column])
         scales = {"counts": 1.0, "unit": unit, "si": unit * SI_PER_UNIT[sensor.unit]}
-        curve = found.curve.column(column) if found and found.curve else None
+        curve = surveyed.curve.column(column) if surveyed and surveyed.curve else None
         axis = _axis(name, column, statistics, curve, scales)
-        axes.append(axis | (column_of(found, column, sensor) if found else {}))
+        axes.append(axis | (column_of(surveyed, column, sensor) if surveyed else {}))
         progress()
     return axes
 

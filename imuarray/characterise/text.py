@@ -33,8 +33,8 @@ def render_text(result: Mapping[str, Any]) -> str:
     for quantity in dict.fromkeys(sensor["quantity"] for sensor in result["sensors"]):
         sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
         lines += ["", *_table(quantity, sensors), "", *_fits(sensors)]
-    if told := findings(result):
-        lines += ["", "what stands out", *(line for sentence in told for line in _indented(sentence))]
+    if sentences := findings(result):
+        lines += ["", "what stands out", *(line for sentence in sentences for line in _indented(sentence))]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
 

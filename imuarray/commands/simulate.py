@@ -245,7 +245,7 @@ def _runs(
     """The logs to write; the recorded log that they are like, if there is one."""
     from imuarray.array import load_array
     from imuarray.log import open_log
-    from imuarray.simulate.experiments import Wanted
+    from imuarray.simulate.experiments import ExperimentOptions
     from imuarray.simulate.series import run_like, runs_of
 
     if like is not None:
@@ -253,7 +253,7 @@ def _runs(
         return log, [run_like(log, output, only, boot)]
     array = load_array(find_config(config or Path()))
     array = array.only(only) if only else array
-    return None, runs_of(array, output, experiment, Wanted(**wanted), rate_hz=rate_hz, boot=boot, runs=runs)
+    return None, runs_of(array, output, experiment, ExperimentOptions(**wanted), rate_hz=rate_hz, boot=boot, runs=runs)
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:

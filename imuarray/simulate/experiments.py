@@ -30,7 +30,7 @@ _REST_SHARE = 1 / 6
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ExperimentOptions:
     """What an experiment may be told: its length in s (None: its own), the box axis that points up, the temperature,
     what moves the box ("hand", "vehicle" or a trajectory file), and which run of a series it is (1, 2, ...).
     """
@@ -42,12 +42,12 @@ class Wanted:
     run: int = 1
 
 
-def static(wanted: Wanted) -> Motion:
+def static(wanted: ExperimentOptions) -> Motion:
     """At rest."""
     return Still(wanted.up, wanted.seconds or _STATIC_S, wanted.temperature_degc)
 
 
-def tumble(wanted: Wanted) -> Motion:
+def tumble(wanted: ExperimentOptions) -> Motion:
     """Seven faces; the turns are shortened too where there is little time."""
     faces = len(ORDER)
     temperatures = (wanted.temperature_degc,) * faces
@@ -57,18 +57,18 @@ def tumble(wanted: Wanted) -> Motion:
     return Tumble((wanted.seconds - (faces - 1) * turn_s) / faces, turn_s, temperatures)
 
 
-def heating(wanted: Wanted) -> Motion:
+def heating(wanted: ExperimentOptions) -> Motion:
     """The paper's temperature profile, all times scaled."""
     whole = Heating(up=wanted.up)
     return Heating(scale=wanted.seconds / whole.seconds, up=wanted.up) if wanted.seconds else whole
 
 
-def turn_on(wanted: Wanted) -> Motion:
+def turn_on(wanted: ExperimentOptions) -> Motion:
     """One run of a series."""
     return turn_on_run(wanted.run, wanted.seconds or TURN_ON_S, wanted.temperature_degc)
 
 
-def motion(wanted: Wanted) -> Motion:
+def motion(wanted: ExperimentOptions) -> Motion:
     """At rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
     if wanted.drive not in DRIVES:
         if not Path(wanted.drive).exists():
@@ -80,7 +80,7 @@ def motion(wanted: Wanted) -> Motion:
     return DRIVES[wanted.drive](wanted)
 
 
-def hand(wanted: Wanted) -> Motion:
+def hand(wanted: ExperimentOptions) -> Motion:
     """Shaken by hand."""
     if wanted.seconds is None:
         return HandShake(temperature_degc=wanted.temperature_degc)
@@ -88,7 +88,7 @@ def hand(wanted: Wanted) -> Motion:
     return HandShake(still_s=still_s, motion_s=wanted.seconds - 2 * still_s, temperature_degc=wanted.temperature_degc)
 
 
-def vehicle(wanted: Wanted) -> Motion:
+def vehicle(wanted: ExperimentOptions) -> Motion:
     """A drive with curves."""
     if wanted.seconds is None:
         return Vehicle(temperature_degc=wanted.temperature_degc)
@@ -96,10 +96,10 @@ def vehicle(wanted: Wanted) -> Motion:
     return Vehicle(still_s=still_s, drive_s=wanted.seconds - 2 * still_s, temperature_degc=wanted.temperature_degc)
 
 
-DRIVES: Mapping[str, Callable[[Wanted], Motion]] = MappingProxyType({"hand": hand, "vehicle": vehicle})
+DRIVES: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyType({"hand": hand, "vehicle": vehicle})
 """What moves the box in the experiment "motion"."""
 
-EXPERIMENTS: Mapping[str, Callable[[Wanted], Motion]] = MappingProxyType(
+EXPERIMENTS: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyType(
     {"static": static, "tumble": tumble, "heating": heating, "turn-on": turn_on, "motion": motion}
 )
 """Every experiment by its name."""

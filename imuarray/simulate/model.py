@@ -147,8 +147,8 @@ def noise_bandwidth_hz(sensor: SensorHeader) -> float:
     return sensor.bandwidth_hz
 
 
-def _range_choice(came: float, chip: str) -> str:
-    return f"{came:g}: allowed for {chip} are {', '.join(f'{known:g}' for known in TRIADS[chip].sensitivity)}"
+def _range_choice(value: float, chip: str) -> str:
+    return f"{value:g}: allowed for {chip} are {', '.join(f'{known:g}' for known in TRIADS[chip].sensitivity)}"
 
 
 class _ModelTable(BaseModel):

@@ -29,10 +29,10 @@ def listed(*, suffix: str = "") -> Any:
 
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     """`values` as `count` floats; ValueError unless they are so many finite numbers."""
-    found = np.asarray(values, float)
-    if found.shape != (count,) or not np.isfinite(found).all():
+    array = np.asarray(values, float)
+    if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(f"{name}: {values}; {count} finite numbers are wanted")
-    return tuple(found.tolist())
+    return tuple(array.tolist())
 
 
 def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
@@ -72,12 +72,12 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
 
 
 def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:
-    found = tuple(float(value) for value in values)
-    if len(found) != count:
-        raise ValueError(f"{name}: {len(found)}; as many as {first}, {count}, are wanted")
-    for value in found:
+    numbers_ = tuple(float(value) for value in values)
+    if len(numbers_) != count:
+        raise ValueError(f"{name}: {len(numbers_)}; as many as {first}, {count}, are wanted")
+    for value in numbers_:
         require(name, value, 0.0, sys.float_info.max)
-    return found
+    return numbers_
 
 
 def _plain(value: Any, item: Field[Any]) -> Value:

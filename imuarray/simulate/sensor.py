@@ -21,14 +21,14 @@ from imuarray.axes import Matrix
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
+from imuarray.simulate.active_spans import acting
 from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
+from imuarray.simulate.host_latency import DelayedTimes
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
 from imuarray.simulate.timeline import Timeline
-from imuarray.simulate.waits import Awaited
-from imuarray.simulate.within import acting
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 _WORTH_IT = 1024
@@ -73,7 +73,7 @@ class SimulatedSensor:
         self.effects = tuple(effects)
         self.rows = timeline.rows
         self._motion = motion
-        waits = timeline.waits if isinstance(timeline, Awaited) else None
+        waits = timeline.waits if isinstance(timeline, DelayedTimes) else None
         self._place = Place(
             header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, timeline.stamps, dtype, waits
         )

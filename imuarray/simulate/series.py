@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imuarray.array import ArrayConfig
 from imuarray.log import Log
-from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.simulation import Plan, plan_like, plan_of
@@ -30,18 +30,18 @@ def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> Run:
 
 
 def runs_of(
-    array: ArrayConfig, path: Path, experiment: str, wanted: Wanted, *, rate_hz: float, boot: int, runs: int
+    array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int, runs: int
 ) -> list[Run]:
     """The logs of one of `EXPERIMENTS`; `runs` of a turn-on series, SIM_01.h5, SIM_02.h5, ... beside `path`."""
     if experiment != "turn-on":
         return [_run(array, path, EXPERIMENTS[experiment](wanted), rate_hz, wanted.seconds, boot)]
     digits = max(2, len(str(runs)))
-    found = []
+    listed = []
     for k in range(1, runs + 1):
         numbered = path.with_name(f"{path.stem}_{k:0{digits}}{path.suffix}")
         motion = EXPERIMENTS[experiment](replace(wanted, run=k))
-        found.append(_run(array, numbered, motion, rate_hz, wanted.seconds, boot + k - 1))
-    return found
+        listed.append(_run(array, numbered, motion, rate_hz, wanted.seconds, boot + k - 1))
+    return listed
 
 
 def _run(array: ArrayConfig, path: Path, motion: Motion, rate_hz: float, seconds: float | None, boot: int) -> Run:

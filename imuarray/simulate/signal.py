@@ -112,8 +112,8 @@ class Place:
 
     def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
         """What `make` gives, made once; `key` says all that it depends on besides this place."""
-        found: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
-        return found
+        kept: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
+        return kept
 
     def row_at(self, at_ns: float, stop: int) -> int:
         """The first of the rows before `stop` that is stamped then or later; `stop` if none is."""

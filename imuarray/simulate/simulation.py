@@ -27,7 +27,7 @@ from imuarray.simulate.model import Model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
-from imuarray.simulate.timeline import Polled, Recorded, Timeline, poll
+from imuarray.simulate.timeline import LogTimes, PollTimes, Timeline, poll
 
 EVERY_FLAG = 0xFFFF
 IMPORTED_FLAGS = SATURATED
@@ -42,7 +42,7 @@ class Plan:
     """Which sensors are read when: what a simulation and a recording of the same run have in common."""
 
     sensors: Mapping[str, tuple[SensorHeader, Timeline]]
-    frames: Polled
+    frames: PollTimes
     """When each frame begins: the times of `/truth`."""
     config: str = ""
     frame_rate_hz: float = 0.0
@@ -55,7 +55,7 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
     """The plan of an array polled `frame_rate_hz` times a second for `seconds`."""
     lines = poll(array, frame_rate_hz, seconds)
     sensors = {sensor.name: (header_of(sensor, {}), lines[sensor.name]) for sensor in array.sensors}
-    frames = Polled(frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz))
+    frames = PollTimes(frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz))
     return Plan(sensors, frames, array.text, frame_rate_hz)
 
 
@@ -68,7 +68,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is known
     known = {sensor.name: sensor for sensor in parse_array(log.config).sensors} if log.config else {}
     sensors = {
-        name: (header_of(known[name], {}) if name in known else recorded_header(sensor), Recorded(sensor))
+        name: (header_of(known[name], {}) if name in known else recorded_header(sensor), LogTimes(sensor))
         for name, sensor in chosen.items()
         if len(sensor)
     }
@@ -77,7 +77,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
     period_ns = round(1e9 / _FRAMES_LIKE_HZ)
     flags = IMPORTED_FLAGS if log.source == "imported" else EVERY_FLAG
-    return Plan(sensors, Polled(end_ns // period_ns + 1, period_ns), log.config, log.frame_rate_hz, flags)
+    return Plan(sensors, PollTimes(end_ns // period_ns + 1, period_ns), log.config, log.frame_rate_hz, flags)
 
 
 class Simulation:
@@ -157,15 +157,15 @@ def effects_of(
     if unknown := sorted(set(without) - set(EFFECTS)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}")
     units = Streams(seed)
-    found: dict[str, tuple[Effect, ...]] = {}
+    effects_by_name: dict[str, tuple[Effect, ...]] = {}
     for name, (header, _) in plan.sensors.items():
         if header.quantity == "pressure":
             continue
         effects = model.effects(header, units, population=population, without=frozenset(without))
         if SizeEffect.name not in without:
             effects = with_position(effects, place_of(header, effects, plan).position_mm)
-        found[name] = in_physical_order(effects)
-    return found
+        effects_by_name[name] = in_physical_order(effects)
+    return effects_by_name
 
 
 def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:

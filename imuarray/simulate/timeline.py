@@ -60,7 +60,7 @@ class Timeline(Protocol):
 
 
 @dataclass(frozen=True)
-class Polled:
+class PollTimes:
     """A row every `every` frames of `period_ns`, from frame `first` on; so long after the start of an even or odd
     frame.
     """
@@ -87,7 +87,7 @@ class Polled:
 
 
 @dataclass(frozen=True)
-class Queued:
+class QueueTimes:
     """A row for every sample of a chip whose queue is drained, at its data rate."""
 
     rows: int
@@ -98,7 +98,7 @@ class Queued:
         return np.asarray(np.rint(np.arange(start, stop) * (1e9 / self.rows_per_s)), np.int64)
 
 
-class Recorded:
+class LogTimes:
     """The rows of a recorded sensor, at the times that its log gives; pickled as `SensorLog` is."""
 
     def __init__(self, sensor: SensorLog) -> None:
@@ -141,7 +141,7 @@ class Recorded:
 
 
 @dataclass(frozen=True, eq=False)
-class Filled:
+class GapFilledTimes:
     """The rows of a recorded sensor and those that it lost: `missing` (h,) of them, evenly spaced, lie before its rows
     `before` (h,), ascending, none of them the first one.
     """
@@ -198,18 +198,18 @@ class Filled:
         return ends
 
 
-def filled(sensor: SensorLog) -> Recorded | Filled:
+def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
     """The rows of a recorded sensor, and where one is flagged as one before which others were lost (flag 8), and the
     interval before it is 1.5 times the usual one or longer, as many as there are too few.
 
     Usual is the median of the intervals without the flag, in 65536 rows. Reads times and flags once, a block at a time.
     """
-    recorded, status = Recorded(sensor), sensor.status
+    recorded, status = LogTimes(sensor), sensor.status
     holes = list(_holes(sensor, status)) if not isinstance(status, np.ndarray) and recorded.rows > 1 else []
     if not holes:
         return recorded
     before, missing = zip(*holes, strict=True)
-    return Filled(recorded, np.concatenate(before), np.concatenate(missing))
+    return GapFilledTimes(recorded, np.concatenate(before), np.concatenate(missing))
 
 
 def _holes(sensor: SensorLog, status: NamedColumn) -> Iterator[tuple[Integers, Integers]]:
@@ -223,10 +223,10 @@ def _holes(sensor: SensorLog, status: NamedColumn) -> Iterator[tuple[Integers, I
         plain = intervals[~lost]
         if len(plain) >= (_TYPICAL if usual_ns else 1):
             usual_ns = float(np.median(plain))
-        found = np.flatnonzero(lost & (intervals >= _HOLE * usual_ns))
-        if usual_ns > 0 and len(found):
-            missing = np.rint(intervals[found] / usual_ns).astype(np.int64) - 1
-            yield first + found, missing
+        holes = np.flatnonzero(lost & (intervals >= _HOLE * usual_ns))
+        if usual_ns > 0 and len(holes):
+            missing = np.rint(intervals[holes] / usual_ns).astype(np.int64) - 1
+            yield first + holes, missing
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
@@ -236,11 +236,11 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
     lines: dict[str, Timeline] = {}
     for sensor in array.sensors:
         if sensor.fifo:
-            lines[sensor.name] = Queued(max(1, math.ceil(seconds * sensor.chip_rate_hz)), sensor.chip_rate_hz)
+            lines[sensor.name] = QueueTimes(max(1, math.ceil(seconds * sensor.chip_rate_hz)), sensor.chip_rate_hz)
             continue
         every, first = _visits(sensor, frame_rate_hz)
         rows = max(0, -(-(frames - first) // every))
-        lines[sensor.name] = Polled(rows, period_ns, every, first, forth[sensor.name], back[sensor.name])
+        lines[sensor.name] = PollTimes(rows, period_ns, every, first, forth[sensor.name], back[sensor.name])
     return lines
 
 

@@ -27,7 +27,7 @@ from imuarray.log import open_log
 from imuarray.log.format import SUSPECT
 from imuarray.log.sensor_log import recorded_header
 from imuarray.simulate import Simulation, load_model, plan_of, write_log
-from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.simulation import effects_of
 from tests.fuse.test_stream import pushed, read, same
 
@@ -80,7 +80,7 @@ def written(scene: Scene) -> tuple[Path, Calibration]:
     array, model = load_array(CONFIGS / "martin2013.toml"), load_model(CONFIGS / "models/martin2013.toml")
     plan = plan_of(array, scene.rate_hz, scene.seconds)
     effects = effects_of(plan, model, 1, without=CALIBRATED)
-    motion = EXPERIMENTS[scene.experiment](Wanted(seconds=scene.seconds, drive=scene.drive))
+    motion = EXPERIMENTS[scene.experiment](ExperimentOptions(seconds=scene.seconds, drive=scene.drive))
     folder = mkdtemp(prefix="imuarray-faults-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = Path(folder) / "run.h5"

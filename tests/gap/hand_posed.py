@@ -13,7 +13,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
-from imuarray.simulate.motion.posed import Attitude, Posed
+from imuarray.simulate.motion.posed import Attitude, PoseSequence
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects, temperature_of
 
@@ -26,23 +26,23 @@ def directions(count: int, seed: int = 0) -> Floats:
     return np.asarray(ways / np.linalg.norm(ways, axis=1)[:, None])
 
 
-def posed(ups: Floats, pose_s: int = POSE_S) -> Posed:
+def posed(ups: Floats, pose_s: int = POSE_S) -> PoseSequence:
     """One attitude after the other."""
     starts = [number * (pose_s + TURN_S) * SECOND for number in range(len(ups))]
     attitudes = [
         Attitude(Phase(start, start + pose_s * SECOND, f"pose {number}"), (x, y, z), estimated=True)
         for number, (start, (x, y, z)) in enumerate(zip(starts, ups.tolist(), strict=True), start=1)
     ]
-    return Posed(tuple(attitudes), Still(seconds=len(ups) * (pose_s + TURN_S)))
+    return PoseSequence(tuple(attitudes), Still(seconds=len(ups) * (pose_s + TURN_S)))
 
 
-def simulated(motion: Posed, more: Effects, seed: int = 0) -> Simulation:
+def simulated(motion: PoseSequence, more: Effects, seed: int = 0) -> Simulation:
     """The box in these attitudes, temperature 25 degC."""
     effects = {name: (*base, *more.get(name, ())) for name, base in BASE.items()}
     return Simulation(plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds), motion, effects, seed=seed)
 
 
-def campaign_in(motion: Posed, more: Effects | None = None, seed: int = 0) -> Campaign:
+def campaign_in(motion: PoseSequence, more: Effects | None = None, seed: int = 0) -> Campaign:
     """One log."""
     sources = simulated_sources(simulated(motion, more or {}, seed))
     return Campaign((summarise_log("tumble", sources, motion.phases, temperature_of(motion)),))

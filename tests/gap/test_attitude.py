@@ -19,7 +19,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 from tests.gap.hand_posed import campaign_in, directions, posed, simulated
 from tests.gap.made import BASE, temperature_of
 from tests.gap.test_bench import Run, prepared
@@ -77,7 +77,7 @@ def test_biases_of_a_box_put_down_by_hand() -> None:
         np.testing.assert_allclose(base.fitted[name].rms, 0.004, rtol=0.05)
 
 
-def leaning(motion: Posed) -> Posed:
+def leaning(motion: PoseSequence) -> PoseSequence:
     """The same, with directions that are 2 degrees off."""
     ups = np.array([attitude.up_box for attitude in motion.attitudes]) + 0.035 * directions(len(motion.attitudes), 9)
     return posed(ups / np.linalg.norm(ups, axis=1)[:, None])
@@ -88,7 +88,7 @@ def test_what_is_felt_is_estimated_from_the_campaign_itself() -> None:
     motion = posed(directions(9))
     campaign, other = campaign_in(motion), leaning(motion)
     assert fit(campaign, [motion]).fitted == fit(campaign, [other]).fitted
-    known = Posed(tuple(attitude._replace(estimated=False) for attitude in other.attitudes), other.surroundings)
+    known = PoseSequence(tuple(attitude._replace(estimated=False) for attitude in other.attitudes), other.surroundings)
     assert np.abs(means_left(campaign, other)).max() < 1e-3
     assert np.abs(means_left(campaign, known)).max() > 0.02
 
@@ -111,7 +111,7 @@ def test_held_out_halves_are_judged_by_the_parameters_of_the_others() -> None:
     assert np.abs(means_of(residual(second, [motion], wrong))).max() > 0.01
 
 
-def means_left(campaign: Campaign, motion: Posed) -> Floats:
+def means_left(campaign: Campaign, motion: PoseSequence) -> Floats:
     return means_of(residual(campaign, [motion], fit(campaign, [motion])))
 
 

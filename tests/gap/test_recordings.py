@@ -20,7 +20,7 @@ from imuarray.log.format import Phase, SensorHeader, ThermometerScale
 from imuarray.simulate import Simulation
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from tests.gap.hand_posed import directions, posed, simulated, written
@@ -105,7 +105,7 @@ def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path
     ups = directions(10)
     found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {})))
     motion = found.experiment.motion
-    assert (found.kind, len(found.phases), isinstance(motion, Posed)) == ("tumble", 10, True)
+    assert (found.kind, len(found.phases), isinstance(motion, PoseSequence)) == ("tumble", 10, True)
     assert all(one.name == f"pose {number}" for number, one in enumerate(found.phases, start=1))
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in found.phases])
     np.testing.assert_allclose(motion.felt(middles).force_box / 9.80665, ups, atol=1.5e-3)
@@ -130,7 +130,7 @@ def test_noted_attitudes_are_believed_but_for_a_tilt(tmp_path: Path) -> None:
     phases = (phase(0, 5, "z_up", "+Z"), phase(6, 11, "static"))
     found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {}), phases))
     motion = found.experiment.motion
-    assert isinstance(motion, Posed)
+    assert isinstance(motion, PoseSequence)
     assert [attitude.estimated for attitude in motion.attitudes] == [True, True]
     np.testing.assert_allclose([attitude.up_box for attitude in motion.attitudes], ups, atol=1e-3)
 

@@ -16,7 +16,7 @@ from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SensorHeader
-from imuarray.simulate.timeline import Filled, Recorded, filled, poll
+from imuarray.simulate.timeline import GapFilledTimes, LogTimes, filled, poll
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -78,14 +78,14 @@ def test_frames_are_counted_as_the_recorder_does(array: ArrayConfig) -> None:
 
 def test_a_recorded_sensors_own_times(recorded: Path) -> None:
     with open_log(recorded) as log:
-        line = Recorded(log["Gyro1"])
+        line = LogTimes(log["Gyro1"])
         np.testing.assert_array_equal(line.stamps(10, 20), log["Gyro1"].time[10:20])
         assert line.rows_per_s == pytest.approx(48.0, rel=1e-3)
 
 
 def test_a_recorded_line_is_read_from_its_log_wherever_it_is_sent(recorded: Path) -> None:
     with open_log(recorded) as log:
-        line = Recorded(log["Gyro1"])
+        line = LogTimes(log["Gyro1"])
         line.stamps(0, 1), line.stamps(3, 9)
         pickled = pickle.dumps(line)
         again = pickle.loads(pickled)  # noqa: S301
@@ -110,7 +110,7 @@ class Listed:
 
 
 @st.composite
-def holed(draw: st.DrawFn) -> tuple[Filled, list[int]]:
+def holed(draw: st.DrawFn) -> tuple[GapFilledTimes, list[int]]:
     """A line with holes, and all its times one by one."""
     missing = draw(st.lists(st.integers(0, 6), min_size=1, max_size=25))
     whole = [draw(st.integers(-(10**17), 10**17))]
@@ -121,11 +121,13 @@ def holed(draw: st.DrawFn) -> tuple[Filled, list[int]]:
         recorded.append(end)
     holes = [(row, lost) for row, lost in enumerate(missing, start=1) if lost]
     before, lost_rows = (np.array([hole[at] for hole in holes], np.int64) for at in (0, 1))
-    return Filled(Listed(recorded), before, lost_rows), whole
+    return GapFilledTimes(Listed(recorded), before, lost_rows), whole
 
 
 @given(holed(), st.data())
-def test_any_stretch_of_a_line_whose_holes_are_filled(made: tuple[Filled, list[int]], data: st.DataObject) -> None:
+def test_any_stretch_of_a_line_whose_holes_are_filled(
+    made: tuple[GapFilledTimes, list[int]], data: st.DataObject
+) -> None:
     line, whole = made
     assert line.rows == len(whole)
     start, stop = sorted(data.draw(st.tuples(*[st.integers(0, len(whole))] * 2)))
@@ -168,7 +170,7 @@ def test_an_even_line_comes_back_whole(
         line = filled(log["A"])
         found = line.stamps(0, line.rows)
         assert line.rows == len(kept)
-        assert isinstance(line, Filled) != kept.all()
+        assert isinstance(line, GapFilledTimes) != kept.all()
         assert line.rows_per_s == pytest.approx(1e9 / period_ns, rel=0.1)
         np.testing.assert_array_equal(found[kept], times[kept])
         assert np.abs(found - times).max() <= 2 * off * period_ns + 1
@@ -179,7 +181,7 @@ def test_which_holes_are_filled(tmp_path: Path) -> None:
     times = np.cumsum([5, 10, 10, 14, 10, 16, 10, 24, 26, 30, 10])
     with open_log(log_of(tmp_path / "log.h5", times, [0, 3, 5, 8, 9])) as log:
         line = filled(log["A"])
-        assert isinstance(line, Filled)
+        assert isinstance(line, GapFilledTimes)
         assert line.before.tolist() == [5, 8, 9]
         assert line.missing.tolist() == [1, 2, 2]
         assert line.stamps(4, 8).tolist() == [49, 57, 65, 75]
@@ -204,7 +206,7 @@ def test_holes_wherever_a_long_log_is_cut(tmp_path: Path) -> None:
 def test_a_log_without_flags_has_no_holes(tmp_path: Path) -> None:
     times = np.array([0, 10, 20, 50, 60])
     with open_log(log_of(tmp_path / "log.h5", times, [])) as log:
-        assert isinstance(filled(log["A"]), Recorded)
+        assert isinstance(filled(log["A"]), LogTimes)
     with open_log(log_of(tmp_path / "one.h5", times[:1], [0])) as log:
         assert filled(log["A"]).rows == 1
     with open_log(log_of(tmp_path / "two.h5", times[:2], [0, 1])) as log:  # nothing tells what is usual

@@ -86,18 +86,18 @@ def marks(axis: Table, level: float) -> list[str]:
     codes = axis.get("codes")
     if not codes or not codes["std"]:
         return ["one code only"] if codes and codes["readings"] > 1 else []
-    found = _steps(codes, step_of(axis, level))
+    remarks = _steps(codes, step_of(axis, level))
     missing = sum((gap["last"] - gap["first"]) // codes["usual_step"] + 1 for gap in _missing(codes, level))
     if missing:
-        found.append(f"{missing} code{'s' if missing > 1 else ''} missing")
+        remarks.append(f"{missing} code{'s' if missing > 1 else ''} missing")
     for name in ("low", "high"):
         end = codes[f"{name}_end"]
         if _is_piled(end, level):
-            found.append(f"{100 * end['share']:.2g} % at the {name} end")
+            remarks.append(f"{100 * end['share']:.2g} % at the {name} end")
         elif _is_far(end, codes, level):
-            found.append(f"outlier at {end['code']}")
+            remarks.append(f"outlier at {end['code']}")
     is_uneven = codes["even_p"] is not None and codes["even_p"] <= level
-    return found or ([f"{codes['even_share']:.1%} even codes"] if is_uneven else [])
+    return remarks or ([f"{codes['even_share']:.1%} even codes"] if is_uneven else [])
 
 
 def step_of(axis: Table, level: float) -> int:
@@ -137,14 +137,17 @@ def bars(seen: Table, step: int) -> tuple[Floats, Floats]:
     """
     codes, counts = floats(seen["codes"]), floats(seen["counts"])
     together = max(1, int(np.ceil((codes[-1] - codes[0] + 1) / step / MOST_BARS)))
-    left, width = codes - 0.5, 1
+    edges_low, width = codes - 0.5, 1
     if together > 1:
         width = together * step
         member = ((codes - codes[0]) // width).astype(int)
-        left, counts = left[0] + width * np.arange(member[-1] + 1), np.asarray(np.bincount(member, counts), np.float64)
-    edges = np.union1d(left, left + width)
+        edges_low, counts = (
+            edges_low[0] + width * np.arange(member[-1] + 1),
+            np.asarray(np.bincount(member, counts), np.float64),
+        )
+    edges = np.union1d(edges_low, edges_low + width)
     heights = np.zeros(len(edges) - 1)
-    heights[np.searchsorted(edges, left)] = counts / counts.sum() / together
+    heights[np.searchsorted(edges, edges_low)] = counts / counts.sum() / together
     return heights, edges
 
 
@@ -178,8 +181,8 @@ def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Floats) -> None:
 
 def _write_marks(panel: Axes, mean: float, texts: list[str]) -> None:
     """In the right corner, or the left if most readings are right of the middle."""
-    left, right = panel.get_xlim()
-    is_left = mean > left + 0.6 * (right - left)
+    low, high = panel.get_xlim()
+    is_left = mean > low + 0.6 * (high - low)
     style: dict[str, Any] = {"fontsize": 7.5, "color": COLOURS[1], "va": "top", "ha": "left" if is_left else "right"}
     panel.text(0.0 if is_left else 1.0, 1.0, "\n".join(texts), transform=panel.transAxes, **style)
 

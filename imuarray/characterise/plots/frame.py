@@ -77,13 +77,13 @@ def kinds(result: Table, shown: Callable[[Table], bool]) -> list[Kind]:
     groups: dict[tuple[str, str], list[Table]] = {}
     for sensor in result["sensors"]:
         groups.setdefault((sensor["quantity"], unit_of(sensor)), []).append(sensor)
-    found = []
+    listed = []
     for (quantity, unit), sensors in groups.items():
         colours = zip(sensors, _colours(len(sensors)), strict=True)
         drawn = [pair for pair in colours if any(map(shown, pair[0]["axes"]))]
         if drawn:
-            found.append(Kind(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
-    return found
+            listed.append(Kind(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
+    return listed
 
 
 def unit_of(sensor: Table) -> str:
@@ -176,8 +176,8 @@ def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) ->
 
     panel.set(xscale="log", yscale="log", ylim=(lowest / 1.6, highest * top))
     numbers = FuncFormatter(lambda value, _: f"{value:g}")
-    left, right = panel.get_xlim()
-    for scale, ratio in ((panel.xaxis, right / left), (panel.yaxis, highest / lowest)):
+    low, high = panel.get_xlim()
+    for scale, ratio in ((panel.xaxis, high / low), (panel.yaxis, highest / lowest)):
         scale.set_major_formatter(numbers)
         scale.set_minor_formatter(numbers if ratio < 100 else NullFormatter())
         if ratio < 100 or scale is panel.yaxis:

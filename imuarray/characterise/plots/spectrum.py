@@ -81,17 +81,17 @@ def bands(frequency_hz: Floats, density: Floats, taken: npt.NDArray[np.bool_]) -
     return Bands(mean_hz, mean, bins.astype(float))
 
 
-def interval(found: Bands, freedom: float) -> tuple[Floats, Floats]:
+def interval(averaged: Bands, freedom: float) -> tuple[Floats, Floats]:
     """Ends (b,) of the 95 % interval of the band's density, of bins with `freedom` degrees of freedom each.
 
     Powers of neighbouring bins correlate by 4/9 and of the next by 1/36: those of a Hann window's transform squared.
     """
     from scipy.special import chdtri
 
-    n = found.bins
+    n = averaged.bins
     shared = 1 + 2 * (np.maximum(n - 1, 0) * 4 / 9 + np.maximum(n - 2, 0) / 36) / n
     total = freedom * n / shared
-    return found.density * total / chdtri(total, 0.025), found.density * total / chdtri(total, 0.975)
+    return averaged.density * total / chdtri(total, 0.025), averaged.density * total / chdtri(total, 0.975)
 
 
 def _is_shown(axis: Table) -> bool:
@@ -127,14 +127,14 @@ def _draw_axis(panel: Axes, curve: Curve, is_crowded: bool) -> None:
     taken[_BINS] = density[_BINS] > 0
     for peak in peaks:
         taken[max(0, peak - _LINE_BINS) : peak + _LINE_BINS + 1] = False
-    found = bands(frequency_hz, density, taken)
-    height = np.sqrt(found.density) * curve.scale
-    plot(panel, found.frequency_hz, height, curve, linewidth=0.6 if is_crowded else 1.2)
+    averaged = bands(frequency_hz, density, taken)
+    height = np.sqrt(averaged.density) * curve.scale
+    plot(panel, averaged.frequency_hz, height, curve, linewidth=0.6 if is_crowded else 1.2)
     if not is_crowded:
-        low, high = (np.sqrt(end) * curve.scale for end in interval(found, common["freedom"]))
-        panel.fill_between(found.frequency_hz, low, high, color=curve.colour, alpha=0.06, linewidth=0)
+        low, high = (np.sqrt(end) * curve.scale for end in interval(averaged, common["freedom"]))
+        panel.fill_between(averaged.frequency_hz, low, high, color=curve.colour, alpha=0.06, linewidth=0)
     top = [_height(line, curve) for line in curve.axis["lines"]]
-    foot = np.interp(frequency_hz[peaks], found.frequency_hz, height)
+    foot = np.interp(frequency_hz[peaks], averaged.frequency_hz, height)
     if peaks:
         panel.vlines(frequency_hz[peaks], foot, top, color=curve.colour, linewidth=0.8)
         panel.plot(frequency_hz[peaks], top, "D", color=curve.colour, markersize=4, gid="lines")
@@ -161,7 +161,7 @@ def _label_lines(panel: Axes, drawn: list[Curve]) -> None:
             max(at_hz / other, other / at_hz) > _LABELS_APART for other in labelled
         ):
             labelled.append(at_hz)
-            same = {one.axis["axis"] for _, other, one in peaks if abs(other["frequency_hz"] - at_hz) <= apart_hz}
+            same = {curve.axis["axis"] for _, other, curve in peaks if abs(other["frequency_hz"] - at_hz) <= apart_hz}
             text = f"{', '.join(sorted(same))}: {line_label(line)}"
             style: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 7.5, "color": "0.2"}
             panel.annotate(plain(text), (at_hz, height), (0, 5), textcoords="offset points", **style)

@@ -35,7 +35,7 @@ from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 from imuarray.simulate.simulation import Plan, Simulation
-from imuarray.simulate.timeline import Polled
+from imuarray.simulate.timeline import PollTimes
 
 LEAST = 3.0
 """Least nats that separate two causes, 20 to 1."""
@@ -265,7 +265,7 @@ def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:
         for name, (_, line) in experiment.plan.sensors.items()
         if name in names
     }
-    lines = {name: Polled(math.ceil(seconds * rate), round(1e9 / rate)) for name, rate in rates.items()}
+    lines = {name: PollTimes(math.ceil(seconds * rate), round(1e9 / rate)) for name, rate in rates.items()}
     sensors = {name: (bench.base.headers[name], line) for name, line in lines.items()}
     return Plan(sensors, next(iter(lines.values())))
 

@@ -27,7 +27,7 @@ from imuarray.gap.statistics.probes.level import mean
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 
 ALONG = 0.9
 """Least cosine between the measured force and a face on which the box lies (26 degrees); the cosine with any other face
@@ -251,9 +251,11 @@ def _with_labels(recording: Recording, wrong: Sequence[WrongLabel]) -> Recording
     ups = {label.phase: label.up for label in wrong}
     phases = tuple(phase._replace(up=ups.get(phase, phase.up)) for phase in recording.phases)
     motion = recording.experiment.motion
-    of_log = motion.surroundings if isinstance(motion, Posed) else motion
+    of_log = motion.surroundings if isinstance(motion, PoseSequence) else motion
     attitudes = attitudes_of(recording.log, phases, of_log)[0] if isinstance(of_log, LikeLog) else ()
-    lies: Motion = Posed(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
+    lies: Motion = (
+        PoseSequence(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
+    )
     experiment = Experiment(recording.experiment.plan, lies)
     notes = (*recording.notes, *(note_of(label).partition(": ")[2] for label in wrong))
     kind = kind_of(phases, attitudes, heated=recording.kind == "heating")

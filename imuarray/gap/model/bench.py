@@ -26,7 +26,7 @@ from imuarray.gap.statistics.probes import PROBES, CrossProbe, Probe
 from imuarray.gap.statistics.probes.probe import ArrayProbe
 from imuarray.gap.statistics.split import Split
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 
 
 @dataclass(frozen=True)
@@ -223,9 +223,9 @@ class Bench(Stage):
 
 def _with_known_attitudes(motion: Motion) -> Motion:
     """The motion with estimated attitudes taken as known."""
-    if not isinstance(motion, Posed):
+    if not isinstance(motion, PoseSequence):
         return motion
-    return Posed(tuple(attitude._replace(estimated=False) for attitude in motion.attitudes), motion.surroundings)
+    return PoseSequence(tuple(attitude._replace(estimated=False) for attitude in motion.attitudes), motion.surroundings)
 
 
 def _is_shared(probe: Probe) -> bool:

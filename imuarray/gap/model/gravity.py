@@ -15,7 +15,7 @@ from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.units import STANDARD_GRAVITY
 
 _INSTANTS = 64
@@ -67,7 +67,7 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
             }
             if not part.is_still or not there:
                 continue
-            is_estimated = isinstance(motion, Posed) and motion.is_estimated(part.phase)
+            is_estimated = isinstance(motion, PoseSequence) and motion.is_estimated(part.phase)
             known = None if is_estimated else _mean_force_g(motion, part.phase)
             nominal = np.array(up_vector(part.phase.up)) if part.phase.up in UP_AXES else np.full(3, np.nan)
             yield _Rest((number, part.phase.start_ns), there, known, nominal)

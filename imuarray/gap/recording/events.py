@@ -17,9 +17,9 @@ from imuarray.gap.recording.resets import Reset, resets_in
 from imuarray.gap.recording.source import recorded_source
 from imuarray.log import Log
 from imuarray.log.format import Phase
+from imuarray.simulate.host_latency import DelayedTimes
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.timeline import Filled, Timeline
-from imuarray.simulate.waits import Awaited
+from imuarray.simulate.timeline import GapFilledTimes, Timeline
 from imuarray.units import INERTIAL
 
 _END_NS = np.iinfo(np.int64).max
@@ -48,7 +48,7 @@ class Events:
     """Events of one sensor in one log.
 
     `repeated`: stretches in which its rows repeat; `outliers` against the other sensors in each phase in which the box
-    moves; `holes` in its rows as `Filled.holes` gives them; `host`, the delays of the host seen in all sensors;
+    moves; `holes` in its rows as `GapFilledTimes.holes` gives them; `host`, the delays of the host seen in all sensors;
     `resets`, stretches in which the chip's configuration was lost.
     """
 
@@ -75,7 +75,7 @@ def events_of(
 
 
 def _host(timelines: Collection[Timeline]) -> Host:
-    late = [line for line in timelines if isinstance(line, Awaited)]
+    late = [line for line in timelines if isinstance(line, DelayedTimes)]
     return Host(
         sum(line.rows for line in timelines),
         sum(len(line.waited) for line in late),
@@ -87,11 +87,11 @@ def _host(timelines: Collection[Timeline]) -> Host:
 def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known: Collection[str], host: Host) -> Events:
     sensor = log[name]
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
-    own = line.own if isinstance(line, Awaited) else line
+    own = line.own if isinstance(line, DelayedTimes) else line
     return Events(
         repeated_rows_in(recorded_source(sensor, line).blocks(0, _END_NS)),
         tuple(outliers_in_motion(sensor, others, phase) for phase in moving),
-        tuple(own.holes()) if isinstance(own, Filled) else (),
+        tuple(own.holes()) if isinstance(own, GapFilledTimes) else (),
         host,
         resets_in(sensor),
     )

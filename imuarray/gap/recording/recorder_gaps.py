@@ -20,7 +20,7 @@ from imuarray.arrays import Integers
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import MISSED
-from imuarray.simulate.timeline import Filled, Timeline
+from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 MISSING = 1.5
 """Interval of another sensor around the middle of a gap, in its usual intervals, from which on it is missing too."""
@@ -66,7 +66,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     kept, ends_ns = dict(lines), {}
     most: list[_Gap] = []
     for name, line in lines.items():
-        if not isinstance(line, Filled):
+        if not isinstance(line, GapFilledTimes):
             continue
         others = [(log[other], interval_ns) for other, interval_ns in usual_ns.items() if other != name]
         gaps = [_Gap(begin_ns, end_ns) for begin_ns, end_ns, _ in line.holes()]

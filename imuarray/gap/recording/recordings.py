@@ -25,12 +25,12 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.converters import thermometer_of
+from imuarray.simulate.host_latency import find_delays
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog, TemperatureSource
-from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
-from imuarray.simulate.waits import awaited
 
 Temperature = Callable[[Times], Reals]
 """Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
@@ -94,7 +94,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
     motion = replace(motion, fields=fields)
-    posed = Posed(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
+    posed = PoseSequence(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     experiment = Experiment(replace(plan, sensors=sensors), posed)
     return Recording(
         log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
@@ -246,7 +246,7 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
     }
     even = {name: even_rows(log[name]) for name in timings if name not in steady}
     gaps = recorder_gaps(log, steady)
-    return replace(gaps, lines={**(awaited(gaps.lines, log.sensors) if steady else {}), **even})
+    return replace(gaps, lines={**(find_delays(gaps.lines, log.sensors) if steady else {}), **even})
 
 
 def _refuse_two_arrays(logs: Sequence[Log]) -> None:

@@ -138,10 +138,10 @@ def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[R
         return over * (decay / fine) ** 1.5, under
     rows = np.array([correlation(decay * lag, poles) for lag in range(4)])
     apart = np.subtract.outer(np.arange(3), np.arange(3))
-    none, one = (float(under @ rows[np.abs(apart + lag)] @ under) for lag in (0, 1))
-    share = 2 * one / none
+    same, neighbour = (float(under @ rows[np.abs(apart + lag)] @ under) for lag in (0, 1))
+    share = 2 * neighbour / same
     zero = share / (1 + math.sqrt(max(1 - share * share, 0.0)))  # of the two that do, the one within the unit circle
-    return math.sqrt(none / (1 + zero * zero)) * np.array([1.0, zero]), under
+    return math.sqrt(same / (1 + zero * zero)) * np.array([1.0, zero]), under
 
 
 @lru_cache(maxsize=256)

@@ -23,7 +23,8 @@ class Jitter(Effect):
 
     `rms_s` in seconds: what the scheduler of the logging computer puts between a burst and the reading of its clock;
     late are those before which another program had the processor. Where the times of a log's rows tell which these were
-    (`imuarray.simulate.waits`), these are late and no others, by `told` of half of each wait: 1 if all of it lay before
+    (`imuarray.simulate.host_latency`), these are late and no others, by `told` of half of each wait: 1 if all of it lay
+    before
     the transfer, -1 if behind it; rows that nobody was there to read are lost. In data: nothing at
     rest, unless a late reading is the one that the next row brings once more; under motion noise in proportion to how
     fast the signal changes, rms_s sqrt(share) |dx/dt|.

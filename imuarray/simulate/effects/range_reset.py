@@ -115,8 +115,8 @@ class RangeReset(Effect):
         for doubt_ns, _, over_ns in self._stretches(at):
             due, over = np.searchsorted(instants.stamp_ns, (doubt_ns, over_ns))
             marked[due:over] |= SUSPECT
-            if over > 0 and (came := np.flatnonzero(instants.kept[over:])).size:
-                marked[over + came[0]] |= RECONFIGURED
+            if over > 0 and (arrived := np.flatnonzero(instants.kept[over:])).size:
+                marked[over + arrived[0]] |= RECONFIGURED
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:

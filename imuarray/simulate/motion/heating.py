@@ -31,14 +31,14 @@ class _Stretch(NamedTuple):
     @property
     def ends_degc(self) -> float:
         """Where it leads."""
-        left = math.exp(-self.minutes / self.constant_min)
-        return self.towards_degc + (self.begins_degc - self.towards_degc) * left
+        remaining = math.exp(-self.minutes / self.constant_min)
+        return self.towards_degc + (self.begins_degc - self.towards_degc) * remaining
 
 
 def _heat(minutes: float, begins_degc: float, ends_degc: float) -> _Stretch:
     """Heating at whose end exactly `ends_degc` is reached."""
-    left = math.exp(-minutes / HEATING_MIN)
-    return _Stretch("heat", minutes, begins_degc, (ends_degc - begins_degc * left) / (1 - left), HEATING_MIN)
+    remaining = math.exp(-minutes / HEATING_MIN)
+    return _Stretch("heat", minutes, begins_degc, (ends_degc - begins_degc * remaining) / (1 - remaining), HEATING_MIN)
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ class Heating:
         since_ns = np.clip(time_ns, 0, self._edges_ns[-1])
         index = np.searchsorted(self._edges_ns[1:-1], since_ns, side="right")
         towards, distance, decay = self._columns
-        left = np.exp(decay[index] * (since_ns - self._edges_ns[index]))
-        return resting(time_ns, self._attitude, towards[index] + distance[index] * left)
+        remaining = np.exp(decay[index] * (since_ns - self._edges_ns[index]))
+        return resting(time_ns, self._attitude, towards[index] + distance[index] * remaining)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""

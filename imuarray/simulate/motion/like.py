@@ -21,7 +21,7 @@ from imuarray.log.reader import Log
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
-from imuarray.simulate.motion.recorded import Recorded
+from imuarray.simulate.motion.recorded import SplineColumns
 from imuarray.simulate.motion.timeline import FOREVER_NS
 
 ROOM_DEGC = 25.0
@@ -45,7 +45,7 @@ _LAST = 8
 class LikeLog:
     """What the box of `log` felt, at the log's own times.
 
-    Force and rate come from `/truth`, else from `/reference`, if it has both, interpolated (`Recorded`); the angular
+    Force and rate come from `/truth`, else from `/reference`, if it has both, by splines (`SplineColumns`); the angular
     acceleration is the derivative of that rate, so what happened between two rows is not in it. Without them the box is
     taken to have stood still: on the face that a phase names as up, and until the next such phase on that one (before
     the first, on the first; +Z if none is named); then turns and shaking are missing from it, and tilts too.
@@ -95,13 +95,13 @@ class LikeLog:
     def _felt_before(self, time_ns: Integers) -> Felt:
         """What is felt at many instants, kept for the next time."""
         kept, key = self._stretches, (len(time_ns), int(time_ns[0]), int(time_ns[-1]))
-        found = kept.pop(key, None)
-        if found is None or not np.array_equal(found.time_ns, time_ns):
-            found = self._felt(time_ns)
-        kept[key] = found
+        remembered = kept.pop(key, None)
+        if remembered is None or not np.array_equal(remembered.time_ns, time_ns):
+            remembered = self._felt(time_ns)
+        kept[key] = remembered
         if len(kept) > _LAST:
             del kept[next(iter(kept))]
-        return found
+        return remembered
 
     @cached_property
     def _stretches(self) -> dict[tuple[int, int, int], Felt]:
@@ -177,27 +177,27 @@ class LikeLog:
         return "phases", None
 
     @cached_property
-    def _moving(self) -> Recorded | None:
+    def _moving(self) -> SplineColumns | None:
         """Force and rate."""
         name, track = self._track
         if track is None or track.specific_force is None or track.angular_rate is None:
             return None
-        return Recorded(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
+        return SplineColumns(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
 
     @cached_property
-    def _warming(self) -> tuple[TemperatureSource, Recorded | None]:
+    def _warming(self) -> tuple[TemperatureSource, SplineColumns | None]:
         """What tells the temperature, and the temperature."""
         tracks: tuple[tuple[TemperatureSource, Track | None], ...]
         tracks = ("truth", self.log.truth), ("reference", self.log.reference)
         for name, track in tracks:
             if track is not None and track.temperature is not None and len(track.time):
-                return name, Recorded(track.time, (track.temperature,), f"{self.log.path}, {name}")
+                return name, SplineColumns(track.time, (track.temperature,), f"{self.log.path}, {name}")
         for sensor in self.log.of("pressure"):
             with suppress(LogError):  # a barometer that was imported without
                 if len(sensor):
-                    return "barometer", Recorded(sensor.time, (sensor.compensated("temperature"),), sensor.where)
+                    return "barometer", SplineColumns(sensor.time, (sensor.compensated("temperature"),), sensor.where)
         chip = chip_thermometer(self.log, CHIP_S)
         if chip is None:
             return "nothing", None
         time_ns = np.rint(chip.time_s * 1e9).astype(np.int64)
-        return "chip", Recorded(time_ns, (chip.degc,), f"{self.log.path}, temperature_counts")
+        return "chip", SplineColumns(time_ns, (chip.degc,), f"{self.log.path}, temperature_counts")

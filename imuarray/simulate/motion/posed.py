@@ -30,7 +30,7 @@ class Attitude(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PoseSequence:
     """The box lies in `attitudes`, phases in order of time; from one to the next it jumps half-way between them, since
     nobody says how it was turned. Temperature and pressure are those of `surroundings`, gravity the standard one; the
     field is that of `fields`, if there are any, else the earth's as after the shortest turn from upright, since up

@@ -51,10 +51,10 @@ class _Block(NamedTuple):
 
     def row_before(self, time_ns: Integers) -> npt.NDArray[np.intp]:
         """The number of the piece in which a time within the block lies."""
-        found = self._evenly(time_ns)
-        if found is None:
-            found = np.searchsorted(self.time_ns, time_ns, side="right") - 1
-        return np.clip(found, 0, self.start.shape[1] - 1)
+        rows = self._evenly(time_ns)
+        if rows is None:
+            rows = np.searchsorted(self.time_ns, time_ns, side="right") - 1
+        return np.clip(rows, 0, self.start.shape[1] - 1)
 
     def _evenly(self, time_ns: Integers) -> npt.NDArray[np.intp] | None:
         """The same, if the rows are so even that dividing finds it: five times as fast as a search."""
@@ -62,18 +62,18 @@ class _Block(NamedTuple):
         if last < 1 or len(time_ns) < _MANY:
             return None
         step_ns = (self.time_ns[-1] - self.time_ns[0]) / last
-        found = ((time_ns - self.time_ns[0]) / step_ns).astype(np.intp)
-        if found.min() < 0 or found.max() >= last:
-            np.clip(found, 0, last - 1, out=found)
-        found += time_ns >= self.time_ns.take(found + 1)
-        if found.max() >= last:
+        rows = ((time_ns - self.time_ns[0]) / step_ns).astype(np.intp)
+        if rows.min() < 0 or rows.max() >= last:
+            np.clip(rows, 0, last - 1, out=rows)
+        rows += time_ns >= self.time_ns.take(rows + 1)
+        if rows.max() >= last:
             return None
-        is_right = (self.time_ns.take(found) <= time_ns) & (time_ns < self.time_ns.take(found + 1))
-        return found if is_right.all() else None
+        is_right = (self.time_ns.take(rows) <= time_ns) & (time_ns < self.time_ns.take(rows + 1))
+        return rows if is_right.all() else None
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class SplineColumns:
     """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces whose slope at a row comes from the rows
     before and after it (three-point formula; from one at the ends): values and slopes without jumps.
 
@@ -125,9 +125,9 @@ class Recorded:
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
         order = np.argsort(within, kind="stable")
-        found = np.empty((of_each * sum(self._widths), len(within)))
-        found[:, order] = self._in_order(within[order], worked_out, of_each)
-        return found
+        result = np.empty((of_each * sum(self._widths), len(within)))
+        result[:, order] = self._in_order(within[order], worked_out, of_each)
+        return result
 
     def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
         """The same of times that ascend."""
@@ -135,11 +135,11 @@ class Recorded:
         if first == last:
             return worked_out(self._block(first), within)
         edges = [0, *np.searchsorted(within, self._starts_ns[first + 1 : last + 1]).tolist(), len(within)]
-        found = np.empty((of_each * sum(self._widths), len(within)))
+        result = np.empty((of_each * sum(self._widths), len(within)))
         for number, (begin, end) in enumerate(pairwise(edges), start=first):
             if end > begin:
-                found[:, begin:end] = worked_out(self._block(number), within[begin:end])
-        return found
+                result[:, begin:end] = worked_out(self._block(number), within[begin:end])
+        return result
 
     def _numbers(self, within: Integers) -> npt.NDArray[np.intp]:
         """(n,) the block of each time."""
@@ -172,14 +172,14 @@ class Recorded:
 
     def _block(self, number: int) -> _Block:
         blocks = self._blocks
-        found = blocks.pop(number, None)
-        if found is not None:
-            blocks[number] = found
-            return found
-        blocks[number] = found = self._read(number)
+        block = blocks.pop(number, None)
+        if block is not None:
+            blocks[number] = block
+            return block
+        blocks[number] = block = self._read(number)
         while len(blocks) > _KEPT and sum(block.bytes for block in blocks.values()) > _KEPT_BYTES:
             del blocks[next(iter(blocks))]
-        return found
+        return block
 
     def _read(self, number: int) -> _Block:
         """One block, with a row more on either side while slopes are taken."""
@@ -250,13 +250,13 @@ def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
     row = block.row_before(time_ns)
     moving = _moving(block, row)
     columns = len(block.start)
-    found = np.zeros((2 * columns, len(row)))
-    block.start.take(row, axis=1, out=found[:columns], mode="clip")
+    result = np.zeros((2 * columns, len(row)))
+    block.start.take(row, axis=1, out=result[:columns], mode="clip")
     if len(moving):
         x, length_s, (begin, square, cube) = _pieces(block, time_ns[moving], row[moving])
-        found[:columns, moving] += x * (begin + x * (square + x * cube))
-        found[columns:, moving] = (begin + x * (2 * square + x * (3 * cube))) / length_s
-    return found
+        result[:columns, moving] += x * (begin + x * (square + x * cube))
+        result[columns:, moving] = (begin + x * (2 * square + x * (3 * cube))) / length_s
+    return result
 
 
 def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:

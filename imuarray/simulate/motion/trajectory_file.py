@@ -97,13 +97,15 @@ def _read(path: Path) -> _Cells:
 
 def _layout(cells: _Cells) -> tuple[str, ...]:
     """Which of `LAYOUTS` the columns are; SourceError unless they are exactly one."""
-    found = cells.text.keys() - {TIME, TEMPERATURE}
+    columns = cells.text.keys() - {TIME, TEMPERATURE}
     for layout in LAYOUTS:
-        if found == set(layout) and TIME in cells.text:
+        if columns == set(layout) and TIME in cells.text:
             return layout
     choice = " or ".join(", ".join(layout) for layout in LAYOUTS)
-    came = repr(", ".join(cells.text))[:200]
-    raise SourceError(f"{cells.source}: header {came}: allowed are {TIME} with {choice}; {TEMPERATURE} if it is known")
+    header = repr(", ".join(cells.text))[:200]
+    raise SourceError(
+        f"{cells.source}: header {header}: allowed are {TIME} with {choice}; {TEMPERATURE} if it is known"
+    )
 
 
 def _attitudes(cells: _Cells) -> Rotation:

@@ -31,7 +31,7 @@ ORDER = (
 LAST = len(ORDER) - 1
 
 
-class _Turned(NamedTuple):
+class _TurningVector(NamedTuple):
     """A vector (7, 3) fixed to the level frame as each face sees it, its part across the axis of the turn that follows,
     and that axis times the vector.
     """
@@ -147,21 +147,21 @@ class Tumble:
         return np.asarray(np.linalg.norm(self.turns, axis=1))
 
     @cached_property
-    def _gravity(self) -> _Turned:
+    def _gravity(self) -> _TurningVector:
         return self._as_turned(GRAVITY_LEVEL)
 
     @cached_property
-    def _field(self) -> _Turned:
+    def _field(self) -> _TurningVector:
         return self._as_turned(FIELD_LEVEL)
 
-    def _as_turned(self, vector_level: Reals) -> _Turned:
+    def _as_turned(self, vector_level: Reals) -> _TurningVector:
         axes = self.turns / np.where(self._angles == 0, 1.0, self._angles)[:, None]
         start = vector_level @ self.attitudes
         along = axes * np.sum(axes * start, axis=1)[:, None]
-        return _Turned(start, start - along, np.cross(axes, start))
+        return _TurningVector(start, start - along, np.cross(axes, start))
 
 
-def _seen(vector: _Turned, index: Integers, sine: Reals, less: Reals) -> Reals:
+def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
     """(n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1) (Rodrigues)."""
     seen: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
     return seen

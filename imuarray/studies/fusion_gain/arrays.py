@@ -22,7 +22,7 @@ from imuarray.chips import CHIPS
 from imuarray.log import Log, open_log
 from imuarray.shipped import configs
 from imuarray.simulate import Motion, Simulation, load_model, write_log
-from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 
 ARRAY = "martin2013"
 
@@ -101,7 +101,7 @@ def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
 
 def _measured(array: ArrayConfig, seed: int, folder: Path) -> dict[str, Calibration]:
     def recorded(experiment: str, seconds: float, boot: int) -> Path:
-        motion = EXPERIMENTS[experiment](Wanted(seconds=seconds, run=max(boot, 1)))
+        motion = EXPERIMENTS[experiment](ExperimentOptions(seconds=seconds, run=max(boot, 1)))
         path = folder / f"calibrating_{experiment}_{boot}.h5"
         write_log(simulated(array, motion, seed, _FIRST_BOOT + boot, FAULTS), path)
         return path

@@ -21,7 +21,7 @@ from imuarray.report import Figure, Section, Table, write_page
 from imuarray.report.figures import PALETTE, new_figure
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
-from imuarray.simulate.experiments import Wanted
+from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain.arrays import ARRAY, ARRAYS, FAULTS, NO_SLOPES, RANGES, measured, simulated
 from imuarray.studies.fusion_gain.study import (
     CAUSAL,
@@ -62,7 +62,7 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
     the average are left out.
     """
     about = EXPERIMENTS["heating"]
-    motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds))
+    motion = MOTIONS[about.motion](ExperimentOptions(seconds=seconds or about.seconds))
     results: dict[str, Floats] = {}
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "heating.h5"

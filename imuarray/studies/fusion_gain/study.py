@@ -32,7 +32,7 @@ from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import Simulation, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
-from imuarray.simulate.experiments import Wanted
+from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain.arrays import (
     ARRAYS,
     FAULTS,
@@ -133,7 +133,7 @@ def _of_boot(
 ) -> Iterator[RunErrors]:
     """One log of all effects and one of those that the law has."""
     about = EXPERIMENTS[name]
-    motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds, drive=about.drive))
+    motion = MOTIONS[about.motion](ExperimentOptions(seconds=seconds or about.seconds, drive=about.drive))
     sets = {chosen: names for chosen, (whose, names) in SETS.items() if whose == array.name}
     kinds = ((FAULTS, "all.h5"), (OUTSIDE, "law.h5"))
     for without, file in kinds if about.is_bounded else kinds[:1]:

@@ -20,7 +20,7 @@ from imuarray.fuse.faults import FaultEvent, FaultMonitor
 from imuarray.log import Log, open_log
 from imuarray.simulate import Model, Simulation, load_model, plan_of, write_log
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.simulation import effects_of
 from imuarray.units import SI_PER_UNIT
 
@@ -88,7 +88,7 @@ def simulated(
     effects = {name: list(chain) for name, chain in effects_of(plan, model, seed, without=without).items()}
     for sensor, effect in changed:
         effects[sensor].append(effect)
-    motion = EXPERIMENTS[experiment](Wanted(seconds=seconds, drive=drive))
+    motion = EXPERIMENTS[experiment](ExperimentOptions(seconds=seconds, drive=drive))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         write_log(Simulation(plan, motion, effects, seed=seed), path)

@@ -96,9 +96,9 @@ def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, m
 def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorded_module, "BLOCK", 64)
     read: list[int] = []
-    whole = recorded_module.Recorded._read
+    whole = recorded_module.SplineColumns._read
     monkeypatch.setattr(
-        recorded_module.Recorded, "_read", lambda own, number: read.append(number) or whole(own, number)
+        recorded_module.SplineColumns, "_read", lambda own, number: read.append(number) or whole(own, number)
     )
     rows = np.arange(0, 10 * S, 5_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.motion import HandShake, Heating, Motion, Still, Tumble, turn_on_run
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
@@ -132,7 +132,7 @@ def test_rest_is_recognised() -> None:
 
 def test_experiments_by_name() -> None:
     assert list(EXPERIMENTS) == ["static", "tumble", "heating", "turn-on", "motion"]
-    names = {key: [phase.name for phase in make(Wanted()).phases] for key, make in EXPERIMENTS.items()}
+    names = {key: [phase.name for phase in make(ExperimentOptions()).phases] for key, make in EXPERIMENTS.items()}
     assert names == {
         "static": ["static"],
         "tumble": ["z_up", "x_up", "y_up", "x_down", "y_down", "z_down", "z_up_check"],  # paper, Table 10
@@ -140,8 +140,8 @@ def test_experiments_by_name() -> None:
         "turn-on": ["run 1"],
         "motion": ["static", "motion", "static"],
     }
-    assert EXPERIMENTS["turn-on"](Wanted()).seconds == 300  # section 4: five minutes
-    assert EXPERIMENTS["tumble"](Wanted()).seconds == 7 * 900 + 6 * 5  # section 4: fifteen minutes a face
+    assert EXPERIMENTS["turn-on"](ExperimentOptions()).seconds == 300  # section 4: five minutes
+    assert EXPERIMENTS["tumble"](ExperimentOptions()).seconds == 7 * 900 + 6 * 5  # section 4: fifteen minutes a face
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import standing_on
-from imuarray.simulate.motion.posed import Attitude, Posed, upright_from
+from imuarray.simulate.motion.posed import Attitude, PoseSequence, upright_from
 from imuarray.simulate.motion.still import Still
 
 S = 10**9
 G = 9.80665
 FIRST = Attitude(Phase(0, 4 * S, "pose 1"), (0.6, 0.0, 0.8), estimated=True)
 SECOND = Attitude(Phase(6 * S, 9 * S, "z_down", "-Z"), (0.0, 0.0, -1.0), estimated=False)
-TWO = Posed((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
+TWO = PoseSequence((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
 
 
 def test_gravity_pushes_along_up_and_nothing_turns() -> None:
@@ -35,7 +35,7 @@ def test_it_jumps_half_way_between_the_phases() -> None:
     assert (before, after) == (pytest.approx(0.8 * G), pytest.approx(-G))
     assert [TWO.unchanged_until_ns(at) for at in (0, 5 * S - 1)] == [5 * S, 5 * S]
     assert TWO.unchanged_until_ns(5 * S) > 10**17
-    warming = Posed((FIRST,), Still(drift_degc_per_h=1.0))
+    warming = PoseSequence((FIRST,), Still(drift_degc_per_h=1.0))
     assert warming.unchanged_until_ns(S) == S
 
 
@@ -68,6 +68,6 @@ def test_on_its_faces_it_lies_as_a_labelled_box(up: str) -> None:
 
 def test_what_is_no_attitude_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
-        Posed((), Still())
+        PoseSequence((), Still())
     with pytest.raises(ValueError, match="phase 'pose 1': up_box"):
-        Posed((FIRST._replace(up_box=(0.0, 0.0, 0.0)),), Still())
+        PoseSequence((FIRST._replace(up_box=(0.0, 0.0, 0.0)),), Still())

@@ -18,7 +18,7 @@ from imuarray.log import Log, open_log
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
-from imuarray.simulate.experiments import Wanted
+from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import Row, Study, study, true_calibration
 from imuarray.studies.fusion_gain.arrays import FAULTS, NO_SLOPES, martin2013, measured, simulated
 from imuarray.studies.fusion_gain.study import CAUSAL, OPTIMAL_CAUSAL
@@ -66,7 +66,7 @@ def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
     squares = np.zeros((2, 3))
     for seed in (1, 2):
         path = tmp_path / f"heating{seed}.h5"
-        write_log(simulated(array, MOTIONS["heating"](Wanted()), seed, 200, FAULTS), path)
+        write_log(simulated(array, MOTIONS["heating"](ExperimentOptions()), seed, 200, FAULTS), path)
         known = measured("martin2013", seed)[NO_SLOPES]
         techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
         with open_log(path) as log:
@@ -108,7 +108,7 @@ def test_ranges_of_two_bma180(tmp_path: Path) -> None:
     sensors = ("BMA1", "BMA3")
     effects = {"BMA1": (WhiteNoise((0.01705,) * 3),), "BMA3": (WhiteNoise((0.00953,) * 3),)}
     plan = plan_of(martin2013().only(sensors), 48.0, 300.0)
-    simulation = Simulation(plan, MOTIONS["static"](Wanted(seconds=300.0)), effects, seed=1)
+    simulation = Simulation(plan, MOTIONS["static"](ExperimentOptions(seconds=300.0)), effects, seed=1)
     write_log(simulation, tmp_path / "static.h5")
     calibration = true_calibration([sensor.header for sensor in simulation.sensors.values()], effects)
     noise = {}

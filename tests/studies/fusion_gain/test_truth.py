@@ -12,7 +12,7 @@ from imuarray.fuse.frames import Frames
 from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
-from imuarray.simulate.experiments import Wanted
+from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import OUTSIDE, ErrorLaw, law_of, true_calibration
 from imuarray.studies.fusion_gain.arrays import martin2013, perpendicular, simulated
 
@@ -23,7 +23,7 @@ def errors_along_axes(
     folder: Path, experiment: str, seconds: float, without: tuple[str, ...], quantity: str, seed: int = 5
 ) -> tuple[Frames, np.ndarray, ErrorLaw]:
     """Calibrated readings less the truth along each axis (n, m) in frames that last, and the law."""
-    simulation = simulated(martin2013(), MOTIONS[experiment](Wanted(seconds=seconds)), seed, 0, without)
+    simulation = simulated(martin2013(), MOTIONS[experiment](ExperimentOptions(seconds=seconds)), seed, 0, without)
     write_log(simulation, folder / "run.h5")
     effects = {name: sensor.effects for name, sensor in simulation.sensors.items()}
     headers = [sensor.header for sensor in simulation.sensors.values() if sensor.header.quantity == quantity]

@@ -15,8 +15,8 @@ from typing import Literal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
 from imuarray.gap.model.rest import FittedParameters
+from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.within import spans_of
 
 Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
 """What is done in a log; the menu of experiments."""

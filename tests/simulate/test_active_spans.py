@@ -7,6 +7,7 @@ import pytest
 
 from imuarray.errors import ConfigError
 from imuarray.simulate import Simulation, plan_of
+from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effect import FOREVER_S, Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
@@ -19,7 +20,6 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.parameters import from_table, to_table
-from imuarray.simulate.within import spans_of
 from tests.gap.test_bench import array_of
 
 BASE = (WhiteNoise(0.2),)

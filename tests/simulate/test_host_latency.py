@@ -11,8 +11,8 @@ import pytest
 
 from imuarray.log import Block, Log, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SensorHeader
-from imuarray.simulate.timeline import Filled, Timeline, filled
-from imuarray.simulate.waits import Awaited, awaited
+from imuarray.simulate.host_latency import DelayedTimes, find_delays
+from imuarray.simulate.timeline import GapFilledTimes, Timeline, filled
 
 PERIOD_NS = 15_625_000
 BURST_NS = 240_000
@@ -57,12 +57,12 @@ def recorded(path: Path, sensors: int, waits: Waits, *, without: Collection[tupl
 
 
 def lines_of(log: Log) -> dict[str, Timeline]:
-    return awaited({name: filled(sensor) for name, sensor in log.sensors.items()}, log.sensors)
+    return find_delays({name: filled(sensor) for name, sensor in log.sensors.items()}, log.sensors)
 
 
 def halves_of(line: Timeline) -> dict[int, int]:
     """Half of each wait, by row."""
-    assert isinstance(line, Awaited)
+    assert isinstance(line, DelayedTimes)
     halves, _ = line.waits(0, line.rows)
     return {int(row): int(halves[row]) for row in np.flatnonzero(halves)}
 
@@ -82,7 +82,7 @@ def test_waits_come_back(tmp_path: Path, sensors: int) -> None:
 
 def test_two_waits_of_one_frame(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", 5, {(100, 1): 3 * MS, (100, 3): 4 * MS, (201, 4): 2 * MS, (201, 0): MS}) as log:
-        found = [halves_of(line) if isinstance(line, Awaited) else {} for line in lines_of(log).values()]
+        found = [halves_of(line) if isinstance(line, DelayedTimes) else {} for line in lines_of(log).values()]
         assert found == [
             {201: pytest.approx(MS // 2)},
             {100: pytest.approx(1.5 * MS)},
@@ -98,8 +98,8 @@ def test_frames_that_nobody_read(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", 3, {(100, 2): 3 * PERIOD_NS}, without=lost_alone) as log:
         lines = lines_of(log)
         for name, line in lines.items():
-            assert isinstance(line, Awaited)
-            assert isinstance(line.own, Filled)
+            assert isinstance(line, DelayedTimes)
+            assert isinstance(line.own, GapFilledTimes)
             _, missed = line.waits(0, line.rows)
             own = log[name]
             at = int(np.searchsorted(np.asarray(own.time), 100 * PERIOD_NS + 10 * MS))
@@ -124,6 +124,6 @@ def test_rows_behind_a_hole_have_the_numbers_of_the_filled_line(tmp_path: Path) 
 def test_a_host_in_time_says_nothing(tmp_path: Path) -> None:
     """Nor does a sensor alone, whatever its times are."""
     with recorded(tmp_path / "log.h5", 4, {}) as log:
-        assert not any(isinstance(line, Awaited) for line in lines_of(log).values())
+        assert not any(isinstance(line, DelayedTimes) for line in lines_of(log).values())
     with recorded(tmp_path / "one.h5", 1, {(100, 0): 5 * MS}) as log:
-        assert not any(isinstance(line, Awaited) for line in lines_of(log).values())
+        assert not any(isinstance(line, DelayedTimes) for line in lines_of(log).values())

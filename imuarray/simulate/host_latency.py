@@ -18,7 +18,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.log import SensorLog
 from imuarray.log.format import LOST_BEFORE
-from imuarray.simulate.timeline import Filled, Timeline
+from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 _TIGHT_NS = 500_000
 """By how much intervals between two readings of a frame spread, apart from waits; what a wait shortens is idle time."""
@@ -37,7 +37,7 @@ _MARGIN_NS = 10**9
 
 
 @dataclass(frozen=True, eq=False)
-class Awaited:
+class DelayedTimes:
     """The rows of a recorded sensor, as its `own` timeline has them; before those numbered `waited` (w,), ascending,
     the host was kept waiting, twice `half_ns` (w,), and those numbered `missed` (m,), ascending, no sensor has.
     """
@@ -71,7 +71,7 @@ class Awaited:
         return halves, missed
 
 
-def awaited(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
+def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
     """The `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is nothing of it
     stays as it is.
     """
@@ -83,14 +83,16 @@ def awaited(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> 
         return dict(lines)
     pairs = _pairs(first, len(names))
     parts = [_of_window(rows, pairs, len(names)) for rows in chain([first], windows)]
-    found = [_Told(*map(np.concatenate, zip(*own, strict=True))) for own in zip(*parts, strict=True)]
-    polled = {name: told for which, (name, told) in enumerate(zip(names, found, strict=True)) if pairs.has(which)}
-    after = {name: told.after_loss_ns for name, told in polled.items()}
-    late = {name: _line(lines[name], told, _missed(name, lines[name], after)) for name, told in polled.items()}
+    all_delays = [_HostDelays(*map(np.concatenate, zip(*own, strict=True))) for own in zip(*parts, strict=True)]
+    polled = {
+        name: delays for which, (name, delays) in enumerate(zip(names, all_delays, strict=True)) if pairs.has(which)
+    }
+    after = {name: delays.after_loss_ns for name, delays in polled.items()}
+    late = {name: _line(lines[name], delays, _missed(name, lines[name], after)) for name, delays in polled.items()}
     return {**lines, **late}
 
 
-class _Told(NamedTuple):
+class _HostDelays(NamedTuple):
     """Of one sensor: rows (w,) before which the host waited, half of how long (w,), and the times (l,) of rows that are
     flagged as ones before which others were lost.
     """
@@ -148,16 +150,16 @@ def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _Rows:
     return _Rows(*(column[order] for column in columns))
 
 
-def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_Told]:
+def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_HostDelays]:
     halves = _halves(rows, pairs)
     late = rows.inner & (halves >= _LEAST_NS)
     lost = rows.inner & rows.is_after_loss
-    found = []
+    windows = []
     for which in range(sensors):
         own = late & (rows.which == which)
         after_loss_ns = rows.time_ns[lost & (rows.which == which)]
-        found.append(_Told(rows.number[own], np.rint(halves[own]).astype(np.int64), after_loss_ns))
-    return found
+        windows.append(_HostDelays(rows.number[own], np.rint(halves[own]).astype(np.int64), after_loss_ns))
+    return windows
 
 
 def _pairs(rows: _Rows, count: int) -> _Pairs:
@@ -200,16 +202,16 @@ def _halves(rows: _Rows, pairs: _Pairs) -> Floats:
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
     """The numbers of its rows that were lost when every other sensor lost some: nobody was there to read them."""
     others = [times for other, times in after.items() if other != name]
-    if not isinstance(line, Filled) or not others:
+    if not isinstance(line, GapFilledTimes) or not others:
         return _NOTHING
-    found, rows = [_NOTHING], line.recorded.rows
+    missed, rows = [_NOTHING], line.recorded.rows
     begins = line.before + np.cumsum(line.missing) - line.missing
     for row, count, begin in zip(line.before.tolist(), line.missing.tolist(), begins.tolist(), strict=True):
         last_ns, _, *more = line.recorded.stamps(row - 1, min(row + 2, rows)).tolist()
         (next_ns,) = more or [_NEVER_NS]
         if all(_has_between(times, last_ns, next_ns) for times in others):
-            found.append(np.arange(begin, begin + count))
-    return np.concatenate(found)
+            missed.append(np.arange(begin, begin + count))
+    return np.concatenate(missed)
 
 
 def _has_between(times: Integers, after_ns: int, until_ns: int) -> bool:
@@ -217,11 +219,11 @@ def _has_between(times: Integers, after_ns: int, until_ns: int) -> bool:
     return first < len(times) and int(times[first]) <= until_ns
 
 
-def _line(line: Timeline, told: _Told, missed: Integers) -> Timeline:
-    waited = told.waited
+def _line(line: Timeline, delays: _HostDelays, missed: Integers) -> Timeline:
+    waited = delays.waited
     if not len(waited) and not len(missed):
         return line
-    if isinstance(line, Filled):
+    if isinstance(line, GapFilledTimes):
         lead = np.concatenate([[0], np.cumsum(line.missing)])
         waited = waited + lead[np.searchsorted(line.before, waited, side="right")]
-    return Awaited(line, waited, told.half_ns, missed)
+    return DelayedTimes(line, waited, delays.half_ns, missed)
