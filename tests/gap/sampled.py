@@ -41,7 +41,10 @@ axes = "{axes}"
 _SETTINGS = {
     "l3g4200d": "range = 250\nrate_hz = 800\nbandwidth_hz = 110",
     "bma180": "range = 4\nbandwidth_hz = 150",
+    "adxl345": "range = 4\nrate_hz = 800",
 }
+_CHIPS = {"G": "l3g4200d", "A": "bma180", "D": "adxl345"}
+_ADDRESSES = {"l3g4200d": (0x68, 0x69), "bma180": (0x40, 0x41), "adxl345": (0x1D, 0x53)}
 _AXES = ("+X+Y+Z", "-X+Y-Z", "+X-Y-Z")
 
 
@@ -92,7 +95,7 @@ def recorded(
     names: Sequence[str] = ("G1", "G2", "G3"),
     seed: int = 1,
 ) -> tuple[Recording, ...]:
-    """Logs of these sensors (G: gyroscopes, A: accelerometers), with `changes` by sensor."""
+    """Logs of these sensors (G: gyroscopes, A and D: accelerometers of two chips), with `changes` by sensor."""
     logs = []
     biases = {name: np.random.default_rng((seed, 77, at)).normal(0, 0.02, 3) for at, name in enumerate(names)}
     for number, one in enumerate(experiments):
@@ -128,10 +131,9 @@ def _write(
 def _array(names: Sequence[str]) -> str:
     parts = ['[array]\nname = "by hand"\nbus = "i2c:/dev/i2c-1"\n']
     for place, name in enumerate(names):
-        chip = "l3g4200d" if name.startswith("G") else "bma180"
-        address = (0x68 if chip == "l3g4200d" else 0x40) + int(name[1:]) - 1
-        bus = "" if int(name[1:]) < 3 else 'bus = "i2c:/dev/i2c-2"'
-        address = address if int(name[1:]) < 3 else address - 2
+        chip, number = _CHIPS[name[0]], int(name[1:])
+        bus = "" if number < 3 else 'bus = "i2c:/dev/i2c-2"'
+        address = _ADDRESSES[chip][(number - 1) % 2]
         settings = _SETTINGS[chip] + (f"\n{bus}" if bus else "")
         parts.append(_SENSOR.format(name=name, chip=chip, address=address, settings=settings, axes=_AXES[place % 3]))
     return "".join(parts)
@@ -205,6 +207,16 @@ def line(
     return Change(analog)
 
 
+def shifted(by: float, since_s: float, end_s: float = np.inf, axis: int = 0, log: int = 0) -> Change:
+    """Another level of one axis for a part of the time of a log."""
+
+    def analog(rows: Rows) -> None:
+        if rows.log == log:
+            rows.signal[:, axis] += np.where((rows.time_s >= since_s) & (rows.time_s < end_s), by, 0.0)
+
+    return Change(analog)
+
+
 def held(new_hz: float, since_s: float = 0.0, end_s: float = np.inf) -> Change:
     """The chip has so many new readings a second, for a part of the time: rows that come faster repeat."""
 
@@ -228,6 +240,16 @@ def even_codes(begin_s: float, end_s: float, logs: Sequence[int] = (0,)) -> Chan
         if rows.log in logs:
             inside = (rows.time_s >= begin_s) & (rows.time_s < end_s)
             rows.counts = np.where(inside[:, None], 2 * np.floor(rows.counts / 2).astype(np.int64), rows.counts)
+
+    return Change(digital=digital)
+
+
+def in_fours(axis: int, logs: Sequence[int]) -> Change:
+    """Codes of one axis are multiples of four in some logs."""
+
+    def digital(rows: Rows) -> None:
+        if rows.log in logs:
+            rows.counts[:, axis] = 4 * np.rint(rows.counts[:, axis] / 4).astype(np.int64)
 
     return Change(digital=digital)
 

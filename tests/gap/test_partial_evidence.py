@@ -49,6 +49,9 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Ma
         {name: sampled.shared_noise(0.035) for name in ("G1", "G3")},
         {},
     ),
+    "codes of one axis come in fours in one log": ("quantisation", ("G2",), {"G2": sampled.in_fours(1, (0,))}, {}),
+    "another level for a part of the time": ("bias", ("G1",), {"G1": sampled.shifted(0.06, 17.3, 29.0)}, {}),
+    "another level since a moment": ("bias", ("G3",), {"G3": sampled.shifted(-0.1, 33.1, axis=2)}, {}),
     "four rows are lost": ("dropped_samples", ("G2",), {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9])}, {}),
     "three readings are off": ("glitches", ("G2",), {"G2": sampled.off([7.31, 40.4, 51.9], 70)}, {}),
 }
@@ -66,6 +69,15 @@ def test_it_is_named_first(case: str, tmp_path: Path) -> None:
     for name, value in told.items():
         assert cause.parameters[name] == pytest.approx(value, rel=0.1)
     assert found.verdict == "explained"
+
+
+@pytest.mark.slow
+def test_units_of_two_chips_share_noise(tmp_path: Path) -> None:
+    """What a supply puts into both: their own axes have it in common, wherever these point."""
+    changes = {name: sampled.shared_noise(0.003) for name in ("A1", "D1")}
+    recordings = sampled.recorded(tmp_path, changes, names=("A1", "A2", "D1"))
+    found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
+    assert (found.causes[0].effect, found.causes[0].sensors) == ("common_mode", ("A1", "D1"))
 
 
 def test_rates_are_looked_at_one_by_one() -> None:

@@ -200,7 +200,9 @@ def _shared_trials(found: Comparison, guessed: Mapping[Unit, _Guessed]) -> dict[
             if trial.everywhere:
                 unit = tuple(sorted(headers))
             elif trial.members:  # what it has in common with the others of the chip goes into one mean
-                unit = of_chip
+                chips = {headers[member].chip for member in trial.members}
+                same = {other for other, header in headers.items() if header.quantity == headers[name].quantity}
+                unit = tuple(sorted(other for other in same if headers[other].chip in chips))
             else:
                 unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
             if trial.whole or trial.opposite or trial.everywhere or trial.members or (odd & set(unit)):

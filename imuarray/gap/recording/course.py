@@ -72,7 +72,7 @@ class _WindowTable(NamedTuple):
     least: Floats
 
 
-class _ChangedWindows(NamedTuple):
+class ChangedWindows(NamedTuple):
     """The windows `inside` (w,) of a kind of stretch, and the log-likelihood ratio in `nats`."""
 
     inside: Booleans
@@ -87,8 +87,8 @@ def stretches_of(source: Source, phases: Sequence[Phase]) -> tuple[Stretches, ..
     windows = _window_table(source, phases)
     if windows is None:
         return ()
-    kept: list[_ChangedWindows] = []
-    for change in sorted(_changes(windows), key=lambda change: -change.nats):
+    kept: list[ChangedWindows] = []
+    for change in sorted(changes(windows.statistics, windows.least), key=lambda change: -change.nats):
         if all(_are_distinct(change.inside, other.inside) for other in kept) and len(kept) < _MOST_SETS:
             kept.append(change)
     edged = [(change.inside, _edges(source, windows, change.inside)) for change in kept]
@@ -154,23 +154,25 @@ def _line(power: Floats) -> Floats:
     return np.asarray(power[:, bins, np.arange(3)].mean(axis=1).T)
 
 
-def _changes(windows: _WindowTable) -> Iterator[_ChangedWindows]:
-    """Kinds of stretches that differ from the rest, the clearest first."""
-    scatter = np.maximum(_scatter(windows.statistics), windows.least)
-    scores = (windows.statistics - np.median(windows.statistics, axis=0)) / scatter
+def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
+    """Kinds of stretches of windows whose statistics (w, f) differ from the rest, the clearest first; `least` (f,) is
+    the least scatter that is meaningful.
+    """
+    scatter = np.maximum(_scatter(statistics), least)
+    scores = (statistics - np.median(statistics, axis=0)) / scatter
     inside, first, nats = np.zeros(len(scores), bool), np.zeros(scores.shape[1]), 0.0
     for _ in range(_MOST_STRETCHES):
         begin, end, gain, step = _clearest(scores)
         if gain < _TOTAL_NATS:
             break
         if first.any() and step @ first < _SAME_STEP * (first @ first):
-            yield _ChangedWindows(inside, nats)
+            yield ChangedWindows(inside, nats)
             inside, first, nats = np.zeros(len(scores), bool), np.zeros(scores.shape[1]), 0.0
         inside[begin:end] = True
         scores[begin:end] -= step
         first, nats = first if first.any() else step, max(nats, gain)
     if inside.any():
-        yield _ChangedWindows(inside, nats)
+        yield ChangedWindows(inside, nats)
 
 
 def _scatter(values: Floats) -> Floats:

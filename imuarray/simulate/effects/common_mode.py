@@ -1,4 +1,4 @@
-"""`common_mode`: all units of one design wander together."""
+"""`common_mode`: all units of one design, or of one group, wander together."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from imuarray.simulate.signal import Analog, Place, Triple
 
 @dataclass(frozen=True)
 class CommonMode(Effect):
-    """y = x + rms c(t), c one Gauss-Markov process for all sensors of a chip design, along each one's own axes.
+    """y = x + rms c(t), c one Gauss-Markov process for all sensors of a chip design, or for those of whatever chip that
+    name the same `group`, along each one's own axes.
 
     `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant). Axes have so much of the
-    variance in common as `axes_shared` says (0: independent, 1: one process, as what a supply puts into all axes);
-    sensors of a chip share it that name the same `group`. The
+    variance in common as `axes_shared` says (0: independent, 1: one process, as what a supply puts into all axes). The
     share that units of one design have in common of what supply and surroundings do to them: what anti-parallel
-    mounting cancels (the paper's Section 2.1). Sensors meet it row by row, so those of a design are to be read equally
-    often. In data: slow drift that correlates between sensors in their own axes, not in the box's.
+    mounting cancels (the paper's Section 2.1); or what a supply does to all that hang on it. Sensors meet it row by
+    row, so those that share it are to be read equally often. In data: slow drift that correlates between sensors in
+    their own axes, not in the box's.
     """
 
     name: ClassVar[str] = "common_mode"
@@ -42,7 +43,7 @@ class CommonMode(Effect):
         """Adds to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
-        sharing = f"{at.sensor.chip} {self.group}".strip()
+        sharing = self.group or at.sensor.chip
         value = analog.value
         if self.axes_shared < 1:
             x, y, z = (rms * math.sqrt(1 - self.axes_shared) for rms in self.rms)

@@ -1,20 +1,27 @@
-"""`bias` is recognised by a step of the levels from one log to the next; a constant one is in every fit, unless that is
-of an earlier recording.
+"""`bias` is recognised by a step of the levels from one log to the next, or by stretches of a log with another level; a
+constant one is in every fit, unless that is of an earlier recording.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.levels import levels, log_levels
+from imuarray.gap.inference.effects.levels import Levels, levels, log_levels
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import Span, When
+from imuarray.gap.recording.course import changes
 from imuarray.simulate.effects.bias import Bias
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
+_WITHIN = ("mean_halves", "wander", "mean_return", "noise_excess", "allan_longest", "band_1", "mean", "level")
+"""Probes that a step of the level within a log moves."""
+
 _CLEAR = 8.0
 """By so many nats two levels have to fit better than one."""
 
@@ -23,14 +30,28 @@ _FEWEST = 3
 
 _SMALL = 0.1
 
+_FEWEST_SEGMENTS = 8
+_STRETCHES = 3
+"""More stretches of a log than this are a telegraph."""
+
+_STEADY = 1.5
+"""Levels that scatter within and beside stretches by so many times what they do from each to the next still drift: no
+step explains them.
+"""
+
+_SURE = 4.0
+"""Standard errors from which on an axis takes part in a step."""
+
 _ODD = 3.0
 """Standard deviations from which on the level of an axis may have changed since an earlier recording."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The step that divides the logs best, in the order in which they were recorded; or the level of all of them, where
-    the base model's is of an earlier recording.
+    """The step that divides the logs best, in the order in which they were recorded; stretches of a log with another
+    level; or the level of all logs, where the base model's is of an earlier recording.
     """
+    if evidence.is_odd(*_WITHIN):
+        yield from _within_logs(levels(evidence))
     if not evidence.is_odd(*_TRACES):
         return
     if not evidence.is_refitted:
@@ -44,6 +65,43 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         step = means[at:].mean(axis=0) - means[:at].mean(axis=0)
         x, y, z = np.where(np.abs(step) > _SMALL * np.abs(step).max(), step, 0.0).tolist()
         yield Hypothesis((Bias((x, y, z), float(logs[at])),), ("offset",))
+
+
+def _within_logs(found: Levels) -> Iterator[Hypothesis]:
+    """Of each log with one to three such stretches, between which levels are steady."""
+    for log in np.unique(found.log).tolist():
+        own = np.flatnonzero(found.log == log)
+        order = own[np.argsort(found.time_s[own])]
+        mean, error = found.mean[order], np.sqrt(found.square_error[order])
+        if len(order) < _FEWEST_SEGMENTS:
+            continue
+        for change in islice(changes(mean, np.median(error, axis=0)), 1):
+            inside = ~change.inside if change.inside[0] else change.inside  # what it is at first is the usual level
+            edges = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
+            step = mean[inside].mean(axis=0) - mean[~inside].mean(axis=0)
+            left = np.where(inside[:, None], mean - step, mean)
+            scatter = np.sqrt((np.diff(left, axis=0) ** 2).mean(axis=0) / 2)
+            sure = np.abs(step) > _SURE * scatter * math.sqrt(1 / inside.sum() + 1 / (~inside).sum())
+            is_steady = left.std(axis=0) < _STEADY * scatter
+            if len(edges) <= 2 * _STRETCHES and (sure & is_steady).any() and not (sure & ~is_steady).any():
+                x, y, z = np.where(sure, step, 0.0).tolist()
+                yield Hypothesis((Bias((x, y, z)),), ("offset",)).at(_when(log, found, order, inside, edges))
+
+
+def _when(log: int, found: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:
+    """The stretches between `edges`: each where the two segments beside it, of which one or the other is divided by it,
+    have taken as much of the step as they have.
+    """
+    time_s, mean, width_s = found.time_s[order], found.mean[order], found.width_s[order]
+    low, high = (np.median(mean[side], axis=0) for side in (~inside, inside))
+    axis = int(np.abs(high - low).argmax())
+    shares = np.clip((mean[:, axis] - low[axis]) / (high - low)[axis], 0.0, 1.0)
+    moments = []
+    for at in edges.tolist():
+        early_s = width_s[at] * (float(shares[at - 1 : at + 1].sum()) - 1)
+        moments.append(float(time_s[at - 1 : at + 1].mean()) + (-early_s if inside[at] else early_s))
+    ends = [*moments, math.inf] if len(moments) % 2 else moments
+    return When(tuple(Span(log, begin, end - begin) for begin, end in zip(ends[::2], ends[1::2], strict=True)))
 
 
 def _since(evidence: Evidence) -> Iterator[Hypothesis]:

@@ -82,7 +82,7 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _Common(NamedTuple):
-    """Of two sensors of a chip: covariances (3, 3) of windows' means within segments and of segments' means, a row for
+    """Of two sensors: covariances (3, 3) of windows' means within segments and of segments' means, a row for
     each axis of the first one, and standard scores of the former.
     """
 
@@ -102,11 +102,11 @@ class _Common(NamedTuple):
 
 
 def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Noise that some units of a chip have in common, from one reading to the next: those with which a unit has more in
-    common than chance makes, each pair by itself; axis by axis, or all axes alike.
+    """Noise that some units have in common, from one reading to the next: those of any chip that measure the same, with
+    which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes alike.
     """
     seen = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
-    partners = seen[0][1].others(evidence.header.name, family=True) if seen else ()
+    partners = seen[0][1].others(evidence.header.name, family=False) if seen else ()
     common = {partner: _common([cross for _, cross in seen], evidence.header.name, partner) for partner in partners}
     if not seen:
         return
