@@ -26,7 +26,8 @@ class Quantisation(Effect):
     than half a step, rounding noise of step / sqrt(12) rms where there is more. A dead bit, a line that is shorted to
     ground, leaves out every other stretch of 2^bit codes: what belongs there reads a stretch too low. Codes are missing
     before a carry where the converter's capacitor (resistor) of the bit that is carried to is smaller than those of all
-    lower bits together by more than a count, a differential nonlinearity of -1 (IEEE Std 1241).
+    lower bits together by more than a count, a differential nonlinearity of -1 (IEEE Std 1241). An offset that the chip
+    adds behind its converter, a trim (BMA-46), takes carries from multiples.
     """
 
     name: ClassVar[str] = "quantisation"
@@ -34,6 +35,7 @@ class Quantisation(Effect):
     dead_bits: float = scalar(0.0)
     carry_lsb: float = scalar(1.0)
     missing_lsb: float = scalar(0.0)
+    carry_at_lsb: float = scalar(0.0)
 
     def __post_init__(self) -> None:
         """ValueError unless they are whole numbers, steps 1 or more, and some code before a carry comes."""
@@ -43,8 +45,9 @@ class Quantisation(Effect):
         require("dead_bits", self.dead_bits, 0, 32767)
         require("carry_lsb", self.carry_lsb, 1, 4096)
         require("missing_lsb", self.missing_lsb, 0, self.carry_lsb - 1)
+        require("carry_at_lsb", self.carry_at_lsb, 0, self.carry_lsb - 1)
         numbers = [("step_lsb", step) for step in self.step_lsb]
-        numbers += [(name, getattr(self, name)) for name in ("dead_bits", "carry_lsb", "missing_lsb")]
+        numbers += [(name, getattr(self, name)) for name in ("dead_bits", "carry_lsb", "missing_lsb", "carry_at_lsb")]
         for name, value in numbers:
             if value != int(value):
                 raise ValueError(f"{name}: {value}; a whole number is wanted")
@@ -69,7 +72,7 @@ class Quantisation(Effect):
         """What comes in the place of these codes."""
         if self.missing_lsb:
             carry, most = int(self.carry_lsb), np.iinfo(counts.dtype).max
-            short = carry - counts % carry
+            short = carry - (counts - int(self.carry_at_lsb)) % carry
             carried = np.minimum(counts, most - short) + short
             counts = np.where(short <= int(self.missing_lsb), carried, counts)
         return counts & ~int(self.dead_bits) if self.dead_bits else counts

@@ -242,6 +242,13 @@ def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> 
     assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
 
 
+@pytest.mark.parametrize(("carry", "missing", "at"), [(8, 1, 3), (16, 4, 7)])
+def test_an_offset_moves_the_carries(carry: int, missing: int, at: int) -> None:
+    effect = replace(_missing(carry, missing), carry_at_lsb=float(at))
+    first = next(iter(quantisation.guesses(shown("static", "A1", effect))))
+    assert first.effects == (effect,)
+
+
 def test_most_codes_are_missing() -> None:
     """Two of 16 come, which looks like two of four, or of eight, and like bits that are dead."""
     trials = list(quantisation.guesses(shown("static", "A1", _missing(16, 14))))

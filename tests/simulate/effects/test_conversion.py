@@ -49,6 +49,13 @@ class TestQuantisation:
         after = Quantisation(carry_lsb=8, missing_lsb=3).codes(before, place()).counts[:, 0]
         assert after.tolist() == [-8, -8, -7, -6, -5, -4, 0, 0, 0, 0, 1, 2, 3, 4, 8, 8, 8, 8, 9]
 
+    def test_carries_that_an_offset_moved(self, place, codes) -> None:
+        """Of 0 ... 9 the code before 3 and 7, carries three beyond multiples of four, comes out as the carry."""
+        after = Quantisation(carry_lsb=4, missing_lsb=1, carry_at_lsb=3).codes(
+            codes(0, 10, np.arange(10)[:, None]), place()
+        )
+        assert after.counts[:, 0].tolist() == [0, 1, 3, 3, 4, 5, 7, 7, 8, 9]
+
     def test_no_code_lies_beyond_its_integers(self) -> None:
         """16 bits of a gyroscope end before the carry."""
         counts = np.array([32765, 32759], np.int16)

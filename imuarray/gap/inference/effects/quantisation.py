@@ -10,6 +10,7 @@ from typing import get_args
 
 import numpy as np
 
+from imuarray.arrays import Floats, Integers
 from imuarray.characterise.codes import NOTHING, Histogram
 from imuarray.gap.inference.effects.behind_codes import behind
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
@@ -27,6 +28,11 @@ _ODD_ONES = 0.01
 """Share of codes that are anything: glitches."""
 
 _HIGHEST_BIT = 12
+
+_FURTHEST_CARRY = 64
+"""Carries of coarser bits are looked for so many codes from a multiple at most: a histogram of more codes than a chip's
+noise spans has gaps by itself.
+"""
 
 _FEWEST = 3
 """Fewer different codes have a common divisor by chance."""
@@ -58,14 +64,16 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         for steps in dict.fromkeys(zip(*map(_with_power, each), strict=True)):
             x, y, z = (float(step) if step > usual else 1.0 for step in steps)
             yield Hypothesis((Quantisation((x, y, z)),))
+        return
     for bit in range(_HIGHEST_BIT):
         if _is_dead(bit, merged, codes):
             yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
-    short = {carry: missing for carry in _STEPS[1:] if (missing := _missing(carry, merged, codes))}
+    short = {carry: place for carry in _STEPS[1:] if (place := _before_a_carry(carry, merged, codes))[0]}
     if short:  # of every 16 all but two are, of every four, two
-        carry = max(short, key=lambda carry: short[carry] / carry)
-        found = Quantisation(carry_lsb=float(carry), missing_lsb=float(short[carry]))
-        yield from _with_what_hides(evidence, found, carry, short[carry])
+        carry = max(short, key=lambda carry: short[carry][0] / carry)
+        missing, at = map(float, short[carry])
+        found = Quantisation(carry_lsb=float(carry), missing_lsb=missing, carry_at_lsb=at)
+        yield from _with_what_hides(evidence, found, carry, short[carry][0])
 
 
 def _with_power(divisor: int) -> tuple[int, int]:
@@ -111,11 +119,22 @@ def _most(codes: Histogram) -> tuple[int, int]:
     return low, high
 
 
-def _missing(carry: int, merged: Histogram, each: Sequence[Histogram]) -> int:
-    """How many codes before every multiple of `carry` never come, but that multiple in their place, though readings of
-    an axis in a phase lie on either side; 0 if none.
+def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) -> tuple[int, int]:
+    """How many codes before every carry never come, but that of the carry in their place, and how far from a multiple
+    of `carry` these are; (0, 0) if none are missing. Carries are at multiples, unless an offset moved them.
     """
     counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
+    spans = np.array([_most(codes) for codes in each])
+    for at in range(min(carry, _FURTHEST_CARRY)):
+        if missing := _missing(carry, np.roll(counts, -at), spans - at):
+            return missing, at
+    return 0, 0
+
+
+def _missing(carry: int, counts: Floats, spans: Integers) -> int:
+    """How many codes before every multiple of `carry` never come, of readings `counts` (carry,) by what is left of
+    their codes, though readings of an axis in a phase, from and to `spans` (p, 2), lie on either side; 0 if none.
+    """
     upto = np.cumsum(counts[::-1])  # of so many and one codes before the carry
     few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry
     missing = int(np.argmin(few)) if few[0] else 0
@@ -123,7 +142,6 @@ def _missing(carry: int, merged: Histogram, each: Sequence[Histogram]) -> int:
     beside = np.concatenate([there[:2], there[-2:]])
     if not missing or not len(there) or counts[0] < (1 + missing / 2) * beside.mean():
         return 0
-    spans = np.array([_most(codes) for codes in each])
     return missing if ((spans[:, 0] - 1) // carry < (spans[:, 1] - 1) // carry).any() else 0
 
 
