@@ -33,9 +33,14 @@ BMA-119), but not that of soldering and mounting. The paper's gyroscopes changed
 """
 
 TURN_ON_SHARE = 0.01
-"""Largest usual scatter of a bias from one power-on to the next, as a share of the bias that the data sheet allows.
-None prints it: the paper's parts scatter by up to 0.65 mg and 0.036 dps (the left half of its Table 11), the allowed
-biases are 60 to 250 mg and, at 250 dps, 10 dps.
+"""Largest usual scatter of an element's bias from one power-on to the next, as a share of the smallest bias that the
+data sheet allows at any range. No data sheet prints it: the paper's parts scatter by up to 0.7 mg and 0.057 dps (the
+left half of its Table 11); the allowed biases are 60 mg and, at 250 dps, 10 dps.
+"""
+
+TURN_ON_SHARE_OF_RANGE: Mapping[str, float] = MappingProxyType({"g": 0.004, "dps": 0.0015})
+"""The same by unit for what the electronics add, which grows with the bias that is allowed at the configured range: 1.6
+mg at 16 g and 0.11 dps at 2000 dps, three times what the paper's parts do there (0.6 mg, 0.036 dps).
 """
 
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
@@ -150,11 +155,15 @@ def is_usual(effect: Effect, header: SensorHeader) -> bool:
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known. The
-    bias that a data sheet allows depends on the range (L3G-70), and so does this.
+    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known: the
+    larger of the element's, which is the same at all ranges, and that of the electronics at the configured range.
     """
-    allowed = min(offset_tolerance(header))
-    return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
+    ranges = TRIADS[header.chip].sensitivity if header.chip in TRIADS else (header.range,)
+    of_element = min(min(offset_tolerance(replace(header, range=range_))) for range_ in ranges)
+    at_range = min(offset_tolerance(header))
+    if not math.isfinite(of_element) or not math.isfinite(at_range):
+        return TURN_ON_RMS.get(header.unit, 0.0)
+    return max(TURN_ON_SHARE * of_element, TURN_ON_SHARE_OF_RANGE.get(header.unit, 0.0) * at_range)
 
 
 def clock_tolerance(header: SensorHeader) -> float:
