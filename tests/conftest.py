@@ -5,10 +5,21 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads of BLAS would be in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import gc
+
+import pytest
 from hypothesis import settings
 
 # How long an example takes is the machine's business.  The examples are the same every time, so that what passed
-# passes again; `pytest --hypothesis-profile explore` draws others.
-settings.register_profile("imuarray", deadline=None, derandomize=True)
+# passes again; `pytest --hypothesis-profile explore` draws others.  The quick half draws few, .ci/run all ("full").
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=10)
+settings.register_profile("full", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
-settings.load_profile("imuarray")
+settings.load_profile("quick")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """Keep thousands of collected tests out of every later garbage collection: none of them is freed before the end."""
+    gc.collect()
+    gc.freeze()

@@ -19,6 +19,8 @@ from imuarray.acquire.fault_episode import FaultEpisode
 sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
 from night import array_of, night
 
+from tests.selection import some
+
 SECOND = 1_000_000_000
 HOUR = 3600 * SECOND
 MOST = 28
@@ -144,14 +146,14 @@ MOMENTARY = ("reset", "torn", "mux_reset")
     ("every_s", "seconds"),
     [
         (None, 600),
-        (5.3, 600),
+        pytest.param(5.3, 600, marks=pytest.mark.slow),
         pytest.param(1.7, 600, marks=pytest.mark.slow),
         pytest.param(37.0, 600, marks=pytest.mark.slow),
         pytest.param(None, 3600, marks=pytest.mark.slow),
         pytest.param(5.3, 3600, marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", some(FAULTS, 4))
 def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seconds: int) -> None:
     """A fault of every kind for the whole recording, or again and again: few events, and the last of them is an end."""
     table = {"at_s": 20.0, **TABLES[kind]}

@@ -21,6 +21,8 @@ from imuarray.log.format import LOST_BEFORE, STALE
 sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
 from night import array_of, night
 
+from tests.selection import some
+
 MS, SECOND = 1_000_000, 1_000_000_000
 TOLERANCE = 0.15
 """A BMA180 may be 10 % slow (BMA-107); the others' data sheets don't say."""
@@ -103,8 +105,8 @@ def irregular_array() -> ArrayConfig:
     return parse_array(array.text.replace("rate_hz=75", "rate_hz=15"))
 
 
-@pytest.mark.parametrize("error", [-0.1, 0.0, 0.1])
-@pytest.mark.parametrize("rate_hz", [10.0, 14.0, 90.0])
+@pytest.mark.parametrize("error", some([-0.1, 0.0, 0.1], 1))
+@pytest.mark.parametrize("rate_hz", some([10.0, 14.0, 90.0], 2))
 def test_stalls_and_slow_clocks_raise_no_alarm(rate_hz: float, error: float) -> None:
     """A magnetometer of 15 Hz, asked at 10 and 14 Hz and as often as it measures; the program is held up at random."""
     rng = np.random.default_rng(3)

@@ -111,6 +111,7 @@ for_s = 1.5
 """
 
 
+@pytest.mark.slow
 def test_optimal_that_watches_is_what_fusing_the_log_gives(log: Log, tmp_path: Path) -> None:
     """To 1e-9 of the largest value, events and what was learnt of slow errors included; one gyroscope freezes."""
     (tmp_path / "faults.toml").write_text(FROZEN)
@@ -161,6 +162,7 @@ def test_a_log_in_parts_has_a_result_for_each(log: Log, more: list[str], names: 
     assert not Path("run_fused.h5").exists()
 
 
+@pytest.mark.slow
 def test_the_log_is_the_same_with_and_without(log: Log) -> None:
     with_it = log("--fuse", bus=f"{SHAKEN}&seed=3")
     with open_log("run.h5") as run:

@@ -451,6 +451,7 @@ def test_clocks_are_in_the_log(an_array: Callable[..., Any], tapped: Callable[..
         np.testing.assert_array_equal(np.diff(log.clocks.monotonic[:]), np.diff(log.clocks.time[:]))
 
 
+@pytest.mark.slow
 def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
     array = an_array(A=0, G=1)
     whole = record(array, tapped(array), tmp_path / "w.h5", rate_hz=50, seconds=5, phase="static", up="+Z")

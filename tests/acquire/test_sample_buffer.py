@@ -13,6 +13,7 @@ from imuarray.acquire.sensor_routes import routes_of
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
+from tests.selection import examples
 
 ARRAY = parse_array('[array]\nname="a"\n[[sensor]]\nname="B"\nchip="bma180"\naddress=0x40\nrange=2\nbandwidth_hz=150\n')
 KINDS = ("add", "add", "add", "add", "miss", "cut", "distrust", "trust", "set up", "take")
@@ -53,7 +54,7 @@ class Plain:
             each["flags"] |= SUSPECT
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(STEPS)
 def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
     ours, plain, now_ns = buffer(), Plain(), 0

@@ -18,6 +18,7 @@ from imuarray.array import ArrayConfig
 from imuarray.log import open_log
 from tests.acquire.test_stream import LOST, MS, SUSPECT, events, logged, on_the_wire, stream
 from tests.bus.serial_bench import Bench
+from tests.selection import some
 
 RATE_HZ, SECONDS = 100.0, 4.0
 DATA = 0xD0
@@ -136,7 +137,7 @@ def a_shuffled_span(tape: Tape, draw: np.random.Generator) -> Injection:
 REPLAYS = [one_old_frame, the_last_frame_again, a_recent_span, recent_bytes, a_shuffled_span]
 
 
-@pytest.mark.parametrize("inject", REPLAYS)
+@pytest.mark.parametrize("inject", some(REPLAYS, 2))
 @pytest.mark.parametrize("counter_us", [70_000_000, (1 << 32) - 3_000_000])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_replayed_frame_costs_itself_alone(
@@ -155,7 +156,7 @@ def test_a_replayed_frame_costs_itself_alone(
     assert told[0][2].endswith("old, repeated or out of order")
 
 
-@pytest.mark.parametrize("later_us", [-1_000_000_000, -2_300_000, -37_000, 13_000, 37_000, 400_000, 1 << 31])
+@pytest.mark.parametrize("later_us", some([-1_000_000_000, -2_300_000, -37_000, 13_000, 37_000, 400_000, 1 << 31], 2))
 def test_frames_of_an_earlier_boot(an_array: Callable[..., ArrayConfig], tmp_path: Path, later_us: int) -> None:
     """Its counter stood elsewhere when it was started: `later_us` is by how much."""
     array = an_array(A=0, G=1, B=None)

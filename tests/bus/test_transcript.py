@@ -25,6 +25,8 @@ from imuarray.log import open_log
 sys.path.insert(0, str(Path(__file__).parent))
 from serial_bench import Bench
 
+from tests.selection import some
+
 
 class Script:
     """A bus that gives the answers of a list: bytes, or an errno."""
@@ -358,7 +360,7 @@ def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
     return live, again, array
 
 
-@pytest.mark.parametrize("hurried", [False, True])
+@pytest.mark.parametrize("hurried", some([False, True], 1))
 def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) -> None:
     live_summary, again_summary, array = faulty_night(tmp_path, hurried)
     with open_log(tmp_path / "live.h5") as live, open_log(tmp_path / "again.h5") as again:
@@ -378,6 +380,7 @@ def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) ->
     )
 
 
+@pytest.mark.slow
 def test_the_first_difference_of_a_night_names_its_line(tmp_path: Path) -> None:
     _, _, array = faulty_night(tmp_path, False)
     rows = (tmp_path / "t.jsonl").read_text().splitlines()

@@ -228,6 +228,7 @@ def test_channels_that_the_kernel_drives(bench: Callable[..., Bench], tmp_path: 
             assert time[-1] > 11.9
 
 
+@pytest.mark.slow
 def test_one_that_stays_away_is_told_until_the_end(bench: Callable[..., Bench], tmp_path: Path) -> None:
     it = bench()
     it.machine.plug(1, "1-1")

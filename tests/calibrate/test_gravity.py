@@ -21,6 +21,7 @@ from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog, open_log
 from imuarray.log.format import Phase
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, ideal, skewed
+from tests.selection import some
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
 SIGMA = 40.0
@@ -110,6 +111,7 @@ def test_response_is_within_its_stated_uncertainty() -> None:
     assert (sums < chi2.ppf(0.999, 100)).all(), sums
 
 
+@pytest.mark.slow
 def test_response_is_recovered() -> None:
     """Every entry within a bound of its own: six times sqrt(15 / poses), the worst entry of a sphere's ellipsoid fit.
 
@@ -319,8 +321,8 @@ def test_fewer_than_nine_poses(write_log: WriteLog, count: int) -> None:
         fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases[:count]])
 
 
-@pytest.mark.parametrize("sigma", [0.0, 5.0, 40.0, 200.0])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("sigma", some([0.0, 5.0, 40.0, 200.0], 2))
+@pytest.mark.parametrize("seed", some([1, 2], 1))
 def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed: int) -> None:
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     ups = np.stack([np.cos(angle), np.sin(angle), np.zeros(20)], axis=1)

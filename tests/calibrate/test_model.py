@@ -27,6 +27,7 @@ from imuarray.errors import CalibrationError, FusionError, ImuArrayError, Output
 from imuarray.fuse import fuse
 from imuarray.log import open_log
 from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
+from tests.selection import examples
 
 HEAD = "[calibration]\nformat_version = 1\n"
 SENSOR = (
@@ -169,7 +170,7 @@ def assert_alike(before: object, after: object) -> None:
         assert before == after
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(sensors, max_size=3, unique_by=lambda sensor: sensor.name), st.lists(st.text(max_size=9), max_size=2))
 def test_round_trip(written: list[SensorCalibration], sources: list[str]) -> None:
     """Nine digits survive, names and sources exactly; what was not measured stays unknown."""
@@ -308,7 +309,7 @@ def test_the_tables_that_the_refused_files_spoil_are_read(tmp_path: Path) -> Non
     assert sensor.turn_on.states[0].bias_lsb.tolist() == [1, 2, 3]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.integers(0, len(WHOLE) - 1), st.binary(max_size=6), st.integers(0, 20))
 @example(0, b"\xff\xfe", 0)
 def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed: int) -> None:
@@ -395,7 +396,7 @@ STARTED = known(turn_on=TurnOn(np.ones(3), np.ones(3), np.ones(3), np.zeros(3), 
 FORCED = known(g_sensitivity_lsb_per_g=np.eye(3), g_sensitivity_sem_lsb_per_g=np.ones((3, 3)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.permutations([TUMBLED, NOISY, HEATED_SENSOR, STARTED, FORCED]))
 def test_every_command_adds_what_it_measured_in_any_order(order: list[SensorCalibration]) -> None:
     merged = Calibration()

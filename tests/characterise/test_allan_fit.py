@@ -19,6 +19,7 @@ from scipy.stats import binom, kstest
 from imuarray.characterise import allan_deviation
 from imuarray.characterise.allan_covariance import TERMS, Term
 from imuarray.characterise.allan_fit import UNITS, USUAL, NoiseFit, fit_noise
+from tests.selection import examples
 
 INTERVAL_S = 0.0025
 ROWS, REPEATS = 8192, 250
@@ -200,7 +201,7 @@ def test_refused() -> None:
         fit_noise(curve, terms=("pink",))  # type: ignore[arg-type]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(
     hnp.arrays(np.float64, st.integers(20, 200), elements=st.floats(-1e3, 1e3, allow_subnormal=False)),
     st.lists(st.sampled_from(TERMS), min_size=1, unique=True),

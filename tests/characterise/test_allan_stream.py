@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from imuarray.characterise.allan import AllanStream, allan_deviation
 from imuarray.characterise.allan_curve import stride_of
+from tests.selection import examples
 
 
 def by_definition(values: Sequence[int], m: int, stride: int) -> float:
@@ -46,7 +47,7 @@ def test_decimated_by_definition(m: int) -> None:
     assert curve.terms[0] == len(range(0, 1000 - 2 * m + 1, stride_of(m)))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(
     hnp.arrays(np.int16, st.integers(2, 300), elements=st.integers(-1000, 1000)),
     st.lists(st.integers(0, 300), max_size=6),

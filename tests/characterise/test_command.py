@@ -32,6 +32,7 @@ def test_json_of_one_sensor(log_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert result["stretch"]["phase"] == "motion"
 
 
+@pytest.mark.slow
 def test_writes_and_overwrites_nothing(log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
     arguments = ["characterise", str(log_path), "-o", str(folder)]

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
+from tests.selection import examples
 
 
 def autocorrelation(values: np.ndarray, lags: int = 10, rows: int = 1000) -> Autocorrelation:
@@ -18,7 +19,7 @@ def autocorrelation(values: np.ndarray, lags: int = 10, rows: int = 1000) -> Aut
     return estimate.result()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
 def test_as_defined(blocks: list[int], seed: int) -> None:
     """Whatever the blocks: sums by segments of 30 rows, white noise's -1 / N put back with its own variance."""

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.characterise.intervals import Intervals, IntervalTally
+from tests.selection import examples
 
 MEAN_NS = 2_500_000
 
@@ -28,7 +29,7 @@ def clock(rows: int, seed: int, jitter_ns: float = 0.0, stamp_ns: float = 0.0, a
     return np.rint(np.cumsum(intervals) + rng.normal(0, stamp_ns, rows)).astype(np.int64)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(st.lists(st.integers(1, 60_000), min_size=1, max_size=300), st.integers(1, 400))
 def test_short_logs_are_exact(intervals: list[int], block: int) -> None:
     """Intervals up to 65,535 ns have bins of 1 ns: median, and gaps above 1.5 upper quartiles, by sorting."""

@@ -15,6 +15,7 @@ from imuarray.characterise import noise as noise_module
 from imuarray.characterise import noise_statistics
 from imuarray.log import SensorLog
 from imuarray.log.format import OVERRUN, SATURATED, STALE, SUSPECT
+from tests.selection import examples
 
 
 class Rows:
@@ -29,7 +30,7 @@ def statistics(counts: np.ndarray, status: np.ndarray | None = None, rows: slice
     return noise_statistics(cast(SensorLog, Rows(counts, status)), rows or slice(0, len(counts)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(2, 700), st.integers(0, 3), st.integers(0, 2**32 - 1), st.sampled_from([3, 50, 1 << 16]))
 def test_as_the_whole_array(count: int, share: int, seed: int, block: int) -> None:
     """Mean and spread of the used rows, as NumPy finds them in one piece, whatever the blocks."""

@@ -13,6 +13,7 @@ from scipy.signal import lfilter, welch
 from scipy.stats import binom
 
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
+from tests.selection import examples
 
 
 def spectrum(values: np.ndarray, rate_hz: float = 1.0, rows: int = 256, **how: Any) -> Spectrum:
@@ -47,7 +48,7 @@ def test_single_precision_is_good_enough() -> None:
     np.testing.assert_allclose(found.density[:40, 0], expected[:40], rtol=1e-6)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.lists(st.integers(0, 90), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
 def test_blocks_do_not_matter(blocks: list[int], seed: int) -> None:
     values = np.random.default_rng(seed).integers(-(2**15), 2**15, (sum(blocks), 3), dtype=np.int16)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips.bma180 import Bma180
 from tests.emulator.bma180_bench import BYTE_NS, LATER, MS, Box, codes, peek, poke, unlocked
+from tests.selection import examples
 
 PERIOD_NS = 416_667  # 2400 Hz, BMA-93
 
@@ -229,7 +230,7 @@ def test_the_high_pass_forgets_gravity():
     assert abs(codes(chip, at=LATER + 1980 * PERIOD_NS)[2] - 2048) < 0.02 * 4096
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     st.lists(st.integers(1_000, 3 * PERIOD_NS), min_size=1, max_size=12),
     st.sampled_from([6, 7]),

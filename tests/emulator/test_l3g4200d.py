@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips.l3g4200d import L3g4200d
 from firmware_emulator.chips.l3g4200d_signal import path_of
+from tests.selection import examples
 
 MS = 1_000_000
 BYTE_NS = 22_500  # 9 clocks at 400 kHz
@@ -310,7 +311,7 @@ def test_the_wrap_of_a_burst():
     assert peek(running(wrap_always=True), 0x28, 8)[6:] == bytes.fromhex("a52c")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     st.lists(st.integers(1_000, 12 * MS), min_size=1, max_size=12),
     st.sampled_from([(0x26, 8), (0x28, 6)]),

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from imuarray.errors import SourceError
 from imuarray.export import export
 from tests.export.conftest import back, write_run
+from tests.selection import examples
 
 Members = dict[str, bytes]
 
@@ -152,7 +153,7 @@ def test_archives_that_numpy_does_not_write(tmp_path: Path, members: Members) ->
     assert back(stored).is_file()
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_told_in_a_line(tmp_path: Path, members: Members, data: st.DataObject) -> None:
     """Some bytes of an archive changed: SourceError, or no harm done."""
@@ -201,7 +202,7 @@ def test_a_bad_csv_is_refused_and_leaves_nothing(run: Path, kind: str) -> None:
     assert {path.name for path in run.parent.iterdir()} == {"run.h5", *(file.name for file in files)}
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> None:
     """Some bytes of one of the files changed: SourceError, or no harm done."""

@@ -22,6 +22,7 @@ from tests.foreign_world.severity import THRESHOLD, limit
 from tests.foreign_world.stimulus import FACES, Site
 from tests.foreign_world.stimulus import Path as BoxPath
 from tests.foreign_world.world import Experiment, World, axes_names, draw_world
+from tests.selection import some
 
 VOCABULARY = {
     "white_noise",
@@ -123,7 +124,7 @@ def test_nothing_but_numpy_h5py_and_the_standard_library_is_imported() -> None:
             assert not (isinstance(node, ast.Name) and node.id in ("__import__", "exec", "eval")), path.name
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", some(range(4), 1))
 def test_logs_open(tmp_path: Path, index: int) -> None:
     case = draw_case("development", 0, "control", index)
     for path, experiment in zip(write_case(case, tmp_path), case.world.experiments, strict=True):
@@ -154,6 +155,7 @@ def contents(path: Path) -> dict[str, bytes]:
     return found
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_data_and_the_halves_differ(tmp_path: Path) -> None:
     texts = []
     for folder, half in (("a", "development"), ("b", "development"), ("c", "sealed")):
@@ -283,7 +285,7 @@ def test_known_effects_bear_names_of_the_vocabulary() -> None:
     assert KINDS == ("control", "effect", "unknown", "pair")
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
+@pytest.mark.parametrize("name", some(sorted(EFFECTS), 8))
 def test_an_effect_changes_the_sensors_that_it_concerns(name: str) -> None:
     effect = EFFECTS[name]
     for attempt in range(200):

@@ -11,6 +11,7 @@ from imuarray.fuse import aligned
 from imuarray.fuse.least_squares import TOLERATED_SI, consensus
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, G, Part, WriteRun, calibration, pointing
+from tests.selection import examples
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z", "+X-Y-Z")
 ROWS = np.concatenate([pointing(axes) for axes in AXES])
@@ -23,7 +24,7 @@ def agreed(values: Floats) -> Floats:
 
 
 @given(seed=st.integers(0, 1 << 32))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_who_agree_are_averaged(seed: int) -> None:
     """Of triads that point along the box's axes, however turned, that is the plain mean of their vectors."""
     rng = np.random.default_rng(seed)

@@ -16,12 +16,13 @@ from imuarray.fuse.least_squares import BLOCK_BYTES, ConstantGain
 from imuarray.fuse.techniques.technique import FixedWeights
 from imuarray.log import Block, open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined, pointing
+from tests.selection import examples
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z")
 
 
 @given(seed=st.integers(0, 1 << 32), sensors=st.integers(1, 9), rows=st.integers(1, 3000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_it_is_the_gain_times_the_counts_less_the_bias(seed: int, sensors: int, rows: int) -> None:
     """Frame by frame in plain Python numbers of a few rows; int16 to its ends, blocks of any length."""
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from tests.fuse.conftest import G, Part, calibration, pointing
 from tests.fuse.test_stream import AXES, pushed
+from tests.selection import examples
 
 PERIOD_NS = 10_000_000
 COUNTS = np.array([100, -200, 900])
@@ -89,7 +90,7 @@ def looped(rows: list[Block], time_ns: int) -> list[int]:
     seed=st.integers(0, 1 << 32),
     most_s=st.sampled_from([0.02, 0.5, 3.0]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_at_rest_every_frame_is_the_mean_of_who_read_something(
     courses: list[Course], frames: int, pause_s: float, jitter_ns: int, seed: int, most_s: float
 ) -> None:

@@ -105,6 +105,7 @@ def drawn(base: Base, name: str, kind: type[Scale]) -> np.ndarray:
     return np.array([effect.error for some in effects for effect in some if isinstance(effect, kind)])
 
 
+@pytest.mark.slow
 def test_every_replicate_draws_its_units() -> None:
     """BMA180 at 4 g: +-2 % are two sigma (BMA-74), cut there, which leaves 0.88 of sigma; gyroscopes, of which the data
     sheet names nothing: 1 %, cut at three sigma, 0.99 of it. 1200 draws; 5 standard errors are 10 %.

@@ -20,6 +20,7 @@ from imuarray.gap.findings.closure import (
 )
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import ABSENT, Pairs, pairs_of
+from tests.selection import examples
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,7 +50,7 @@ def test_the_share_of_the_excess() -> None:
     assert low < 0.5 < high  # of a single score as well
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(1, 10), st.floats(4, 90), st.floats(0, 90), st.floats(4, 90), st.floats(0, 90))
 def test_domains_weigh_alike(count: int, one: float, one_after: float, other: float, other_after: float) -> None:
     """However many statistics a domain has: the mean over domains of their mean squares. No more than all is closed."""
@@ -66,7 +67,7 @@ def test_domains_weigh_alike(count: int, one: float, one_after: float, other: fl
     assert level.closed == pytest.approx(min(1 - (one_after**2 - 1) / (one**2 - 1), 1.0))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.lists(st.floats(4, 90), min_size=1, max_size=20), st.integers(0, 5))
 def test_nothing_done_closes_nothing_and_chance_may_be_all(scores: list[float], seed: int) -> None:
     domains = ["level", "allan"] * len(scores)

@@ -163,6 +163,7 @@ def test_the_cause_is_told(found: dict[str, Any]) -> None:
     assert cause["confusable_with"] == []
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type, here: Path) -> None:
     """It is said before anything is worked out, and only one of the files has to be there."""
     before = {name: (here / "out" / name).read_bytes() for name in FILES}
@@ -215,6 +216,7 @@ def test_the_repaired_model_is_a_model(
     assert said["verdict"] == "no gap"
 
 
+@pytest.mark.slow
 def test_what_has_changed_since_an_earlier_log(typed: Type) -> None:
     """The line is no difference beside the log that has it, and is missing in the other one since then."""
     code, out, _ = typed("humming.h5", "--only", "G1", "--against", "humming.h5", "--json")

@@ -161,6 +161,7 @@ def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone
     assert found.gap.before == tone.gap.before
 
 
+@pytest.mark.slow
 def test_an_effect_that_a_model_has_too_many_is_taken_out(tmp_path: Path) -> None:
     found = diagnosed(recorded(tmp_path), model=parse_model(WITH_LINE))
     (cause,) = found.causes
@@ -183,6 +184,7 @@ def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
     assert plain.base.fitted["G1"].rms[1] == pytest.approx(0.05 * 1.5**0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_seed_is_a_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
     again = diagnosed(lined)
     assert json.dumps(again.as_json()) == json.dumps(tone.as_json())

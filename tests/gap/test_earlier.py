@@ -59,6 +59,7 @@ def test_the_same_array_twice_is_no_gap(tmp_path: Path) -> None:
     assert found.model == "data sheets, fitted to before.h5"
 
 
+@pytest.mark.slow
 def test_an_old_line_in_both_is_no_gap(tmp_path: Path) -> None:
     """Without the earlier log it is one."""
     found = since(tmp_path, (LINE,), (LINE,))
@@ -76,6 +77,7 @@ def test_a_line_since_then_is_named_beside_an_old_one(tmp_path: Path) -> None:
     assert cause.parameters["amplitude_dps"][0] == pytest.approx(0.04, abs=0.008)
 
 
+@pytest.mark.slow
 def test_a_bias_since_then(tmp_path: Path) -> None:
     """0.6 dps on z; from one power-on to the next it may change by 0.1 dps without anything having happened."""
     found = since(tmp_path, (), (Bias((0.0, 0.0, 0.6)),))
@@ -85,6 +87,7 @@ def test_a_bias_since_then(tmp_path: Path) -> None:
     assert np.allclose(found.causes[0].parameters["offset_dps"], [0.0, 0.0, 0.6], atol=0.1)
 
 
+@pytest.mark.slow
 def test_noise_since_then(tmp_path: Path) -> None:
     """0.05 and 0.04 dps add to 0.064: by a quarter more."""
     found = since(tmp_path, (), (WhiteNoise(0.04),))
@@ -93,6 +96,7 @@ def test_noise_since_then(tmp_path: Path) -> None:
     assert found.causes[0].sensors == ("G1",)
 
 
+@pytest.mark.slow
 def test_less_noise_than_before(tmp_path: Path) -> None:
     """0.064 dps that fall to 0.05."""
     found = since(tmp_path, (WhiteNoise(0.04),), ())
@@ -101,6 +105,7 @@ def test_less_noise_than_before(tmp_path: Path) -> None:
     assert np.allclose(found.causes[0].parameters["rms_dps"], 0.05, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_an_earlier_recording_of_another_kind_and_length_tells_what_it_can(tmp_path: Path) -> None:
     """Six faces of ten seconds, then a minute on one: the same array with its line, and afterwards another bias."""
     before = written(tmp_path / "before.h5", (LINE,), 0, Tumble(10.0, 1.0))
@@ -128,6 +133,7 @@ def test_pieces_are_of_one_length_and_spread_over_the_phase() -> None:
     assert of(60, 10, "motion") == [(0, 60)]
 
 
+@pytest.mark.slow
 def test_what_the_earlier_log_lacks_is_missing_and_no_difference(tmp_path: Path) -> None:
     """Its only gyroscope is compared; the new one's is left out, and so is what only six faces show."""
     before = written(tmp_path / "before.h5", (), 0, names=("G1",))

@@ -100,6 +100,7 @@ def test_several_causes_have_to_be_worth_it_each() -> None:
     assert shared_wins(round_, found(10.0 + 2 * ACCEPTED + 0.1), 3) is None
 
 
+@pytest.mark.slow
 def test_the_same_readings_show_between_two_sensors(
     swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:

@@ -61,6 +61,7 @@ def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Assessment:
     return Assessment(np.array([largest]), nothing, nothing, SyntheticLikelihood(*(nothing,) * 4), p, limit)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_where_nothing_is_wrong_p_is_even() -> None:
     """Of 150 campaigns without a gap, each with 40 replicates of its own, p is 0.1 or less in a tenth: 15, and at most
     27 with a probability of 0.999 (binomial).

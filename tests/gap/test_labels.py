@@ -30,6 +30,7 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.hand_posed import written
 from tests.gap.made import summarised
+from tests.selection import examples
 
 SENSOR = """
 [[sensor]]
@@ -238,7 +239,7 @@ def test_who_does_not_agree_counts_against_it() -> None:
     assert made({"A": (1.0, 0, 0), "B": (1.0, 0, 0)}, ("A", "B")).probability == 1.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.sampled_from(UP_AXES), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(0.1, 9.0))
 def test_a_face_is_told_whatever_bias_and_scale(up: str, bias: tuple[float, float, float], scale: float) -> None:
     """0.2 g on each axis turn it by at most atan(0.283 / 0.8) = 19.5 degrees."""

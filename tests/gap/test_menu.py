@@ -127,6 +127,7 @@ def test_the_most_probable_cause_with_a_rival_is_asked_about(bench: Bench) -> No
     assert rivals_of(found, causes[2:]) is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_short")
 def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> None:
     """Nothing else does: in one run both are a bias."""

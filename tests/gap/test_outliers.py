@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.gap.recording.outliers import MOST, Outliers, OutlierTally
+from tests.selection import examples
 
 ROWS = 200
 
@@ -38,7 +39,7 @@ def test_steps_and_pulses_do_not_stand_alone(row: int, length: int) -> None:
     assert len(lone(step).deviation) == len(lone(pulse).deviation) == 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.lists(st.integers(1, ROWS - 1), max_size=6, unique=True), st.integers(0, 9))
 def test_in_pieces_as_in_one(cuts: list[int], seed: int) -> None:
     apart = np.random.default_rng(seed).integers(-9, 9, (ROWS, 3))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from imuarray.errors import LogError
 from imuarray.gap.findings.files import diagnosis_of
 from tests.report.made_diagnosis import made
+from tests.selection import examples
 
 
 def table() -> dict[str, Any]:
@@ -82,7 +83,7 @@ _JSON = st.recursive(
 
 
 @given(key=st.sampled_from(sorted(made().as_json())), value=_JSON)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_nonsense_is_refused_or_harmless(key: str, value: object) -> None:
     with contextlib.suppress(LogError):
         assert diagnosis_of({**table(), key: value}).seed in (value, made().seed)

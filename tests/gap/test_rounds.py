@@ -19,6 +19,7 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from tests.gap.test_bench import LINE, SHORT, Run, prepared
 from tests.gap.test_refine import found_in
+from tests.selection import some
 
 OTHER = Tone((0.06, 0.0, 0.0), 29.0)
 
@@ -30,6 +31,7 @@ def two_lines() -> SearchResult:
     return searches(found, {"tone": CANDIDATES["tone"]}, Run(found.bench))
 
 
+@pytest.mark.slow
 def test_what_one_round_takes_the_next_one_has(two_lines: SearchResult) -> None:
     """Both lines are found, one after the other or both at once; the last round finds nothing, or nothing is left."""
     (rounds,) = two_lines.rounds.values()
@@ -50,6 +52,7 @@ def test_each_round_explains_more(two_lines: SearchResult) -> None:
     assert sizes == sorted(sizes, reverse=True)
 
 
+@pytest.mark.slow
 def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     """The same line in sensors of two chips, guessed for each of them as one that everything has."""
     bench, campaign = prepared([("static", SHORT)], ["G1", "A1"], {"G1": (LINE,), "A1": (LINE,)})
@@ -90,7 +93,7 @@ def test_what_shows_beside_others_waits(
     assert [name for (name,) in _deferred(replace(found, bench=bench), came)] == waiting
 
 
-@pytest.mark.parametrize("is_there", [True, False])
+@pytest.mark.parametrize("is_there", some([True, False], 1))
 def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     """The line drowns in the noise of G2, of which nobody can say that it isn't there; where G2 is as quiet as G1, and
     without it, the line is none that they share.

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.gap.statistics.segments import Segments, SegmentTally
+from tests.selection import examples
 
 SECOND = 10**9
 
@@ -29,7 +30,7 @@ def tallied(time_ns: np.ndarray, counts: np.ndarray, parts: int, cuts: tuple[int
     return tally.result(origin, warm)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 9), st.lists(st.integers(1, 299), max_size=3, unique=True))
 def test_moments_are_those_of_scipy(seed: int, parts: int, cuts: list[int]) -> None:
     rng = np.random.default_rng(seed)

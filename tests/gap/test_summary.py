@@ -15,6 +15,7 @@ from imuarray.gap.statistics.summary import Grid, Summary, Tally, side_by_side
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
 from tests.gap.made import block, header, summary
+from tests.selection import examples
 
 
 def noise(rows: int = 3000, seed: int = 1) -> np.ndarray:
@@ -35,7 +36,7 @@ def same(one: Any, other: Any) -> None:
         assert one == other
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(st.lists(st.integers(1, 2999), max_size=5, unique=True))
 def test_streamed_is_whole(cuts: list[int]) -> None:
     rows = block(noise(), temperature_counts=(np.arange(3000) % 7).astype(np.int16))

@@ -18,6 +18,7 @@ from imuarray.gap.statistics.synthetic_likelihood import (
     independent_share,
     likelihood_of,
 )
+from tests.selection import examples, some
 
 NAN = math.nan
 
@@ -111,7 +112,7 @@ def test_what_is_seldom_said_has_no_scatter() -> None:
 
 
 @given(st.integers(1, 6), st.integers(2, 6))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 def test_copies_count_once(copies: int, independent: int) -> None:
     """k copies of m independent statistics, in whatever size and sign: m of k m are independent. 2000 replicates: what
     chance adds scatters by less than 1 %.
@@ -122,7 +123,7 @@ def test_copies_count_once(copies: int, independent: int) -> None:
     assert independent_share(scores) == pytest.approx(1 / copies, rel=0.02)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.3, 0.7, 0.95])
+@pytest.mark.parametrize("rho", some([0.0, 0.3, 0.7, 0.95], 2))
 def test_what_is_correlated_counts_in_part(rho: float) -> None:
     """Blocks of 4 of which any two have correlation rho: each one's squares sum to 1 + 3 rho^2. 5000 replicates."""
     random = np.random.default_rng(5)

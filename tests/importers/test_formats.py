@@ -19,6 +19,7 @@ from imuarray.errors import SourceError
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.format import ARRIVAL, SATURATED
+from tests.selection import examples
 
 Columns = Mapping[str, np.ndarray]
 Write = Callable[[Path, Columns], Path]
@@ -134,7 +135,7 @@ def columns_of(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(TRIADS, st.sampled_from(list(FORMATS)), st.integers(-100_000, 100_000))
 def test_codes_of_any_offset(triads: list[tuple[int, int, int]], form: str, offset: int) -> None:
     counts = np.array(triads, np.int64)
@@ -147,7 +148,7 @@ def test_codes_of_any_offset(triads: list[tuple[int, int, int]], form: str, offs
 
 
 @pytest.mark.slow
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 @given(
     TRIADS,
     st.sampled_from(list(FORMATS)),
@@ -171,7 +172,7 @@ def test_values_in_any_unit(triads: list[tuple[int, int, int]], form: str, which
 
 
 @pytest.mark.slow
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(TRIADS, st.integers(8, 16))
 def test_twos_complement_that_was_read_as_unsigned(triads: list[tuple[int, int, int]], bits: int) -> None:
     counts = np.array(triads, np.int64) >> (16 - bits)

@@ -19,6 +19,7 @@ from imuarray.errors import OutputExistsError, SourceError
 from imuarray.importers.mimu4444 import import_file, sensors
 from imuarray.log import Log, open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED
+from tests.selection import examples
 
 EXTRACT = Path(__file__).parent.parent / "data" / "mimu4444" / "exp_1_extract.bin"
 PERIOD = 1_024_000
@@ -142,7 +143,7 @@ STEPS = st.lists(st.one_of(st.just(1), st.integers(1, 100), st.integers(1, 60_00
 
 
 @pytest.mark.slow
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 65535), st.integers(0, 2**32 - 1), STEPS, st.integers(-1000, 1000), st.integers(1, 600))
 def test_time_and_losses_through_every_wrap(number: int, ticks: int, steps: list[int], drift: int, block: int) -> None:
     """Counter and packet number begin anywhere, gaps are up to 16 minutes long, the clock is up to 0.1 % off."""

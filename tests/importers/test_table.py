@@ -20,6 +20,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED, ThermometerScale
 from imuarray.simulate.motion.like import LikeLog
+from tests.selection import examples
 
 SENSOR = """
 [[sensor]]
@@ -314,7 +315,7 @@ def test_the_source_is_never_the_output(tmp_path: Path) -> None:
 COUNT = st.integers(-32768, 32767)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.lists(st.tuples(st.integers(1, 10**12), COUNT, COUNT, COUNT), min_size=1, max_size=30),
     st.sampled_from([",", ";", "\\t", " ", "|"]),

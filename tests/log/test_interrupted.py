@@ -26,6 +26,7 @@ from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.verify import verify
+from tests.selection import examples, some
 
 HEADERS = (
     SensorHeader("Acc", "bma180", "specific_force", "g", 16.0, 512.0, has_temperature=True, delay_ns=7),
@@ -105,7 +106,7 @@ def check(path: Path, rows: int = ROWS) -> None:
             assert log.phases == (Phase(0, 10, "static", ""),)
 
 
-@pytest.mark.parametrize("commits", [1, 2, 64, 65, 66, 129])
+@pytest.mark.parametrize("commits", some([1, 2, 64, 65, 66, 129], 3))
 def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
 ) -> None:
@@ -267,7 +268,9 @@ def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -
         check(run, 210)
 
 
-@pytest.mark.parametrize("damage", ["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"])
+@pytest.mark.parametrize(
+    "damage", some(["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"], 3)
+)
 def test_with_a_damaged_file_it_comes_from_the_journal(run: Path, damage: str) -> None:
     content = bytearray(run.read_bytes())
     with h5py.File(UnclosedFile(run), "r") as file:
@@ -408,7 +411,7 @@ class TestVerify:
         assert "sensor Acc: time does not increase behind row 4999" in problems
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     rows=st.integers(0, 12),
     key=st.one_of(

@@ -17,6 +17,7 @@ from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, Mark, journal_of
 from imuarray.log.layout import Notes, OpenPhase, groups_of, note_columns
 from imuarray.log.preamble import Preamble
+from tests.selection import examples
 
 SENSORS = (
     SensorHeader("S", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, has_temperature=True, delay_ns=3),
@@ -88,7 +89,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return written(tmp_path_factory.mktemp("whole") / "r.h5", BLOCKS)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.integers(0, 10**6), bits=st.integers(1, 255))
 def test_with_a_wrong_byte_it_holds_blocks_that_were_written(
     tmp_path: Path, whole: bytes, where: int, bits: int
@@ -103,7 +104,7 @@ def test_with_a_wrong_byte_it_holds_blocks_that_were_written(
         assert blocks == BLOCKS or journal.damage
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.integers(0, 10**6), bits=st.integers(1, 255), known=st.booleans())
 def test_a_wrong_byte_in_the_preamble_costs_nothing(
     tmp_path: Path, whole: bytes, where: int, bits: int, known: bool
@@ -282,7 +283,7 @@ def test_times_that_go_back_behind_damage_are_not_believed(tmp_path: Path) -> No
     assert read(tmp_path / "r.h5") == ROWS[:49]
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=200))
 def test_any_bytes(tmp_path: Path, content: bytes) -> None:
     journal_of(tmp_path / "r.h5").write_bytes(content)

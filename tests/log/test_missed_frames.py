@@ -27,6 +27,7 @@ from imuarray.log.missed_frames import (
     missed_frames,
     missing_rows,
 )
+from tests.selection import some
 
 PERIOD_NS = 10_000_000
 ROOT = Path(__file__).parents[2]
@@ -134,7 +135,7 @@ quarter costs n frames while a frame takes less than three quarters."""
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-@pytest.mark.parametrize("sensors", ["Gyro1", "BMA1,BMA2,ADXL1,Gyro1,Gyro2,BMP180", "ADXL1,HMC1"])
+@pytest.mark.parametrize("sensors", some(["Gyro1", "BMA1,BMA2,ADXL1,Gyro1,Gyro2,BMP180", "ADXL1,HMC1"], 1))
 def test_a_recorder_that_is_blocked(tmp_path: Path, name: str, sensors: str) -> None:
     """Whatever it is that keeps the logger: the summary and the log tell the same missed frames and duration."""
     array = load_array(ROOT / "configs" / "martin2013.toml").only(tuple(sensors.split(",")))

@@ -67,6 +67,7 @@ def test_truncated_anywhere(tmp_path: Path, small_bytes: bytes) -> None:
         refusal(path)
 
 
+@pytest.mark.slow
 def test_damaged_metadata(tmp_path: Path, small_bytes: bytes) -> None:
     """One wrong byte in each object header and heap; always the same, for some damage sends HDF5 itself astray."""
     path = tmp_path / "damaged.h5"

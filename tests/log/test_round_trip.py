@@ -16,6 +16,7 @@ import imuarray.log.writer as writing
 from imuarray.errors import LogError, OutputExistsError
 from imuarray.log import Block, LogWriter, Stimulus, first_at, open_log
 from imuarray.log.format import Event, Phase, SensorHeader
+from tests.selection import examples
 
 Writer = Callable[..., LogWriter]
 HEADER = SensorHeader("S", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, has_temperature=True)
@@ -48,7 +49,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
         }
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(25), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lengths=st.lists(st.integers(0, 25), max_size=12), seed=st.integers(0, 2**32 - 1), chunk=st.integers(1, 16))
 def test_round_trip_whatever_the_blocks_and_chunks(tmp_path: Path, lengths: list[int], seed: int, chunk: int) -> None:
     rows = rows_of(np.random.default_rng(seed), sum(lengths))
@@ -77,7 +78,7 @@ def test_blocks_across_real_chunks(tmp_path: Path) -> None:
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=12)
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(20), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     phases=st.lists(
         st.tuples(st.integers(0, 2**62), st.integers(0, 2**62), TEXT, st.sampled_from(["", "+Z", "-X"])), max_size=4
@@ -201,7 +202,7 @@ def test_what_can_not_be_written(tmp_path: Path, writer: Writer) -> None:
         writer(tmp_path / "none" / "t.h5")
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.lists(st.integers(-10, 60_000), min_size=1, max_size=20), seed=st.integers(0, 1000))
 def test_rows_are_found_without_reading_the_column(tmp_path: Path, at: list[int], seed: int) -> None:
     time = np.cumsum(np.random.default_rng(seed).integers(1, 5, 20_000))

@@ -36,6 +36,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     kinds = write_report([made / "fused.h5", made / "cal.toml", made / "tumble.h5"], page)
@@ -130,6 +131,7 @@ def test_the_command(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main(["report", str(made / "cal.toml"), "-o", str(page)]) == 2
 
 
+@pytest.mark.slow
 def test_a_log_without_anything_at_rest_still_says_what_was_recorded(made: Path, tmp_path: Path) -> None:
     with open_log(made / "tumble.h5") as log:
         rates = [len(sensor) for sensor in log.of("specific_force")]

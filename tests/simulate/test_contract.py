@@ -24,6 +24,7 @@ from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place
 from imuarray.simulate.simulation import Simulation, plan_of
 from imuarray.simulate.streams import CHUNK, Stream, Streams
+from tests.selection import some
 
 Row = Instants | Felt | Analog | Codes
 
@@ -295,7 +296,7 @@ def test_any_stretch_alone(bench: Bench, name: str) -> None:
             assert np.all(close), column
 
 
-@pytest.mark.parametrize("name", [None, *EFFECTS])
+@pytest.mark.parametrize("name", some([None, *EFFECTS], 10))
 def test_rows_that_are_worked_out_alone_are_those_of_their_chunk(name: str | None) -> None:
     """Of a box that is heated and turned, bit for bit, whether or not the effect lets them be worked out alone."""
     array = parse_array(

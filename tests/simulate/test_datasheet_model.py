@@ -193,6 +193,7 @@ def test_ranges_differ_as_the_data_sheet_says(
         assert at[range_] == pytest.approx(at[base_range] * figure / base, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
     """BMA-79: by up to 400 mg from that at 2 g, where the chip was trimmed; two sigma again, at 4.4 sigma."""
     shifts = []

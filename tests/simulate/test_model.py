@@ -21,6 +21,7 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.model import Model, load_model, parse_model
 from imuarray.simulate.streams import Streams
+from tests.selection import examples
 
 MakeSensor = Callable[..., SensorHeader]
 
@@ -290,7 +291,7 @@ def test_a_refusal_is_one_line_that_names_the_place(tmp_path: Path, text: str, c
         raise ConfigError(found)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, len(GOOD) - 1), st.binary(max_size=6), st.integers(0, 20))
 @example(0, b"\xff\xfe", 0)
 def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed: int) -> None:
@@ -330,7 +331,7 @@ TABLES = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.text(min_size=1), st.lists(TABLES, max_size=7), st.lists(TABLES, max_size=3))
 def test_a_model_is_read_as_it_was_written(
     name: str, designs: list[dict[str, object]], sensors: list[dict[str, object]]

@@ -24,6 +24,7 @@ from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.parameters import from_table, numbers, spelled, to_table
+from tests.selection import examples
 
 UNITS = ("g", "dps", "gauss")
 TEXTS = ("", "+X+Y+Z", "-Y+X+Z", "spike", "torn", "word", "BMA2")
@@ -158,7 +159,7 @@ def same(one: Effect, other: Effect) -> bool:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-@settings(max_examples=20, suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
+@settings(max_examples=examples(20), suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
 def test_there_and_back(name: str, data: st.DataObject, unit: str) -> None:
     effect = data.draw(effects(name))

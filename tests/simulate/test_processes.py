@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from imuarray.simulate.processes import SlowProcess, gauss_markov, random_walk
 from imuarray.simulate.signal import Place
+from tests.selection import examples
 from tests.simulate.conftest import Floats, MakePlace, furthest, header
 
 SEEDS = 300
@@ -90,7 +91,7 @@ def test_a_stretch_alone_is_what_it_is_in_sequence(
     process, again = (kind(place(rows_per_s=rows_per_s)) for _ in range(2))
     whole = np.concatenate([process.rows(first, first + 5000) for first in range(0, 50_000, 5000)])
 
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=examples(25), deadline=None)
     @given(st.integers(0, 49_999), st.integers(0, 30_000))
     def same(first: int, length: int) -> None:
         stop = min(first + length, 50_000)

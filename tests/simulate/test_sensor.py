@@ -21,6 +21,7 @@ from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.simulation import Simulation, effects_of, plan_of
 from imuarray.simulate.streams import CHUNK
+from tests.selection import examples
 
 CHIPS = {
     "adxl345": "address = 0x53\nrange = 16\nrate_hz = 400",
@@ -139,7 +140,7 @@ def noisy_sensor(motion: Any, dtype: Any = np.float64, seed: int = 5) -> Simulat
     return sensor(motion, "l3g4200d", noisy(), rate_hz=400.0, seconds=SECONDS, seed=seed, dtype=dtype)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(start=st.integers(0, 2 * CHUNK), length=st.integers(1, CHUNK), single=st.booleans())
 def test_any_stretch_alone_is_cut_out_of_the_whole(start: int, length: int, single: bool) -> None:
     motion = _Rest()

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.simulate.streams import CHUNK, Streams
+from tests.selection import examples
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 3 * CHUNK), st.integers(1, CHUNK), st.sampled_from(["float32", "float64"]))
 def test_any_stretch_is_cut_out_of_the_same_rows(start: int, length: int, dtype: str) -> None:
     whole = Streams(7).of_boot("S1", "white_noise", dtype=dtype).normal(0, 4 * CHUNK)

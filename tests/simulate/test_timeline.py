@@ -17,6 +17,7 @@ from imuarray.bus import open_bus
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SensorHeader
 from imuarray.simulate.timeline import GapFilledTimes, LogTimes, filled, poll
+from tests.selection import examples
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -148,7 +149,7 @@ def log_of(path: Path, times: np.ndarray, lost_before: Sequence[int] | np.ndarra
     return path
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(
     lost=st.lists(st.booleans(), min_size=1, max_size=60), period_ns=st.integers(1000, 10**8), seed=st.integers(0, 99)
 )

@@ -20,6 +20,7 @@ from imuarray.validation import generator, severity
 from imuarray.validation.case import Put
 from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
 from imuarray.validation.thresholds import frozen_thresholds
+from tests.selection import examples
 
 Floats = npt.NDArray[np.float64]
 ROWS, SIGMA = 6400, 20.0
@@ -80,7 +81,7 @@ def test_a_line_is_in_the_spectrum(tmp_path: Path) -> None:
         assert LIMIT < matched_statistic([plain], [small]) < matched_statistic([plain], [large])
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(limit=st.floats(0.05, 15.0), power=st.floats(0.7, 2.2), wanted=st.sampled_from([2.0, 5.0]))
 def test_a_severity_is_found_in_a_few_tries(limit: float, power: float, wanted: float) -> None:
     asked: list[float] = []

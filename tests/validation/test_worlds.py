@@ -16,11 +16,12 @@ from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.validation.generator import record_in
 from imuarray.validation.worlds import KINDS, MOST_READINGS_PER_S, MOST_ROWS, MOST_SECONDS, draw_world
+from tests.selection import examples
 
 SEEDS = st.integers(0, 20_000_000_000)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(SEEDS)
 def test_every_world_is_possible(seed: int) -> None:
     """An array that its reader accepts, with at most 16 inertial sensors, read no faster than a bus of 400 kHz can, in

@@ -47,6 +47,7 @@ def outside(path):
     return shown
 
 
+@pytest.mark.slow
 def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
     plain, _ = written(tmp_path, "a")
     other, _ = written(tmp_path, "b", ("mains_ripple", 3.0, ("Gyro3",)), ("log_creep", 7.0, ("BMA3",)), seed=77)

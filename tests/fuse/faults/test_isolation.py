@@ -27,6 +27,7 @@ from tests.fuse.faults.conftest import (
     simulated,
     watched,
 )
+from tests.selection import some
 
 
 class Motion(NamedTuple):
@@ -134,7 +135,7 @@ WITH_RANGES = EVERY[2:]
 """An ADXL345 at full resolution has one scale whatever its range (ADX-40)."""
 
 
-@pytest.mark.parametrize("sensor", EVERY)
+@pytest.mark.parametrize("sensor", some(EVERY, 3))
 @pytest.mark.parametrize("fault", [STUCK, WHOLE, ONE[0], ONE[2]], ids=lambda fault: fault.name)
 def test_at_rest(sensor: str, fault: Fault) -> None:
     check(AT_REST, sensor, fault, onset_s=0.01 * EVERY.index(sensor))

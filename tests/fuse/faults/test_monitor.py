@@ -45,6 +45,7 @@ def spoilt() -> Frames:
     return replace(fed, valid=valid)
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=12))
 def test_cuts_leave_no_trace(cuts: list[int]) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from imuarray.arrays import Floats
 from imuarray.fuse.faults.window import Parity, parity
+from tests.selection import examples
 
 
 def drawn(seed: int, sensors: int) -> tuple[Floats, Floats, Floats]:
@@ -31,7 +32,7 @@ def squares(rows: Floats, weights: Floats, values: Floats) -> float:
     return float((weights * (values - rows @ solved) ** 2).sum())
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
 def test_gains_are_what_a_free_error_takes_off_the_squares(seed: int, sensors: int) -> None:
     """Twice the log-likelihood ratio of nested normal models is the difference of their weighted sums of squares."""
@@ -45,7 +46,7 @@ def test_gains_are_what_a_free_error_takes_off_the_squares(seed: int, sensors: i
         assert gain == pytest.approx(before - squares(freed, weights, values), rel=1e-6, abs=1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
 def test_motion_leaves_no_trace(seed: int, sensors: int) -> None:
     rows, weights, values = drawn(seed, sensors)

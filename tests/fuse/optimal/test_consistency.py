@@ -26,6 +26,7 @@ from tests.fuse.optimal.conftest import (
     times,
     triad,
 )
+from tests.selection import some
 
 LOGS = 30
 FRAMES = 40
@@ -78,7 +79,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", some(CASES, 2))
 def test_it_is_never_worse_than_a_single_technique(case: str) -> None:
     """20 s of 20 logs each: the mean squared error of all frames. Of what is the same in all, noise and draws, the
     ratio of two techniques is free; 1 % is left for how the draws fall where they weigh alike.
@@ -156,6 +157,7 @@ def test_errors_are_within_a_twentieth_of_the_bound() -> None:
     assert np.sqrt(squares / logs) < 1.05 * np.sqrt(np.trace(covariance[-3:, -3:]))
 
 
+@pytest.mark.slow
 def test_what_is_told_of_directions_that_are_wrong_is_true() -> None:
     """40 arrays whose axes are off by 2 % every way and have biases, turned through all poses and shaken; at three
     frames each, chi-square of 120 degrees of freedom, 99.9 % over the three of them.

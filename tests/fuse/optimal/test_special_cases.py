@@ -12,6 +12,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, Floats, frames_of, model_of, times, triad
+from tests.selection import examples
 
 OPPOSITE = np.diag([-1.0, 1.0, -1.0])
 
@@ -112,7 +113,7 @@ def test_doubt_about_directions_widens_the_covariance_with_the_signal() -> None:
 
 
 @given(seed=st.integers(0, 2**31), count=st.integers(3, 12), shared=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_any_array_gives_the_truth_of_readings_without_errors(seed: int, count: int, shared: bool) -> None:
     """Unbiased: where readings have no errors there is none in the triads, whatever the model thinks they may have."""
     rng = np.random.default_rng(seed)

@@ -36,6 +36,7 @@ def test_levels_that_scatter() -> None:
     assert np.all(np.abs(np.log(np.array(effect.rms) / (0.5, 0.1, 0.3))) < np.log(2.0))
 
 
+@pytest.mark.slow
 def test_two_groups_of_levels() -> None:
     """The two states as they were put in, whichever is the rarer one."""
     put_in = np.array([0.9, 0.4, -0.2])

@@ -20,6 +20,7 @@ from imuarray.simulate.effects.saturation import Saturation
 from imuarray.simulate.effects.stale_samples import StaleSamples
 from imuarray.simulate.effects.stuck import Stuck
 from tests.gap.effects.evidence_of import evidence_of
+from tests.selection import some
 
 ALL = (quantisation, saturation, stale_samples, glitches, stuck, odr_error)
 
@@ -36,7 +37,7 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "sensor", "step"), [("static", "A1", 2.0), ("static", "A1", 4.0), ("tumble", "G1", 16.0)]
+    ("kind", "sensor", "step"), some([("static", "A1", 2.0), ("static", "A1", 4.0), ("tumble", "G1", 16.0)], 1)
 )
 def test_quantisation(kind: str, sensor: str, step: float) -> None:
     (trial,) = quantisation.guesses(shown(kind, sensor, Quantisation(step)))
@@ -68,7 +69,7 @@ def test_a_step_that_the_model_has_and_the_sensor_has_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "sensor", "limit"), [("static", "A1", 1.02), ("motion", "A1", 1.2), ("motion", "G1", 30.0)]
+    ("kind", "sensor", "limit"), some([("static", "A1", 1.02), ("motion", "A1", 1.2), ("motion", "G1", 30.0)], 1)
 )
 def test_saturation(kind: str, sensor: str, limit: float) -> None:
     """To a count, into which it is rounded."""
@@ -172,6 +173,7 @@ def test_a_chip_slower_than_the_poll(rate_hz: float) -> None:
     assert trial.free == ("rate_hz",)
 
 
+@pytest.mark.slow
 def test_a_chip_that_is_slower_than_it_is_set_to_and_faster_than_the_poll() -> None:
     """130 Hz polled at 100 Hz: half a period is 3.8 ms, that of the set 800 Hz 0.6 ms."""
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (OdrError(130.0),)})

@@ -77,6 +77,7 @@ def test_a_walk(seed: int) -> None:
     assert is_near(first.density[2], 0.02, 2.0)
 
 
+@pytest.mark.slow
 def test_what_follows_the_temperature_is_no_wander() -> None:
     """G1's bias has a slope, which the model has too: of a heat pulse the Allan variances are those of white noise,
     rms^2 over the rows, within the scatter of a few terms.

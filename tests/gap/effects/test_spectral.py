@@ -35,6 +35,7 @@ def test_a_cutoff(cutoff_hz: float) -> None:
     assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -> None:
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
@@ -107,6 +108,7 @@ def test_a_line_that_the_model_has_is_not_found_again() -> None:
     assert [trial.action for trial in trials if trial.action == "remove"] == ["remove"]
 
 
+@pytest.mark.slow
 def test_a_line_that_drifts() -> None:
     """From 13 Hz on by 0.04 Hz/s while the box lies on six faces; how far others begin from there, nobody can see."""
     put_in = Tone((0.0, 0.05, 0.0), 13.0, drift_hz_per_h=144.0)

@@ -229,6 +229,7 @@ class TestStuck:
         with pytest.raises(ValueError, match="kind: 'old'; allowed are stale, new"):
             Stuck(kind="old")
 
+    @pytest.mark.slow
     def test_again_and_again(self, place, codes) -> None:
         """Free for 2 s on average, then held for 0.5 s: a fifth of the time. Holds of 4000 s are 1600, give or take 5
         standard errors (of the Poisson process between them: 6e-7).

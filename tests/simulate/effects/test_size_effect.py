@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.simulate.signal import Felt
+from tests.selection import examples
 from tests.simulate.conftest import Constant, G, MakePlace, times
 
 COMPONENT = st.floats(-5, 5)
@@ -26,7 +27,7 @@ def test_spun_about_z(place: MakePlace) -> None:
     np.testing.assert_allclose(after.force_box, [[-10, 0.3, G]] * 2, atol=1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(TRIPLE, st.floats(-3, 3), st.floats(-3, 3), TRIPLE)
 def test_it_is_the_second_derivative_of_where_the_place_is(
     axis: tuple[float, float, float], rate: float, acceleration: float, place_mm: tuple[float, float, float]

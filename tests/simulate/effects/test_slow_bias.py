@@ -23,6 +23,7 @@ def added(effect: Effect, at: Place, analog: MakeAnalog, first: int, stop: int) 
     return effect.analog(analog(first, stop), at).value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [BiasInstability, CommonMode])
 def test_gauss_markov_of_the_given_rms_and_time_constant(
     place: MakePlace, analog: MakeAnalog, kind: type[BiasInstability] | type[CommonMode]

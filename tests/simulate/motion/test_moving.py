@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from imuarray.simulate.motion import HandShake
 from imuarray.simulate.motion.kinematics import EulerAngles, RotationVector
 from imuarray.simulate.motion.vehicle import Vehicle
+from tests.selection import examples
 
 G = 9.80665
 S = 10**9
@@ -62,7 +63,7 @@ def test_shaking_navigates_back_to_where_it_began(shake: HandShake, navigate: Ca
     motion_s=st.floats(0.5, 20),
     seed=st.integers(0, 10**6),
 )
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 def test_shaking_stays_within_its_peaks(peak_g: float, peak_dps: float, motion_s: float, seed: int) -> None:
     shake = HandShake(peak_g, peak_dps, 1.0, motion_s, seed)
     felt = shake.felt(np.linspace(0, shake.seconds * S, 4001).astype(np.int64))

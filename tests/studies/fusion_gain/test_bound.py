@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
 from imuarray.studies.fusion_gain.bound import ErrorLaw, SlowError, Stretch, StretchReadings, bound, frame_weights
+from tests.selection import examples
 
 MG = 9.80665e-3
 
@@ -125,7 +126,7 @@ def test_axes_without_a_reading_count_for_nothing() -> None:
         bound(law, [Stretch(0.0, (StretchReadings(np.arange(6) < 2, 5),))])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(st.integers(0, 10**6), st.integers(4, 9))
 def test_more_readings_never_harm(seed: int, axes: int) -> None:
     """Of any array: an axis more, more frames, or the future as well never make the bound larger about any direction,

@@ -84,6 +84,7 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [float(part) for part in rows[0]["response_lsb_per_g"].split()] == [-261.286, -5.3281, 4.7167]
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     taken = tmp_path / "table7.csv"
     taken.write_text("mine")

@@ -256,6 +256,7 @@ def quick(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replica_package, "curves_of", lambda observed: made.curves)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_command_writes_both_and_overwrites_neither(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -273,6 +274,7 @@ def test_the_command_writes_both_and_overwrites_neither(
     assert not (out / "replica.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_command_without_matplotlib_and_without_jinja2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

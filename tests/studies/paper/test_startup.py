@@ -20,6 +20,7 @@ from imuarray.studies.paper.variation import (
     table7,
     two_way_split,
 )
+from tests.selection import examples
 
 SECOND_STATE = (3, 4, 5, 7, 10, 11, 13, 15)
 
@@ -56,7 +57,7 @@ def scatter(points: np.ndarray) -> float:
     return float(((points - points.mean(axis=0)) ** 2).sum())
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 2**32 - 1), small=st.integers(2, 4), distance=st.floats(4, 40))
 def test_the_split_is_the_best_of_all_two_way_splits(seed: int, small: int, distance: float) -> None:
     """Two clouds eight points in all: every way to part them is tried."""
@@ -74,7 +75,7 @@ def test_the_split_is_the_best_of_all_two_way_splits(seed: int, small: int, dist
     assert best in (set(first), set(second))
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_principal_axis_is_the_first_eigenvector(seed: int) -> None:
     rng = np.random.default_rng(seed)
