@@ -145,6 +145,7 @@ def test_the_unit_with_a_line_is_recognised(folder: Path, noise: str) -> None:
     assert correlation[0] == pytest.approx(0.8 * np.cos(2 * np.pi * 8.7 / 62.5), abs=0.1)
 
 
+@pytest.mark.slow
 def test_weighed_by_that_noise_the_unit_does_no_harm(folder: Path, noise: str) -> None:
     """Its x points along box -Y. Inverse variances bring Y to what the array has without the unit, to 3 %."""
     assert noise

@@ -105,6 +105,7 @@ def irregular_array() -> ArrayConfig:
     return parse_array(array.text.replace("rate_hz=75", "rate_hz=15"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", some([-0.1, 0.0, 0.1], 1))
 @pytest.mark.parametrize("rate_hz", some([10.0, 14.0, 90.0], 2))
 def test_stalls_and_slow_clocks_raise_no_alarm(rate_hz: float, error: float) -> None:

@@ -198,6 +198,7 @@ def test_what_can_not_be_fused_is_refused_before_there_is_a_log(log: Log, argume
     assert Path("there.h5").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_fusion_that_breaks_is_told_once_and_the_log_goes_on(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     pushes = 0
     push = FusionStream.push

@@ -371,6 +371,7 @@ def test_a_chip_whose_reading_stands_still(an_array: Callable[..., ArrayConfig],
     assert not (status[time > 9 * S] & SUSPECT).any()
 
 
+@pytest.mark.slow
 def test_a_sensor_that_came_up_wrong(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0, G=0)
     asked: list[int] = []

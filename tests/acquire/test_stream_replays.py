@@ -178,6 +178,7 @@ def test_frames_of_an_earlier_boot(an_array: Callable[..., ArrayConfig], tmp_pat
     assert {kind for _, kind, _ in events(path)} == {"refused"}
 
 
+@pytest.mark.slow
 def test_frames_of_an_earlier_boot_that_nothing_tells_from_the_true_ones(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:

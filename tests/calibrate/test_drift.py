@@ -76,6 +76,7 @@ def test_the_filter_gives_the_likelihood_of_the_dense_covariance() -> None:
     assert grid.log_likelihood == pytest.approx(dense, abs=2e-3)  # 200 points a mean
 
 
+@pytest.mark.slow
 def test_a_drift_comes_back_within_its_errors() -> None:
     """48 axes of 1 and 3 counts rms, 40 s, in 1000 s: 95 % within two errors; fewer than 41 once in 400 seeds."""
     assert binom.cdf(40, 48, 0.95) < 1 / 400

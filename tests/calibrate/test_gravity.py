@@ -124,6 +124,7 @@ def test_response_is_recovered() -> None:
         assert np.abs(fitted.response_lsb_per_unit - part.response).max() < worst
 
 
+@pytest.mark.slow
 def test_residuals_are_those_of_the_noise() -> None:
     """Sum of squares over sigma^2 / rows is chi-square with 32 a sensor: a hundred of them know where up is, and of 36
     readings along it the four unknowns of a straight line take their leverages. Error rate 1e-3 over 100 sensors.

@@ -115,6 +115,7 @@ def test_slopes_of_a_moving_log_are_refused(tmp_path: Path) -> None:
         assert set(calibrate_thermal(log).calibration.sensors) == {"A", "G"}
 
 
+@pytest.mark.slow
 def test_a_box_at_rest_is_never_said_to_move(tmp_path: Path) -> None:
     """20 logs with four times the noise of the paper's accelerometers, and a knock of two seconds in each."""
 

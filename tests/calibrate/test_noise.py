@@ -122,6 +122,7 @@ def calibrated(path: Path, name: str = "G") -> SensorCalibration:
         return calibrate_noise(log).sensors[name]
 
 
+@pytest.mark.slow
 def test_standard_error_is_what_repetitions_scatter(tmp_path: Path) -> None:
     """Of 16 logs of 4096 white rows each, three axes: the standard deviation of 48 figures is known to 10 %."""
     found = []
@@ -211,6 +212,7 @@ def test_a_line_that_comes_for_a_moment_is_none(tmp_path: Path) -> None:
     assert all(line.range_hz is None for line in lines)
 
 
+@pytest.mark.slow
 def test_noise_has_no_lines(tmp_path: Path) -> None:
     """One in a hundred logs of nothing but noise may show one: 8 logs, and none of 2 coloured ones."""
     logs = [white(4096, seed=seed) for seed in range(6)] + [filtered(4096, 0.5, seed) for seed in (1, 2)]

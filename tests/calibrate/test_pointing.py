@@ -95,6 +95,7 @@ def test_three_poses_tell_every_axis(written: Written, named: bool) -> None:
     assert {each.sensor: each.axes for each in found} == AXES
 
 
+@pytest.mark.slow
 def test_every_way_to_mount_a_chip_is_found(written: Written) -> None:
     signs = [
         "".join("+-"[int(row[np.abs(row).argmax()] < 0)] + "XYZ"[np.abs(row).argmax()] for row in t) for t in TURNS

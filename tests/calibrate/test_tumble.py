@@ -123,6 +123,7 @@ def test_the_box_frame_is_the_mean_of_the_configured_axes() -> None:
     assert found[0].up_covariance == pytest.approx(found[1].up_covariance, rel=1e-4, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_directions_are_within_their_covariance() -> None:
     """Normalised error squared of 12 directions in the box frame, two unknowns each: chi-square with 24 degrees of
     freedom; the mean of 200 draws within 3.3 standard errors, error rate 1e-3.

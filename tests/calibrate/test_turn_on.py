@@ -111,6 +111,7 @@ def test_one_state_is_rarely_called_two(tails: str) -> None:
     assert np.mean(called) <= FALSE_ALARMS
 
 
+@pytest.mark.slow
 def test_a_warm_up_is_not_called_a_state() -> None:
     """Biases that follow a temperature which rises and settles: two groups at first sight."""
     rng = np.random.default_rng(13)
@@ -306,6 +307,7 @@ def test_a_warm_up_is_no_turn_on(write: Write) -> None:
     assert (untold["G"].p_value < 1e-4).all()
 
 
+@pytest.mark.slow
 def test_faults_and_states_from_logs_to_file_and_back(write: Write, tmp_path: Path) -> None:
     """An accelerometer that comes up at 2 g once, and a gyroscope of two biases; the next run is recognised."""
     rng = np.random.default_rng(21)

@@ -93,6 +93,7 @@ def test_figure_has_a_panel_per_quantity(log_path: Path) -> None:
     assert shortest == pytest.approx([0.01, 20 / 5460], rel=0.1)
 
 
+@pytest.mark.slow
 def test_figure_of_many_or_no_curves(log_path: Path) -> None:
     with open_log(log_path) as log:
         result = characterise_log(log, sensors=["A"])

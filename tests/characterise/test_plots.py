@@ -265,6 +265,7 @@ def test_even_codes_have_gaps() -> None:
     assert heights.tolist() == [0.25, 0.0, 0.5, 0.0, 0.25]
 
 
+@pytest.mark.slow
 def test_more_sensors_than_panels(result: dict[str, Any]) -> None:
     """Those with something to say come first, in the log's order."""
     white, steps = (_of(result, name)["sensors"][0] for name in ("white", "steps"))
@@ -275,6 +276,7 @@ def test_more_sensors_than_panels(result: dict[str, Any]) -> None:
     assert "12 of 15 sensors" in figure.get_suptitle()
 
 
+@pytest.mark.slow
 def test_many_sensors_on_a_panel_have_thin_lines_without_bands(result: dict[str, Any]) -> None:
     white = _of(result, "white")["sensors"][0]
     many = result | {"sensors": [white | {"name": f"W{number}"} for number in range(32)]}

@@ -183,6 +183,7 @@ def test_a_seed_gives_the_same_data_and_the_halves_differ(tmp_path: Path) -> Non
     assert HALVES == ("development", "sealed")
 
 
+@pytest.mark.slow
 def test_faces_show_gravity_within_the_scale_tolerance() -> None:
     seen = 0
     for number in range(12):
@@ -255,6 +256,7 @@ def test_the_thermometers_count_half_kelvins_and_falling_kelvins() -> None:
     assert len(np.unique(np.floor(np.flatnonzero(np.diff(codes)) / 50))) <= 11
 
 
+@pytest.mark.slow
 def test_parts_are_within_their_data_sheets() -> None:
     for number in range(40):
         world = draw_world(f"parts {number}")

@@ -70,6 +70,7 @@ def test_scale_factors_change_too(write_run: WriteRun) -> None:
     assert pytest.approx(0.02 / 125) == SCALE_PER_DEGC
 
 
+@pytest.mark.slow
 def test_errors_of_sensors_that_changed_are_within_their_covariance(write_run: WriteRun) -> None:
     """40 sensors whose slopes are drawn as such usually are, 20 degC away: the normalised error squared of the mean of
     a log is chi-square of 120 degrees of freedom, error rate 1e-3.

@@ -35,6 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return WriteRun(tmp_path_factory.mktemp("compare"))(parts(), frames=FRAMES)
 
 
+@pytest.mark.slow
 def test_every_technique_beside_the_average(run: Path) -> None:
     """0.01 and 0.02 g by inverse variance: 0.8 of the average, with which such errors correlate by 0.8: a ratio of 8000
     each scatters by 0.8 sqrt(0.36 / 8000) = 0.0054. Covariances from the true noise hold.

@@ -94,6 +94,7 @@ def test_ratio_of_inverse_variance_weights_to_equal_ones(tmp_path: Path) -> None
         assert gain.ratio == pytest.approx(gain.technique_error / gain.average)
 
 
+@pytest.mark.slow
 def test_standard_error_is_that_of_a_bootstrap(tmp_path: Path) -> None:
     """Rows drawn anew 2000 times; the jackknife's twenty blocks tell a standard error to 16 %, three axes to 9 %."""
     path = write(tmp_path, 4000, seed=2)

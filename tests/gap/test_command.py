@@ -183,6 +183,7 @@ def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type
     assert out.splitlines()[0]
 
 
+@pytest.mark.slow
 def test_json_on_standard_output_is_the_file(found: dict[str, Any], typed: Type) -> None:
     code, out, _ = typed("humming.h5", "--only", "G1", "--seed", 3, "--json")
     assert code == 0
@@ -198,6 +199,7 @@ def test_no_gap(typed: Type) -> None:
     assert (said["gap"]["closed"], said["gap"]["closed_ci95"]) == (None, None)
 
 
+@pytest.mark.slow
 def test_the_repaired_model_is_a_model(
     found: dict[str, Any], typed: Type, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -245,6 +245,7 @@ def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[fl
     return found.located.p, len(found.replicates)
 
 
+@pytest.mark.slow
 def test_p_is_uniform_though_most_comparisons_end_early() -> None:
     """Of 300 recordings without a gap at most a share a is found at p <= a, within three standard errors; three of four
     end after 40 replicates (52 of them on average: 40 + 24 / 4 + 36 * 15 / 100).

@@ -190,6 +190,7 @@ def test_a_seed_is_a_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) ->
     assert json.dumps(again.as_json()) == json.dumps(tone.as_json())
 
 
+@pytest.mark.slow
 def test_briefly_nothing_else_is_missing(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
     brief = explain(compare(lined, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     assert (brief.overlays, brief.next_experiment) == ((), "")

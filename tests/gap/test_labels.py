@@ -124,6 +124,7 @@ def test_halves_of_phases_tell_the_same(tmp_path: Path) -> None:
     assert (found.phase, found.up) == (recording.phases[1], "+X")
 
 
+@pytest.mark.slow
 def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
     """An exchange of axes, or a wrong range, in one of four: neither makes a label wrong nor hides that one is."""
     for number, effect in enumerate((AxisError("+Y-X+Z"), RangeReset(2.0))):

@@ -138,6 +138,7 @@ def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> No
     assert static < LEAST < nats
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_short")
 def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     """A static log knows no phase of a line; where the box is turned it is no other. The line is weak: of a strong one
@@ -154,6 +155,7 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     assert float(re.findall(r"([\d.]+) nats", said)[0]) <= LEAST  # as rounded
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_short")
 def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> None:
     """G2 lies the other way round about y and z: on a tumble, or beside another bias, it is no G1."""

@@ -178,6 +178,7 @@ def test_slow_errors_pass_for_a_stimulus_no_more_often_than_said(kind: str, grou
     assert sum(p < 0.05 for _, p in tests) <= binom.ppf(0.999, 400, 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", some([0.0, 0.5, 0.9], 1))
 def test_fast_errors_pass_for_a_stimulus_no_more_often_than_said(factor: float) -> None:
     """First-order processes of three groups; rows count (1 - r^2) / (1 + r^2), at 5 % of 400 as above."""

@@ -241,6 +241,7 @@ def test_an_old_log_goes_when_the_new_one_is_kept(tmp_path: Path, writer: Writer
         assert len(new["Gyro"]) == 7
 
 
+@pytest.mark.slow
 def test_readers_come_and_go_while_it_is_written(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -207,6 +207,7 @@ class TestFlips:
         assert kinds["whole"] + kinds["missing, told"] == count
         assert kinds["whole"] >= 0.6 * count - 3 * (0.6 * 0.4 * count) ** 0.5
 
+    @pytest.mark.slow
     def test_in_the_journal_alone(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """The rows of one block are lost, and said to be."""
         kinds = flips(logs.unfinished, JOURNAL, tmp_path, places(count, 2), 2)

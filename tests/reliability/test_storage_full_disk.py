@@ -82,6 +82,7 @@ def test_it_ends_at_the_watermark_and_is_finished(small_disk: Path) -> None:
     print(f"ended at the watermark with {frames} frames, finished")
 
 
+@pytest.mark.slow
 def test_it_ends_where_there_is_no_room_at_all(small_disk: Path, tmp_path: Path) -> None:
     """Without a watermark: the journal, or the room that HDF5 is given, meets the end of the disk."""
     frames = check(logged(small_disk, watermark=0), small_disk)

@@ -55,6 +55,7 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
     assert not re.search(r'(src|href)="(?!#|data:)', text)  # it needs nothing beside it
 
 
+@pytest.mark.slow
 def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
     """The calibration was fitted to these faces: what is left is the noise of their means. An ADXL345's z scatters by
     47 mg, 50 readings a face: 6.7 mg; twice that is beyond every rms over seven faces.

@@ -72,6 +72,7 @@ def test_the_same_seed_gives_the_same_log_and_another_another(tmp_path: Path) ->
     assert not np.array_equal(same, boot)
 
 
+@pytest.mark.slow
 def test_without_an_effect_every_other_draw_stays(tmp_path: Path) -> None:
     for name, more in (("all", ""), ("less", "bias"), ("silent", "white_noise,bias_instability")):
         arguments = ["martin2013", "--model", "martin2013", "--seconds", 20, "--without", more]

@@ -135,6 +135,7 @@ def test_a_log_like_another_has_its_times_and_faces(array: ArrayConfig, tmp_path
             assert faces[10].tolist() == [0, 0, 256]
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(array: ArrayConfig, tmp_path: Path) -> None:
     import tracemalloc
 

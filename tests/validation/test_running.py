@@ -135,6 +135,7 @@ def test_places_that_come_later_are_used(tmp_path: Path) -> None:
     assert executor.most[-1] == 4
 
 
+@pytest.mark.slow
 def test_who_worked_cannot_be_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker that dies once costs nothing, a case that kills two is lost, and all others are as if nothing was."""
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])  # processes have it from here: they import the job

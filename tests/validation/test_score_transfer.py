@@ -47,6 +47,7 @@ def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
     assert abroad["what a plan can't show is told"].bar == (None, None)
 
 
+@pytest.mark.slow
 def test_what_is_lost_between_worlds_is_said_first(run: Made) -> None:
     figures_ = score_folder(run.folder)
     lost = {transfer.name: transfer.lost for transfer in figures_.transfers}

@@ -136,6 +136,7 @@ def test_the_place_of_a_right_cause(
     assert is_place_right(answer, ("Gyro1", "Gyro2", "BMA1")) is right
 
 
+@pytest.mark.slow
 def test_the_place_is_scored_of_right_causes_alone(made: Made) -> None:
     """Gyro2 counts, as another case's truth names it."""
     made.both("single", RIPPLE, put("mains_ripple", 5.0, "Gyro1"))
@@ -335,6 +336,7 @@ def test_lost_cases_are_told(made: Made) -> None:
     assert "lost: 1 of none, plan full, MemoryError: too large" in format_text(score)
 
 
+@pytest.mark.slow
 def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
     """40 cases of 4 effects, every one right: 0.25 on average once shuffled, with a deviation of sqrt(0.25 * 0.75 / 39)
     = 0.069, of which three are allowed.

@@ -70,6 +70,7 @@ def test_the_same_seed_makes_the_same_logs_and_another_one_others(tmp_path, name
     assert one[0].read_bytes() != three[0].read_bytes()
 
 
+@pytest.mark.slow
 def test_units_stay_and_noise_goes_from_log_to_log(tmp_path):
     paths, _ = written(tmp_path, "a")
     with open_log(paths[0]) as static, open_log(paths[1]) as first, open_log(paths[2]) as second:
@@ -114,6 +115,7 @@ def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
         case.write(tmp_path / "logs", tmp_path / "truth.json")
 
 
+@pytest.mark.slow
 def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
     heated = Experiment("heating", Heating(scale=0.005), 6.0)
     told, silent = (Case.of(ARRAY, [heated], reference=reference) for reference in (True, False))

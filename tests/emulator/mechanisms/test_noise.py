@@ -45,6 +45,7 @@ def test_a_bank_of_traps_has_the_mean_of_its_traps_correlations():
         assert correlation == pytest.approx(np.mean(np.exp(-0.01 * lag / np.geomspace(0.01, 0.5, 6))), abs=0.05)
 
 
+@pytest.mark.slow
 def test_slips_add_up_to_a_random_walk():
     walk = errors(StressRelaxation(slips_per_s=50.0, scale_dps=0.1), "Gyro", every(1000, 4000))
     increments = np.diff(walk, axis=0)

@@ -231,6 +231,7 @@ def test_what_can_not_be_watched_is_refused() -> None:
         FaultMonitor(axes, "specific_force", period_s=0.0)
 
 
+@pytest.mark.slow
 def test_a_turning_box_is_no_fault_where_sensors_sit_apart() -> None:
     """Up to 3 cm from the middle, shaken at up to 500 dps: what they feel of it, worked out here from the truth, is up
     to 0.3 g; with the rates of the box at hand it is no fault, without them it is.
@@ -274,6 +275,7 @@ def test_healthy_sensors_are_left_alone(experiment: str, seconds: float, drive: 
         assert (whole.valid == run.frames.valid).all()
 
 
+@pytest.mark.slow
 def test_readings_whose_age_nobody_knows_are_no_fault() -> None:
     """Nine axes, shaken at 5 Hz by 150 dps (4700 dps/s), their noise 0.17 dps; each chip's reading is up to 0.6 ms
     older or younger than thought (800 a second): 3 dps at most. A hundred seconds.

@@ -80,6 +80,7 @@ def run(size: int, smoothed: bool) -> dict[str, np.ndarray[tuple[int, ...], np.d
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoothed", [False, True])
 def test_blocks_leave_no_trace(smoothed: bool) -> None:
     """Frame by frame, in blocks of 97, and all at once."""

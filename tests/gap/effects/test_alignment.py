@@ -24,6 +24,7 @@ from tests.gap.effects.evidence_of import evidence_of
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
+@pytest.mark.slow
 def test_a_bias_is_in_the_fit_whatever_it_is() -> None:
     strong: Effect = Bias((0.3,) * 3)
     assert not list(bias.guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))

@@ -49,6 +49,7 @@ def test_two_groups_of_levels() -> None:
     assert 0.1 < effect.probability <= 0.5
 
 
+@pytest.mark.slow
 def test_another_range_in_some_boots() -> None:
     found = resets("turn-on", "A1", RangeReset(2.0, (0.02,) * 3, (1.5,) * 3, probability=0.4))
     of_two_g, just_in = [one for one in found if one.range == 2.0]

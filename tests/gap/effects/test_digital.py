@@ -81,6 +81,7 @@ def test_saturation(kind: str, sensor: str, limit: float) -> None:
     assert trial.free == ("limit",)
 
 
+@pytest.mark.slow
 def test_an_axis_that_saturates_alone() -> None:
     """Readings of the others go on beyond its limit."""
     evidence = shown("motion", "A1", Saturation((math.inf, math.inf, 1.1)))
@@ -147,6 +148,7 @@ def test_stuck_for_a_second() -> None:
     assert trial.free == ()  # factors of an onset would be seconds
 
 
+@pytest.mark.slow
 def test_stuck_over_a_turn_between_faces() -> None:
     """Faces last from 11 to 21 s and from 22 to 32 s: one piece, though no phase covers the turn."""
     (trial,) = stuck.guesses(shown("tumble", "G1", Stuck(15.0, 10.0)))

@@ -133,6 +133,7 @@ def common(trials: list[Hypothesis]) -> CommonMode:
     return effect
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "rms", "time_constant_s"), [("static", 0.003, 2.0), ("static", 0.003, 40.0), ("heating", 0.003, 5.0)]
 )
@@ -155,6 +156,7 @@ def test_all_of_a_wander_may_be_shared() -> None:
     assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
 
 
+@pytest.mark.slow
 def test_a_change_between_two_logs_that_all_units_share() -> None:
     """All of it is shared, or with what the other unit lacks beside it."""
     shared = (CommonMode((0.01,) * 3, 1e6),)

@@ -52,6 +52,7 @@ def test_a_filter_of_two_poles() -> None:
     assert two.cutoff_hz == pytest.approx(15.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
     """60 Hz: 3.8 ms, and a correlation of -0.04 from row to row."""
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(60.0, 1.0, 2.0),)}, seed=7)

@@ -36,6 +36,7 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
     assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "delay_s"), some([("G1", 0.002), ("G1", 0.005), ("A1", -0.02), ("A1", 0.1), ("G1", -0.08)], 2)
 )

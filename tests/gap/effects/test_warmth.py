@@ -16,6 +16,7 @@ from imuarray.simulate.effects.thermal_scale import ThermalScale
 from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
 
 
+@pytest.mark.slow
 def test_a_square() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalBias(quadratic=(0.001, 0.001, -0.0005)),)}, seed=7)
     (trial,) = THERMAL_BIAS.guesses(evidence)

@@ -50,6 +50,7 @@ def allan_variance(values: Floats) -> float:
     return float(((second.mean(axis=1) - first.mean(axis=1)) ** 2).mean() / 2)
 
 
+@pytest.mark.slow
 def test_allan_deviation_peaks_where_the_standard_says(place: MakePlace, analog: MakeAnalog) -> None:
     """sigma^2(tau) = 2 rms^2 (T / tau) (1 - T / (2 tau) (3 - 4 exp(-tau / T) + exp(-2 tau / T))): IEEE Std 952, with
     rms^2 = q^2 T / 2; 0.618 rms at 1.89 T.
@@ -74,6 +75,7 @@ def test_common_mode_is_one_for_a_design_and_nothing_else_is(place: MakePlace, a
         assert not np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_two_time_constants_are_two_draws(place: MakePlace, analog: MakeAnalog) -> None:
     """Correlation of 900 pairs: standard error 1 / 30; five of them 6e-7."""
     pairs = [

@@ -48,6 +48,7 @@ def test_shaking_against_differences(shake: HandShake, rates: Callable[..., Any]
     assert felt.pressure_pa == pytest.approx(101325 - PA_PER_M * now[:, 2], abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shake", SHAKES)
 def test_shaking_navigates_back_to_where_it_began(shake: HandShake, navigate: Callable[..., Any]) -> None:
     track = navigate(shake, 100_000)
@@ -71,6 +72,7 @@ def test_shaking_stays_within_its_peaks(peak_g: float, peak_dps: float, motion_s
     assert np.linalg.norm(felt.force_box, axis=1).max() <= (peak_g + 1) * G * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_each_axis_keeps_its_third_of_the_peaks_while_the_motion_swells() -> None:
     """Half a second of motion is nothing but swelling and fading, which adds to the derivatives of every sine. Three
     equal axes share a magnitude: 1 / sqrt(3) each. Of 200 seeds the worst come within a tenth of it.

@@ -192,6 +192,7 @@ def replica() -> Replica:
     return found
 
 
+@pytest.mark.slow
 def test_no_statistic_is_left_out(replica: Replica) -> None:
     """Rows times columns of the CSV files; units given twice count once, text adds what it says."""
     folder = Path(__file__).parents[3] / "imuarray/studies/paper/tables"
@@ -204,6 +205,7 @@ def test_no_statistic_is_left_out(replica: Replica) -> None:
     assert len({(row.table, row.channel, row.statistic) for row in replica.statistics}) == len(replica.statistics)
 
 
+@pytest.mark.slow
 def test_the_array_repeats_the_tables(replica: Replica) -> None:
     """Chi-square of all axes inside its 95 % interval, for this seed; a true model fails for 1 seed in 20."""
     found = summary([row for row in replica.statistics if " t" not in row.channel])
@@ -211,6 +213,7 @@ def test_the_array_repeats_the_tables(replica: Replica) -> None:
     assert found.independent > 500
 
 
+@pytest.mark.slow
 def test_most_statistics_lie_within_their_uncertainties(replica: Replica) -> None:
     """Normal deviates would have 68, 95 and 99.7 %; 1033 correlated ones scatter by 3, 1.5 and 0.4 % (one sigma)."""
     one, two, three = (count / replica.summary.count for count in replica.summary.within)
@@ -219,6 +222,7 @@ def test_most_statistics_lie_within_their_uncertainties(replica: Replica) -> Non
     assert three > 0.96
 
 
+@pytest.mark.slow
 def test_what_is_far_off_is_listed(replica: Replica) -> None:
     page = render_text(replica)
     assert max(map(len, page.splitlines())) <= 100
@@ -228,6 +232,7 @@ def test_what_is_far_off_is_listed(replica: Replica) -> None:
         assert abs(row.z) > 3
 
 
+@pytest.mark.slow
 def test_it_is_json(replica: Replica) -> None:
     found = json.loads(json.dumps(replica.as_json(), allow_nan=False))
     assert found["seed"] == 1
