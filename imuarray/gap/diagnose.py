@@ -52,7 +52,7 @@ from imuarray.gap.findings.sentence import sentence_of
 from imuarray.gap.findings.verdict import Judgement, judge, unknown_probability
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.comparison import Comparison, compared_with_base, observed, prepared
-from imuarray.gap.inference.earlier import beside_earlier, cut_alike
+from imuarray.gap.inference.earlier import compared_with_earlier, cut_to_equal_lengths
 from imuarray.gap.inference.effects import CANDIDATES, Candidate
 from imuarray.gap.inference.search import SearchResult, searches
 from imuarray.gap.inference.unit_state import least_scale
@@ -267,7 +267,7 @@ def _read(
         recordings, earlier = recordings_of(logs, common), recordings_of(against, common)
         notes = tuple(f"{name} is left out: no earlier log has it." for name in sensors if name not in known)
         recordings = (replace(recordings[0], notes=(*notes, *recordings[0].notes)), *recordings[1:])
-    return cut_alike(recordings, earlier)
+    return cut_to_equal_lengths(recordings, earlier)
 
 
 def _sensors(recording: Recording) -> Collection[str]:
@@ -290,7 +290,7 @@ def _compared(
     missing, before = missing_in(recordings, domains), None
     if earlier:
         progress("simulating the earlier recordings")
-        bench, before = beside_earlier(bench, *prepared(earlier, model, seed), run_on, replicates)
+        bench, before = compared_with_earlier(bench, *prepared(earlier, model, seed), run_on, replicates)
         missing = (*missing, *_without_counterpart(domains, bench))
     progress("simulating the base model")
     run = run_on(bench)

@@ -311,12 +311,12 @@ def test_of_two_that_gain_as_much_the_one_that_leaves_less(bench: Bench) -> None
     """
     free = Hypothesis((Tone((0.1, 0.1, 0.1), 9.0),), ("amplitude", "frequency_hz"))
     simple, better = (
-        replace(confirmed(bench, "G1", trial, gain), independent=0.01, left=left)
+        replace(confirmed(bench, "G1", trial, gain), independent=0.01, squared_scores=left)
         for trial, gain, left in ((Hypothesis((LINE,)), 400.0, 300.0), (free, 460.0, 100.0))
     )
     assert better.factors - simple.factors == 4
     simple_odds, better_odds = round_of(bench, "G1", simple, better).log_odds
     assert better_odds > simple_odds
-    equal = replace(simple, left=100.0)
+    equal = replace(simple, squared_scores=100.0)
     simple_odds, better_odds = round_of(bench, "G1", equal, better).log_odds
     assert better_odds < simple_odds

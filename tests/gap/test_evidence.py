@@ -85,7 +85,7 @@ def test_what_a_recording_shows() -> None:
     assert seen.is_still
     assert found.still == found.seen
     assert seen.raw.rows == pytest.approx(1000, abs=2)
-    assert np.average(seen.left.segments.mean, axis=0) == pytest.approx([0.0] * 3, abs=0.05)
+    assert np.average(seen.residual.segments.mean, axis=0) == pytest.approx([0.0] * 3, abs=0.05)
     assert found.rows_per_s == pytest.approx(100.0, rel=1e-3)
     for at, key in enumerate(keys):
         place = max("xyz".find(key.axis), 0)
@@ -110,6 +110,6 @@ def test_levels_are_told_from_the_present_model() -> None:
     assert one.runs is not None
     assert one.runs.means.shape == (2, 3)
     for before, after in zip(one.seen, other.seen, strict=True):
-        apart = (after.left.segments.mean - before.left.segments.mean) / one.header.sensitivity
+        apart = (after.residual.segments.mean - before.residual.segments.mean) / one.header.sensitivity
         np.testing.assert_allclose(np.average(apart, axis=0), [-0.1, 0.0, 0.0], atol=1e-9)
         np.testing.assert_array_equal(after.raw.segments.mean, before.raw.segments.mean)

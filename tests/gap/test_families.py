@@ -12,12 +12,12 @@ from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirmed
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.shared_causes import (
-    is_told_twice,
+    is_redundant,
     members_of,
+    separate_causes,
     shared_wins,
-    staying_beside,
     together,
-    unlike,
+    without_duplicates,
 )
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
@@ -75,21 +75,21 @@ def test_what_stays_beside_a_shared_cause() -> None:
     line, weak = (replace(found(gain), tried=FittedHypothesis(Hypothesis((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5))
     same = replace(found(30.0), tried=FittedHypothesis(SWAP))
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
-    assert staying_beside(round_, (line, weak, same)) == (line,)
-    assert staying_beside(replace(round_, taken=None), (line,)) == ()
+    assert separate_causes(round_, (line, weak, same)) == (line,)
+    assert separate_causes(replace(round_, taken=None), (line,)) == ()
 
 
 def test_trials_of_all_members_are_tried_once() -> None:
     trials = [Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP, Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP]
-    assert unlike(trials) == trials[:2]
-    assert unlike([]) == []
+    assert without_duplicates(trials) == trials[:2]
+    assert without_duplicates([]) == []
 
 
 def test_an_exchange_is_one_from_either_side() -> None:
     one = replace(SWAP, opposite=(ChannelSwap("A1"),))
     other = replace(one, effects=one.opposite, sensor="A2", others=("A1",), opposite=one.effects)
-    assert unlike([one, other]) == [other]
-    assert unlike([SWAP, one]) == [SWAP, one]
+    assert without_duplicates([one, other]) == [other]
+    assert without_duplicates([SWAP, one]) == [SWAP, one]
 
 
 def test_several_causes_have_to_be_worth_it_each() -> None:
@@ -168,5 +168,5 @@ def test_what_is_told_twice(swapped: tuple[Bench, UnitState, dict[tuple[str, ...
     own = replace(found(50.0), standing=moved(member, places, 0.0))
     for count, by, twice in ((7, 0.0, True), (5, 0.0, False), (12, 9.0, False)):
         shared = replace(found(40.0), standing=moved(before, inside[:count], by))
-        assert is_told_twice(bench, Round(before, (shared,), 0.0, shared), own) is twice
-    assert not is_told_twice(bench, Round(before, (), 0.0, None), own)
+        assert is_redundant(bench, Round(before, (shared,), 0.0, shared), own) is twice
+    assert not is_redundant(bench, Round(before, (), 0.0, None), own)

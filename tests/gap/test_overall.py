@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.residuals import LEAST, GroupResidual, overall
+from imuarray.gap.inference.residuals import LEAST, GroupResidual, group_residuals
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import FORM, likelihood_of
 
@@ -33,7 +33,7 @@ def of(sensor: str, probe: str, axis: str = "") -> npt.NDArray[np.bool_]:
 def told(real: Floats, replicates: Floats, moved_from: float = 0.0) -> list[GroupResidual]:
     floor = np.zeros(len(KEYS))
     before = likelihood_of(replicates - moved_from, floor)
-    return overall(KEYS, before, likelihood_of(replicates, floor), real, replicates)
+    return group_residuals(KEYS, before, likelihood_of(replicates, floor), real, replicates)
 
 
 def test_where_nothing_is_left_it_goes_no_further_than_chance() -> None:
@@ -91,11 +91,11 @@ def test_few_statistics_say_nothing_together() -> None:
     real, replicates = chance(1, 9)[0], chance(REPLICATES, 10)
     few = LEAST - 1
     before = likelihood_of(replicates[:, :few], np.zeros(few))
-    assert overall(KEYS[:few], before, before, real[:few], replicates[:, :few]) == []
+    assert group_residuals(KEYS[:few], before, before, real[:few], replicates[:, :few]) == []
 
 
 def test_how_axes_hang_together_is_left_aside() -> None:
     keys = [key._replace(domain="cross_sensor", probe="slow_own_axes") for key in KEYS]
     real, replicates = chance(1, 11)[0] + 5.0, chance(REPLICATES, 12)
     before = likelihood_of(replicates, np.zeros(len(KEYS)))
-    assert overall(keys, before, before, real, replicates) == []
+    assert group_residuals(keys, before, before, real, replicates) == []

@@ -45,7 +45,7 @@ def test_a_step_down_is_paid_for_among_siblings() -> None:
     assert [node.path[1] for node in both.root.found("sensor")] == ["G1", "A1"]
     assert found_keys(both) == [KEYS[places("G1")[5]], KEYS[places("A1")[0]]]
     assert list(both.found.values()) == pytest.approx([1 / 41] * 2)
-    assert [child.is_found for child in both.root.found("chip")[1].children] == [True, False]
+    assert [child.is_significant for child in both.root.found("chip")[1].children] == [True, False]
 
 
 def test_nothing_is_looked_for_where_nothing_was_found() -> None:
@@ -70,7 +70,7 @@ def test_the_limit_is_reached_in_one_of_twenty() -> None:
 
 
 def test_too_few_replicates_tell_nothing() -> None:
-    with pytest.raises(ValueError, match=r"level: 0\.05; 10 scored replicates tell nothing below 0\.0909"):
+    with pytest.raises(ValueError, match=r"level: 0\.05; 10 scored replicates allow no level below 0\.0909"):
         found_by(np.zeros(len(KEYS)), np.ones((10, len(KEYS))))
 
 

@@ -191,7 +191,7 @@ def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
     unit = standing([3.0] * 11, drawn(11), independent=0.1)
     likelihood, moved = compared(unit, unit.values + 3.0)
     by_axis = gains_of(unit, likelihood, moved)
-    apart = gains_of(replace(unit, apart=np.append(np.zeros(10), 1.0)), likelihood, moved)
+    apart = gains_of(replace(unit, separate_share=np.append(np.zeros(10), 1.0)), likelihood, moved)
     np.testing.assert_allclose(apart[:10], by_axis[:10])
     assert apart[10] == pytest.approx(10 * by_axis[10])
 

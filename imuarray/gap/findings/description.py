@@ -16,7 +16,7 @@ from imuarray.gap.inference.assessment import MORE, Assessment
 from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.inference.effects.lines import highest_lines, pooled
 from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
-from imuarray.gap.inference.residuals import GroupResidual, overall
+from imuarray.gap.inference.residuals import GroupResidual, group_residuals
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
 from imuarray.gap.statistics.pairs import Pairs, spread_of
@@ -137,7 +137,7 @@ def _one_sided(
     """Probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
-    groups = overall(comparison.bench.keys, comparison.judged.likelihood, after.likelihood, real, repaired)
+    groups = group_residuals(comparison.bench.keys, comparison.judged.likelihood, after.likelihood, real, repaired)
     return tuple(
         group for group in groups if group.sensor in concerned and abs(group.score) > ONE_SIDED * group.furthest
     )

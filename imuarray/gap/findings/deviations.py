@@ -337,7 +337,7 @@ class StatisticReport:
 
     def _shift(self, at: int, assessment: Assessment) -> float:
         """Difference of the recording from the model's location, averaged over the parts."""
-        parts = assessment.apart[self._parts(at)]
+        parts = assessment.deviation[self._parts(at)]
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
     def _parts(self, at: int) -> list[int]:

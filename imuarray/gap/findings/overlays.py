@@ -108,11 +108,13 @@ def overlays_of(
         return ()
     sensors = {curve.sensor for curve, _ in curves}
     sides = [{name: models[name] for name in sorted(sensors)} for models in (models_before, models_after)]
-    unlike = sides if sides[0] != sides[1] else sides[:1]
+    without_duplicates = sides if sides[0] != sides[1] else sides[:1]
     numbers = range(_FIRST, _FIRST + REPLICATES)
     groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]
     simulated = list(
-        chain.from_iterable(run(_simulated, [_CurveRequest(side, some, curves) for side in unlike for some in groups]))
+        chain.from_iterable(
+            run(_simulated, [_CurveRequest(side, some, curves) for side in without_duplicates for some in groups])
+        )
     )
     before, after = simulated[:REPLICATES], simulated[-REPLICATES:]
     return tuple(

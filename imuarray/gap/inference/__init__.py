@@ -1,1 +1,1 @@
-"""Where the recording leaves the model, and which hypotheses explain it; `effects` has one file for each effect."""
+"""Localisation of the gap and the hypotheses that explain it; `effects` has one file for each effect."""

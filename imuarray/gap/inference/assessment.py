@@ -1,4 +1,4 @@
-"""A recording judged by replicates of one model: its scores, and how often chance makes as large a one."""
+"""Assessment of a recording by replicates of one model: its scores, and how often chance gives as large a score."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 
 MORE = 1.25
-"""What is left has to be so much beyond chance to be something else: no effect has exactly the form of the real one."""
+"""Factor by which the remainder has to exceed chance to be significant: no effect has exactly the form of the
+real one.
+"""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """The recording beside one model: scores (m,) of pairs and (n,) of their parts, how far these lie `apart`, what the
-    model makes of them, and how often chance makes as large a score (`p`); `limit` is what chance reaches in one of
-    twenty campaigns, `furthest` what it reached in any.
+    """A recording against one model.
+
+    Scores (m,) of pairs and (n,) of their parts, the `deviation` of these from the model's location, the model's
+    `likelihood`, and how often chance gives as large a score (`p`); `limit` is reached by chance in one of twenty
+    campaigns, `furthest` is the largest chance value.
     """
 
     scores: Floats
     parts: Floats
-    apart: Floats
+    deviation: Floats
     likelihood: SyntheticLikelihood
     p: float
     limit: float
@@ -33,8 +37,8 @@ class Assessment:
 
 
 def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Assessment:
-    """By replicates (b, n) of the model; how far chance goes is said by `chance` (b, m), scores of theirs, each by the
-    others if there are none yet.
+    """Assesses a recording by replicates (b, n) of the model. The chance level is given by scores `chance` (b, m) of
+    replicates, by default each scored by the others.
     """
     likelihood = likelihood_of(replicates, floor)
     scores, parts = scorer_of(pairs, likelihood, replicates)(real), likelihood.scores(real)
@@ -44,7 +48,7 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
 
 
 def largest_of(scores: Floats) -> Floats:
-    """(...,) of scores (..., m), 0 where nothing is said."""
+    """Largest absolute score (...,) of scores (..., m), 0 where there is none."""
     return np.asarray(np.nan_to_num(np.abs(scores)).max(axis=-1, initial=0.0))
 
 

@@ -1,4 +1,6 @@
-"""A recorded campaign beside replicates of a model of it: what was recorded, what chance makes, where they differ."""
+"""Comparison of a recorded campaign with replicates of its model: statistics, the chance level, and where they
+differ.
+"""
 
 from __future__ import annotations
 
@@ -33,24 +35,25 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 
 ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
-"""After so many replicates of the base model no more are simulated, though more are asked for, if the p-value is
-larger. The limits never rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates
-would find at p = 0.05 is given up by less than one in two hundred.
+"""Numbers of replicates after which no more are simulated if the p-value is larger than the limit. The limits never
+rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would detect at p = 0.05 is
+given up in less than one of two hundred cases.
 """
 
 
 QUEUED = 1.2
-"""Times the rate of the frames: a sensor with more rows than that is not read once a frame."""
+"""Least rate of rows, in rates of the frames, of a sensor that is not read once a frame."""
 
 _PART_ROWS = 128
-"""Of a phase within a stretch: fewer have no spectrum."""
+"""Fewest rows of a phase within a stretch, to have a spectrum."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The recorded campaign on its bench, beside replicates of the base model: statistics of the recording (`real`)
-    and of the replicates, their pairs, the recording judged by them, and where it is beyond chance. `earlier` are the
-    recordings with which this one is compared, if there are any.
+    """The recorded campaign on its bench with replicates of the base model.
+
+    Statistics of the recording (`real`) and of the replicates, their pairs, the assessment of the recording by them,
+    and where it is beyond chance. `earlier`: the recordings with which it is compared, if any.
     """
 
     bench: Bench
@@ -64,19 +67,19 @@ class Comparison:
 
     @cached_property
     def chance(self) -> Floats:
-        """(b, n) the replicates' statistics."""
-        return np.array([one.values for one in self.replicates])
+        """Statistics (b, n) of the replicates."""
+        return np.array([replicate.values for replicate in self.replicates])
 
 
 def prepared(
     recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
 ) -> tuple[Bench, Campaign]:
-    """The recordings summarised, the base model fitted to their training part, or to all of other recordings of the
+    """Summarises the recordings and fits the base model to their training part, or to all of other recordings of the
     same array (`fitted_to`); sensors that these lack are left out.
     """
-    split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
+    split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign = _summarised(recordings, split)
-    experiments = [one.experiment for one in recordings]
+    experiments = [recording.experiment for recording in recordings]
     if fitted_to:
         base = _base_of(fitted_to, model, seed)
         campaign = _of_fitted(campaign, base)
@@ -90,7 +93,7 @@ def prepared(
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
-    """Sensors with more rows than frames: a queue of theirs is drained."""
+    """Sensors with more rows than frames, whose queue is drained."""
     return frozenset(
         name
         for recording in recordings
@@ -102,19 +105,21 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
 def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
     """All logs, in the phases of the split."""
     logs = []
-    for one, phases in zip(recordings, split.phases(), strict=True):
-        summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
-        lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
-        moving = [phase for phase in one.phases if not is_at_rest(phase)]
-        events = events_of(one.log, lines, moving, _tracked(one.experiment.motion))
-        logs.append(replace(summary, events=events, spells=_Spells(one)))
+    for recording, phases in zip(recordings, split.phases(), strict=True):
+        summary = summarise_log(
+            recording.kind, sources_of(recording), phases, temperature_of(recording.experiment.motion)
+        )
+        lines = {name: line for name, (_, line) in recording.experiment.plan.sensors.items()}
+        moving = [phase for phase in recording.phases if not is_at_rest(phase)]
+        events = events_of(recording.log, lines, moving, _tracked(recording.experiment.motion))
+        logs.append(replace(summary, events=events, spells=_Spells(recording)))
     return Campaign(tuple(logs))
 
 
 def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) -> Base:
     """The base model fitted to all of these recordings."""
-    split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
-    campaign, experiments = _summarised(recordings, split), [one.experiment for one in recordings]
+    split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
+    campaign, experiments = _summarised(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
     base = replace(base, queued=_queued_in(recordings))
     if model is None:
@@ -123,18 +128,18 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
 
 
 class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
-    """By sensor, stretches in which it reads otherwise than in the rest of a log at rest, with what it shows in these:
-    told when they are asked for, which they are only of a sensor that differs.
+    """Stretches, by sensor, in which it reads differently from the rest of a log at rest, with the summary in them.
+    They are computed on demand, which is only for sensors that deviate.
     """
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._found: dict[str, tuple[tuple[Stretches, LogSummary], ...]] = {}
+        self._cache: dict[str, tuple[tuple[Stretches, LogSummary], ...]] = {}
 
     def __getitem__(self, sensor: str) -> tuple[tuple[Stretches, LogSummary], ...]:
-        if sensor not in self._found:
-            self._found[sensor] = tuple(_spells(self._recording, sensor))
-        return self._found[sensor]
+        if sensor not in self._cache:
+            self._cache[sensor] = tuple(_spells(self._recording, sensor))
+        return self._cache[sensor]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._recording.experiment.plan.sensors)
@@ -162,16 +167,16 @@ def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Itera
 
 
 def _tracked(motion: Motion) -> Motion | None:
-    """A motion that a track of the log tells; None if it is only known on which face the box lay."""
+    """The motion if a track of the log gives it; None if only the faces are known."""
     return motion if isinstance(motion, LikeLog) and motion.source != "phases" else None
 
 
 def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
-    """Without sensors to which nothing was fitted, such as those that only the held-out part has."""
+    """The campaign without sensors that have no fitted parameters, such as those in the held-out part only."""
     logs = []
     for log in campaign.logs:
         phases = [
-            replace(part, sensors={name: one for name, one in part.sensors.items() if name in base.fitted})
+            replace(part, sensors={name: summary for name, summary in part.sensors.items() if name in base.fitted})
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(phases)))
@@ -179,14 +184,14 @@ def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
 
 
 def settled(bench: Bench, replicates: int = 8) -> Bench:
-    """The bench with the base model's ordinary parameters moved by as much as the fit of its replicates misses that of
-    the recording: what the other effects of a model add to noise and level is not in them twice.
+    """The bench with the base model's ordinary parameters corrected by the difference between the fits of its
+    replicates and of the recording, so that the contribution of other effects to noise and level is not counted twice.
     """
     models = bench.models()
-    came = [one.fitted for one in bench.replicates([(models, number) for number in range(replicates)], held_out=False)]
+    replicated = bench.replicates([(models, number) for number in range(replicates)], held_out=False)
     fitted = {
-        name: one.moved(bench.base.fitted[name], [each[name] for each in came])
-        for name, one in bench.base.fitted.items()
+        name: parameters.moved(bench.base.fitted[name], [replicate.fitted[name] for replicate in replicated])
+        for name, parameters in bench.base.fitted.items()
     }
     return replace(bench, base=replace(bench.base, fitted=fitted))
 
@@ -194,39 +199,37 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
 def compared_with_base(
     bench: Bench, campaign: Campaign, run: Run, replicates: int, earlier: Earlier | None = None
 ) -> Comparison:
-    """Where the recording leaves what the base model makes of it, or what `earlier` recordings and the base model that
-    is fitted to these make of it, by so many `replicates`, or fewer where they tell that it is well within chance
-    (`ENOUGH`).
+    """Compares the recording with the base model, or with `earlier` recordings and the base model fitted to these.
 
-    The p-value is that of a sequential Monte Carlo test, which goes on only as long as the recording is among the
-    strangest (Besag and Clifford, Biometrika 78, 1991). It is valid: a recording without a gap is found at p <= a in at
-    most a share a of all cases. For whichever look is the first that may end at such a p, those before it have ended at
-    larger ones only, since the limits of `ENOUGH` never rise, and it ends at p <= a, or goes on, only where its own p,
-    an exact one, is at most a.
+    Uses so many `replicates`, or fewer if they show that it is well within chance (`ENOUGH`). The p-value is that of a
+    sequential Monte Carlo test, which continues only as long as the recording is among the most extreme (Besag and
+    Clifford, Biometrika 78, 1991). It is valid: a recording without a gap has p <= a in at most a share a of all cases.
+    For the first look that may end at such a p, those before it ended at larger ones only, since the limits of `ENOUGH`
+    never rise, and it ends at p <= a, or continues, only if its own p, an exact one, is at most a.
     """
     real, pairs = bench.observed(campaign, bench.base.fitted), bench.pairs()
     real = real if earlier is None else earlier.without_discrepancy(real)
-    came: tuple[StatisticValues, ...] = ()
+    simulated: tuple[StatisticValues, ...] = ()
     looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
     for count, limit in (*looks, (replicates, 0.0)):
-        numbers = range(len(came), count)
+        numbers = range(len(simulated), count)
         more = observed(bench, bench.models(), numbers, run)
-        came += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
-        chance = np.array([one.values for one in came])
+        simulated += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
+        chance = np.array([replicate.values for replicate in simulated])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         where = located(pairs.keys, bench.base.headers, scores[0], scores[1:])
         if where.p > limit:
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
-    return Comparison(bench, campaign, real, came, pairs, whole, where, earlier)
+    return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
 
 
 def observed(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
-    """Replicates, by their numbers, of sensors modelled so; a few of them in each job."""
-    asked, together = [(models, number) for number in numbers], bench.together
-    groups = [asked[first : first + together] for first in range(0, len(asked), together)]
+    """Statistics of numbered replicates of sensors with these models, a few in each job."""
+    requests, together = [(models, number) for number in numbers], bench.together
+    groups = [requests[first : first + together] for first in range(0, len(requests), together)]
     return list(chain.from_iterable(run(_observed, groups)))
 
 
-def _observed(bench: Bench, asked: Sequence[ReplicateRequest]) -> list[StatisticValues]:
-    return bench.each_observed(bench.campaigns(asked), asked[0][0])
+def _observed(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[StatisticValues]:
+    return bench.each_observed(bench.campaigns(requests), requests[0][0])

@@ -40,16 +40,17 @@ from imuarray.log.format import Phase
 _Place = tuple[str, ...]
 
 MOST_PIECES = 8
-"""A phase is not cut into more: each costs as much as a short phase of its own, and eight tell the median of what an
-earlier recording shows to half of the scatter of one.
+"""Most pieces of a phase: each costs as much as a short phase, and eight determine the median of an earlier recording
+to half of the scatter of one.
 """
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """Earlier recordings on their own `bench`, as replicates of the base model that is fitted to them make them:
-    `values` (e,) of their statistics, their `middle` (e,) over replicates, and of each of n statistics of the new
-    recording the places of its `counterparts` among these.
+    """Earlier recordings on their own `bench`.
+
+    `values` (e,) of their statistics, the median (`middle`, (e,)) over replicates of the base model fitted to them, and
+    for each of n statistics of the new recording the places of its `counterparts` among these.
     """
 
     bench: Bench
@@ -59,41 +60,41 @@ class Earlier:
     run: Run
 
     def without_discrepancy(self, real: StatisticValues) -> StatisticValues:
-        """Statistics (n,) of the new recording less what the simulator lacked of the earlier ones."""
+        """Statistics (n,) of the new recording less the discrepancy of the simulator in the earlier ones."""
         return replace(real, values=real.values - self._discrepancy(self.values))
 
-    def with_scatter(self, came: Sequence[StatisticValues], numbers: Sequence[int]) -> tuple[StatisticValues, ...]:
+    def with_scatter(self, simulated: Sequence[StatisticValues], numbers: Sequence[int]) -> tuple[StatisticValues, ...]:
         """Replicates of the new recording less the scatter of the earlier ones' replicates of the same numbers."""
         models = self.bench.models()
         groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
-        asked = [[(models, number) for number in group] for group in groups]
-        scatter = [self._discrepancy(values) for values in chain.from_iterable(self.run(_replicated, asked))]
+        requests = [[(models, number) for number in group] for group in groups]
+        scatter = [self._discrepancy(values) for values in chain.from_iterable(self.run(_replicated, requests))]
         return tuple(
-            replace(one, values=one.values - np.nan_to_num(own)) for one, own in zip(came, scatter, strict=True)
+            replace(replicate, values=replicate.values - np.nan_to_num(own))
+            for replicate, own in zip(simulated, scatter, strict=True)
         )
 
     def _discrepancy(self, values: Floats) -> Floats:
-        """(n,) median over the counterparts of how far `values` (e,) lie from the middle; nan without."""
-        apart = values - self.middle
-        known = [apart[places][np.isfinite(apart[places])] for places in self.counterparts]
+        """Median (n,) over the counterparts of the deviation of `values` (e,) from the middle; nan without."""
+        deviation = values - self.middle
+        known = [deviation[places][np.isfinite(deviation[places])] for places in self.counterparts]
         return np.array([np.median(some) if len(some) else np.nan for some in known])
 
 
-def beside_earlier(
+def compared_with_earlier(
     bench: Bench, before: Bench, campaign: Campaign, run_on: Callable[[Bench], Run], replicates: int
 ) -> tuple[Bench, Earlier]:
-    """A new recording's `bench` without the statistics that have no counterpart, and what an earlier `campaign` on its
-    bench `before` says of the others. `before` is measured by the parameters of the new bench's base model, which are
-    fitted to it.
+    """A new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on its
+    bench `before`, measured by the parameters of the new bench's base model, which are fitted to it.
     """
     own = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
     run, models = run_on(own), own.models()
     groups = [range(first, min(first + TOGETHER, replicates)) for first in range(0, replicates, TOGETHER)]
-    asked = [[(models, number) for number in group] for group in groups]
-    came = np.array(list(chain.from_iterable(run(_replicated, asked))))
-    known = np.isfinite(came).any(axis=0)
+    requests = [[(models, number) for number in group] for group in groups]
+    simulated = np.array(list(chain.from_iterable(run(_replicated, requests))))
+    known = np.isfinite(simulated).any(axis=0)
     middle = np.full(len(own.keys), np.nan)
-    middle[known] = np.nanmedian(came[:, known], axis=0)
+    middle[known] = np.nanmedian(simulated[:, known], axis=0)
     values = own.measured(campaign, own.base.fitted).values
     places = _counterparts(bench, own)
     has_any = np.array([bool(np.isfinite(values[some] - middle[some]).any()) for some in places], bool)
@@ -101,9 +102,13 @@ def beside_earlier(
     return bench.of_keys(has_any), Earlier(own, values, middle, kept, run)
 
 
-def cut_alike(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
-    """Both with their phases at rest cut into pieces of one length, that of the shorter ones of the same name (of any
-    name, where one side has none of it): statistics such as the strongest line depend on how long a phase is looked at.
+def cut_to_equal_lengths(
+    recordings: Sequence[Recording], earlier: Sequence[Recording]
+) -> tuple[list[Recording], list[Recording]]:
+    """Cuts the phases at rest of both sides into pieces of one length, since statistics such as the strongest line
+    depend on the length.
+
+    The length is that of the shorter phases of the same name, or of any name where one side has none of it.
     """
     longest = [_longest_ns(side) for side in (recordings, earlier)]
 
@@ -125,7 +130,7 @@ def _longest_ns(recordings: Sequence[Recording]) -> dict[str, int]:
 
 
 def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
-    """Pieces of about that length, evenly over the phase; one that is little longer, or a motion, stays whole."""
+    """Pieces of about that length, evenly over the phase; a phase that is little longer, or a motion, stays whole."""
     whole_ns = phase.end_ns - phase.start_ns
     count = min(round(whole_ns / length_ns), MOST_PIECES) if length_ns > 0 and is_at_rest(phase) else 1
     if count < 2:
@@ -137,23 +142,23 @@ def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
         yield phase._replace(start_ns=start_ns, end_ns=start_ns + piece_ns)
 
 
-def _replicated(bench: Bench, asked: Sequence[ReplicateRequest]) -> list[Floats]:
+def _replicated(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[Floats]:
     """Statistics (e,) of several replicates."""
-    return [one.values for one in bench.replicates(asked)]
+    return [replicate.values for replicate in bench.replicates(requests)]
 
 
 def _counterparts(bench: Bench, earlier: Bench) -> list[Indices]:
-    """Of each of the bench's keys, the places of what is of the same kind among the earlier ones'."""
-    found: dict[_Place, list[int]] = {}
+    """For each of the bench's keys, the places of its counterparts among the earlier keys."""
+    places_of: dict[_Place, list[int]] = {}
     for at, names in enumerate(_names(earlier)):
         for name in names:
-            found.setdefault(name, []).append(at)
-    nearest = [next((found[name] for name in names if name in found), []) for names in _names(bench)]
+            places_of.setdefault(name, []).append(at)
+    nearest = [next((places_of[name] for name in names if name in places_of), []) for names in _names(bench)]
     return [np.array(places, np.intp) for places in nearest]
 
 
 def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
-    """What each key has in common with its counterparts, the nearest ones first."""
+    """The properties that each key shares with its counterparts, the closest match first."""
     moving = {phase.name for phases in bench.split.phases() for phase in phases if not is_at_rest(phase)}
     for key, kind in zip(bench.keys, bench.log_kinds, strict=True):
         own = (key.sensor, key.axis, key.probe)

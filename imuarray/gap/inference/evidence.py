@@ -1,4 +1,4 @@
-"""What the training part of a campaign shows of one sensor, in the form in which candidates are guessed from it."""
+"""Evidence of one sensor in the training part of a campaign, from which candidates guess hypotheses."""
 
 from __future__ import annotations
 
@@ -32,22 +32,24 @@ from imuarray.simulate.effect import Effect
 
 @dataclass(frozen=True)
 class PhaseEvidence:
-    """One phase of log number `log` of the campaign: the summary as recorded (`raw`) and with what the model's bias,
-    slope and nominal axes predict taken from the means of its segments (`left`, at rest only; else the same). `cross`
-    is what the array's sensors have in common in it.
+    """One phase of log number `log` of the campaign.
+
+    The summary as recorded (`raw`) and with the model's prediction (bias, slope, nominal axes) subtracted from the
+    means of its segments (`residual`, at rest only; otherwise the same). `cross` has the moments that the array's
+    sensors share in it.
     """
 
     log: int
     kind: str
     is_still: bool
     raw: Summary
-    left: Summary
+    residual: Summary
     cross: Cross | None
 
 
 @dataclass(frozen=True)
 class Spell:
-    """What the sensor shows `when` it reads otherwise than in the rest of a log."""
+    """Evidence of a sensor `when` it reads differently from the rest of a log."""
 
     when: When
     seen: tuple[PhaseEvidence, ...]
@@ -55,20 +57,21 @@ class Spell:
 
 @dataclass(frozen=True)
 class Evidence:
-    """One sensor: what it shows, and what the model has so far.
+    """Evidence of one sensor, and its present model.
 
-    `values`, `expected` and `scores` of each probe are (m, 3), or (m, 1) for a probe of the whole sensor, a row for
-    every phase, log or series of the training part: the statistic, what the model makes of it, and how many standard
-    deviations lie between; nan where nothing is said. `effects` is what the model gives the sensor now, `runs` its
-    boots if there are several logs of a turn-on series, `others` the sensors that measure the same, `holes` where rows
-    that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
-    which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
-    the times of all sensors of a log tell of the host that read them, `resets` are stretches, by logs, in which the
-    recorder found the chip set otherwise. `rows_of`: the log of each row of a probe, -1 for those of several logs.
-    `is_refitted`: noise, bias and slope are fitted to what is shown here; else they come from an earlier recording, and
-    may have changed since then.
-    `spells` are stretches in which it reads otherwise than in the rest of their logs; all this is of what is within
-    `when`.
+    `values`, `expected` and `scores` of each probe are (m, 3), or (m, 1) for a probe of the whole sensor, with a row
+    for every phase, log or series of the training part: the statistic, its value under the model, and the deviation in
+    standard deviations; nan where there is none. `effects` are those of the present model, `runs` the sensor's boots if
+    there is a turn-on series, `others` the sensors that measure the same.
+
+    Events: `holes` where rows that were due were lost; `repeated`, spans with their number of rows that repeat the one
+    before, in any phase or none; `outliers` by logs in each phase in which the box moves; `hosts`, delays of the host
+    seen in all sensors; `resets`, stretches by logs in which the recorder noticed that the chip had lost its
+    configuration.
+
+    `rows_of`: the log of each row of a probe, -1 for several. `is_refitted`: noise, bias and slope are fitted to this
+    evidence; otherwise they come from an earlier recording and may have changed. `spells`: stretches in which the
+    sensor reads differently from the rest of the log. All evidence is from within `when`.
     """
 
     header: SensorHeader
@@ -81,8 +84,8 @@ class Evidence:
     runs: Runs | None = None
     others: tuple[SensorHeader, ...] = ()
     holes: tuple[Span, ...] = ()
-    held: tuple[tuple[Span, int], ...] = ()
-    lone: tuple[tuple[int, Outliers], ...] = ()
+    repeated: tuple[tuple[Span, int], ...] = ()
+    outliers: tuple[tuple[int, Outliers], ...] = ()
     hosts: tuple[Host, ...] = ()
     resets: tuple[tuple[int, Reset], ...] = ()
     rows_of: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
@@ -91,7 +94,9 @@ class Evidence:
     when: When = ALWAYS
 
     def within(self, logs: Collection[int]) -> Evidence:
-        """What these logs show alone, of their numbers in the campaign; what several logs show together is left out."""
+        """The evidence of these logs alone, by their numbers in the campaign; statistics of several logs are
+        left out.
+        """
         chosen = {probe: [at in logs for at in own] for probe, own in self.rows_of.items()}
         values, expected, scores = (
             {probe: rows[chosen[probe]] for probe, rows in table.items() if any(chosen.get(probe, ()))}
@@ -99,26 +104,24 @@ class Evidence:
         )
         return replace(
             self,
-            seen=tuple(one for one in self.seen if one.log in logs),
+            seen=tuple(phase for phase in self.seen if phase.log in logs),
             values=values,
             expected=expected,
             scores=scores,
             runs=None,
             holes=tuple(hole for hole in self.holes if hole.log in logs),
-            held=tuple((span, rows) for span, rows in self.held if span.log in logs),
-            lone=tuple((log, lone) for log, lone in self.lone if log in logs),
+            repeated=tuple((span, rows) for span, rows in self.repeated if span.log in logs),
+            outliers=tuple((log, lone) for log, lone in self.outliers if log in logs),
             resets=tuple((log, reset) for log, reset in self.resets if log in logs),
             rows_of={probe: tuple(at for at in own if at in logs) for probe, own in self.rows_of.items()},
             spells=(),
         )
 
     def during(self, spell: Spell) -> Evidence:
-        """What a spell shows alone, beside what the model makes of whole phases of its log: of fewer rows it is less
-        sure.
-        """
-        (log,) = {one.log for one in spell.seen}
+        """The evidence of a spell, against the model of whole phases of its log, with larger errors for fewer rows."""
+        (log,) = {phase.log for phase in spell.seen}
         whole = self.within([log])
-        rows = [sum(one.raw.rows for one in seen) / len(seen) for seen in (whole.seen, spell.seen)]
+        rows = [sum(phase.raw.rows for phase in seen) / len(seen) for seen in (whole.seen, spell.seen)]
         values: dict[str, Floats] = {}
         expected: dict[str, Floats] = {}
         scores: dict[str, Floats] = {}
@@ -126,9 +129,11 @@ class Evidence:
             if not isinstance(probe, PhaseProbe) or name not in whole.scores:
                 continue
             middle, scatter = _usual(whole, name)
-            said = np.array([probe.statistic(one.left) for one in spell.seen]).reshape(len(spell.seen), -1)
-            values[name] = said - np.log(self.noise) if name == _OVER_NOISE else said
-            expected[name] = np.broadcast_to(middle, said.shape)
+            statistic_values = np.array([probe.statistic(phase.residual) for phase in spell.seen]).reshape(
+                len(spell.seen), -1
+            )
+            values[name] = statistic_values - np.log(self.noise) if name == _OVER_NOISE else statistic_values
+            expected[name] = np.broadcast_to(middle, statistic_values.shape)
             scores[name] = (values[name] - middle) / (scatter * math.sqrt(max(rows[0] / rows[1], 1.0)))
         return replace(
             whole,
@@ -142,62 +147,60 @@ class Evidence:
 
     @property
     def furthest(self) -> float:
-        """The size of the score that is farthest from 0, of all probes."""
+        """The largest absolute score of all probes."""
         return max((float(np.nan_to_num(np.abs(rows)).max(initial=0.0)) for rows in self.scores.values()), default=0.0)
 
     @property
     def still(self) -> tuple[PhaseEvidence, ...]:
         """The phases at rest."""
-        return tuple(one for one in self.seen if one.is_still)
+        return tuple(phase for phase in self.seen if phase.is_still)
 
     @property
     def noise(self) -> Floats:
-        """(3,) standard deviation of single readings as fitted, in the sensor's unit, rounding included."""
+        """Standard deviation (3,) of single readings as fitted, in the sensor's unit, rounding included."""
         return self.fitted.noise(self.header)
 
     @property
     def rows_per_s(self) -> float:
         """Usual rate of the sensor's rows, 1/s."""
-        intervals = [one.raw.intervals.mean_s for one in self.seen if one.raw.intervals.count]
+        intervals = [phase.raw.intervals.mean_s for phase in self.seen if phase.raw.intervals.count]
         return float(1 / np.median(intervals)) if intervals else max(self.header.rate_hz, 1.0)
 
     def score(self, *probes: str) -> Floats:
-        """(3,) of all scores of these probes the one farthest from 0 on each axis; 0 where none says anything. That of
-        a whole sensor stands for each axis.
+        """The score (3,) of these probes with the largest size on each axis; 0 without any. That of a whole sensor
+        counts for each axis.
         """
-        rows = [np.broadcast_to(self.scores[probe], (len(self.scores[probe]), 3)) for probe in self._known(probes)]
-        found = np.nan_to_num(np.concatenate([np.zeros((1, 3)), *rows]))
-        return np.asarray(found[np.abs(found).argmax(axis=0), range(3)])
+        rows = [np.broadcast_to(self.scores[probe], (len(self.scores[probe]), 3)) for probe in self._scored(probes)]
+        scores = np.nan_to_num(np.concatenate([np.zeros((1, 3)), *rows]))
+        return np.asarray(scores[np.abs(scores).argmax(axis=0), range(3)])
 
     def is_odd(self, *probes: str, beyond: float = 3.0) -> bool:
-        """Whether any of these probes lies further from what the model makes than that."""
+        """Whether any of these probes deviates from the model by more than that."""
         return bool((np.abs(self.score(*probes)) > beyond).any())
 
     def shift(self, probe: str) -> Floats:
-        """(3,) value less what the model makes of it, of the row with the score that is farthest from 0, by axis; 0
-        where nothing is said.
-        """
+        """Deviation (3,) from the model in the row with the largest score, by axis; 0 without any."""
         if probe not in self.scores:
             return np.zeros(3)
         shape = (len(self.scores[probe]), 3)
         size = np.abs(np.nan_to_num(np.broadcast_to(self.scores[probe], shape)))
-        apart = np.nan_to_num(np.broadcast_to(self.values[probe] - self.expected[probe], shape))
-        return np.asarray(apart[size.argmax(axis=0), range(3)])
+        deviation = np.nan_to_num(np.broadcast_to(self.values[probe] - self.expected[probe], shape))
+        return np.asarray(deviation[size.argmax(axis=0), range(3)])
 
     def typical(self, probe: str) -> Floats:
-        """(3,) median over the rows of value less what the model makes of it; 0 where nothing is said."""
-        apart = self.values[probe] - self.expected[probe] if probe in self.scores else np.zeros((0, 1))
-        known = apart[np.isfinite(apart).all(axis=1)]
+        """Median (3,) over the rows of the deviation from the model; 0 without any."""
+        deviation = self.values[probe] - self.expected[probe] if probe in self.scores else np.zeros((0, 1))
+        known = deviation[np.isfinite(deviation).all(axis=1)]
         return np.asarray(np.broadcast_to(np.median(known, axis=0) if len(known) else np.zeros(1), (3,)))
 
-    def _known(self, probes: Sequence[str]) -> list[str]:
+    def _scored(self, probes: Sequence[str]) -> list[str]:
         return [probe for probe in probes if probe in self.scores]
 
 
 def evidence_of(
     bench: Bench, train: Side, sensor: str, scored: ScoredStatistics, modelled: SensorModel, effects: tuple[Effect, ...]
 ) -> Evidence:
-    """What the recorded training part shows of a sensor that is modelled so; `effects` are those that it has."""
+    """The evidence of a sensor in the recorded training part, with this model; `effects` are those of the model."""
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
     left = residual(train.campaign, [motion for _, motion in logs], base)
@@ -225,7 +228,7 @@ def evidence_of(
         runs_in(series, sensor) if series else None,
         others,
         tuple(hole for log, own in events for hole in _holes(log, own.holes)),
-        tuple(held for log, own in events for held in _held(log, own.repeated)),
+        tuple(held for log, own in events for held in _repeated(log, own.repeated)),
         tuple((log, lone) for log, own in events for lone in own.outliers),
         tuple(own.host for _, own in events),
         tuple((log, reset) for log, own in events for reset in own.resets),
@@ -236,39 +239,38 @@ def evidence_of(
 
 
 _OVER_NOISE = "noise"
-"""The statistic of a phase that is taken over the fitted noise."""
+"""The statistic of a phase that is taken relative to the fitted noise."""
 
 _SURE = 0.01
-"""A score that is no smaller tells how wide its statistic scatters."""
+"""Least score from which the scatter of a statistic is inferred."""
 
 
 def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
-    """(k,) what the model makes of a probe, and how wide that scatters, in the median over rows."""
+    """Median over rows (k,) of a probe's value under the model, and of its scatter."""
     values, expected, scores = (table[probe] for table in (evidence.values, evidence.expected, evidence.scores))
     sure = (np.abs(scores) > _SURE) & (np.abs(scores) < LARGEST_SCORE)
     with np.errstate(divide="ignore", invalid="ignore"):
         scatter = np.where(sure, (values - expected) / scores, np.nan)
     known = np.isfinite(expected).any(axis=0), np.isfinite(scatter).any(axis=0)
-    found = np.full((2, values.shape[1]), np.nan)
+    medians = np.full((2, values.shape[1]), np.nan)
     for at, (table, columns) in enumerate(zip((expected, scatter), known, strict=True)):
-        found[at, columns] = np.nanmedian(table[:, columns], axis=0)
-    return found[0], found[1]
+        medians[at, columns] = np.nanmedian(table[:, columns], axis=0)
+    return medians[0], medians[1]
 
 
 VIEWS = 4
-"""So many parts of the evidence at most are looked at on their own: more say the same again."""
+"""Most parts of the evidence that are viewed separately; more repeat the same."""
 
 _SAYS = 3.0
-"""A part in which no statistic lies so many standard deviations from what the model makes suggests nothing."""
+"""Least score of a part that suggests anything."""
 
 SAME_RATE = 1.1
-"""Logs are of one rate if their rows are as many a second, but for that factor."""
+"""Largest ratio of the rates of rows of logs of one rate."""
 
 
 def views(evidence: Evidence) -> Iterator[Evidence]:
-    """The evidence of all logs; then of the logs of each rate, of each kind, and of single logs, and of spells, those
-    parts first in which something is further from what the model makes. An effect that shows at one rate, or in one
-    log, is none in the median over all.
+    """The evidence of all logs; then of the logs of each rate, of each kind, of single logs, and of spells, those with
+    the largest deviation first. An effect that shows at one rate, or in one log, vanishes in the median over all.
     """
     yield evidence
     logs = sorted({one.log for one in evidence.seen})
@@ -290,12 +292,12 @@ def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, .
 
 
 def _rows_per_s(evidence: Evidence, log: int) -> float:
-    """Usual rate in one log."""
-    return replace(evidence, seen=tuple(one for one in evidence.seen if one.log == log)).rows_per_s
+    """Usual rate of rows in one log."""
+    return replace(evidence, seen=tuple(phase for phase in evidence.seen if phase.log == log)).rows_per_s
 
 
 def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell]:
-    """Of the logs of a part; with what the model predicts taken from their means."""
+    """The spells of the logs of a part, with the model's prediction subtracted from their means."""
     for number, log in zip(side.logs, side.campaign.logs, strict=True):
         for stretches, part in log.spells.get(sensor, ()):
             (left,) = residual(Campaign((part,)), [bench.motions[number]], base).logs
@@ -309,22 +311,22 @@ def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell
 
 
 def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
-    """Half a row and more away from the rows that came."""
+    """Holes in the rows, from half a row after the last row to half a row before the next."""
     for before_ns, after_ns, missing in holes:
         row_s = (after_ns - before_ns) * 1e-9 / (missing + 1)
         yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
 
 
-def _held(log: int, held: RepeatedRows) -> Iterator[tuple[Span, int]]:
-    """From half a row before the first repetition to half a row after the last one."""
+def _repeated(log: int, held: RepeatedRows) -> Iterator[tuple[Span, int]]:
+    """Spans of repeated rows, from half a row before the first repetition to half a row after the last one."""
     for rows, begin_ns, end_ns in zip(held.rows.tolist(), held.begin_ns.tolist(), held.end_ns.tolist(), strict=True):
         row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
         yield Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows
 
 
 class ScoredStatistics(NamedTuple):
-    """Statistics of one sensor (n,): the recording's, what the model makes of them, scores, and which part and which
-    log of the campaign each is of (-1: several).
+    """Statistics of one sensor (n,): recorded values, values under the model, scores, and the part and the log of the
+    campaign of each (-1: several).
     """
 
     keys: Sequence[Key]
@@ -340,12 +342,12 @@ def _logs_by_probe(scored: ScoredStatistics) -> dict[str, tuple[int, ...]]:
     rows: dict[str, dict[tuple[bool, int, str, int], int]] = {}
     for key, out, log in zip(scored.keys, scored.held_out, scored.logs, strict=False):
         rows.setdefault(key.probe, {})[out, key.log, key.phase, key.phase_number] = log
-    return {probe: tuple(found.values()) for probe, found in rows.items()}
+    return {probe: tuple(own.values()) for probe, own in rows.items()}
 
 
 def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:
-    """(m, 3) or (m, 1) of each probe."""
+    """Table (m, 3) or (m, 1) of each probe."""
     rows: dict[str, dict[tuple[bool, int, str, int], list[float]]] = {}
     for key, out, value in zip(scored.keys, scored.held_out, values.tolist(), strict=True):
         rows.setdefault(key.probe, {}).setdefault((out, key.log, key.phase, key.phase_number), []).append(value)
-    return {probe: np.array(list(found.values())) for probe, found in rows.items()}
+    return {probe: np.array(list(own.values())) for probe, own in rows.items()}

@@ -1,9 +1,9 @@
-"""Whether there is a gap, and where: scores against the largest that chance makes, down a tree of the array.
+"""Detection and localisation of a gap: scores against the largest that chance gives, down a tree of the array.
 
 The tree's levels are the array, its chips, their units, the axes, domains of statistics, and single statistics. A node
-is found where its parent is and its largest score is beyond what the largest among it and its siblings is without a gap
-(Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008). So every step down pays for the choice it
-makes, and nothing is looked for where nothing was found.
+is significant if its parent is and its largest score exceeds the largest among it and its siblings without a gap
+(Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008). Every step down thus pays for the choice
+it makes, and nothing is tested below a node that is not significant.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from imuarray.gap.statistics.catalogue import Key
 from imuarray.log.format import SensorHeader
 
 LEVEL = 0.05
-"""Share of campaigns without a gap in which one is found."""
+"""Share of campaigns without a gap in which one is detected."""
 
 LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
-"""Of the tree, from its root."""
+"""The levels of the tree, from its root."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """A place, named by its `path` down from the array, (); `largest` of its scores' sizes, and `p`: how often chance
-    makes one as large among it and its siblings, not below its parent's. Nodes that were not found have no children.
+    """A place named by its `path` from the array, (): its `largest` score in size, and `p`: how often chance gives as
+    large a score among it and its siblings, not below its parent's. Nodes that are not significant have no children.
     """
 
     path: tuple[str, ...]
     largest: float
     p: float
-    is_found: bool
+    is_significant: bool
     children: tuple[Node, ...]
 
     @property
     def level(self) -> str:
-        """Which of `LEVELS` it is of."""
+        """The level of the node, one of `LEVELS`."""
         return LEVELS[len(self.path)]
 
     def found(self, level: str) -> tuple[Node, ...]:
-        """All below it, or itself, of this level that were found, the largest score first."""
-        nodes = [node for node in self._all() if node.is_found and node.level == level]
+        """The significant nodes of a level below it (or itself), the largest score first."""
+        nodes = [node for node in self._all() if node.is_significant and node.level == level]
         return tuple(sorted(nodes, key=lambda node: -node.largest))
 
     def _all(self) -> Iterator[Node]:
@@ -54,8 +54,8 @@ class Node:
 
 @dataclass(frozen=True)
 class Localisation:
-    """Where scores (m,) under `keys` are beyond chance: the tree, and the p of each statistic that was found, by its
-    place, the largest score first. `limit`: chance reaches it in `level` of all campaigns.
+    """Where scores (m,) under `keys` are beyond chance: the tree, and the p of each significant statistic by its place,
+    the largest score first. `limit`: reached by chance in `level` of all campaigns.
     """
 
     root: Node
@@ -64,35 +64,35 @@ class Localisation:
 
     @property
     def p(self) -> float:
-        """Of there being no gap at all."""
+        """p of there being no gap."""
         return self.root.p
 
     @property
     def is_gap(self) -> bool:
-        """Whether anything was found."""
-        return self.root.is_found
+        """Whether the whole array is significant."""
+        return self.root.is_significant
 
 
 def located(
     keys: Sequence[Key], headers: Mapping[str, SensorHeader], scores: Floats, chance: Floats, level: float = LEVEL
 ) -> Localisation:
-    """Scores (m,) of a recording beside those (b, m) of replicates without a gap.
+    """Localises the gap by scores (m,) of a recording and (b, m) of replicates without a gap.
 
-    `level` is the share of false alarms; ValueError if there are too few replicates to tell.
+    `level` is the share of false alarms; ValueError if there are too few replicates for it.
     """
     if (least := 1 / (len(chance) + 1)) > level:
-        raise ValueError(f"level: {level}; {len(chance)} scored replicates tell nothing below {least:.3g}")
+        raise ValueError(f"level: {level}; {len(chance)} scored replicates allow no level below {least:.3g}")
     paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
     root = _Tree(paths, scores, chance, level).root()
-    found = {int(node.path[-1]): node.p for node in root.found("statistic")}
-    order = sorted(found, key=lambda at: -abs(scores[at]))
+    significant = {int(node.path[-1]): node.p for node in root.found("statistic")}
+    order = sorted(significant, key=lambda at: -abs(scores[at]))
     limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
-    return Localisation(root, {at: found[at] for at in order}, limit)
+    return Localisation(root, {at: significant[at] for at in order}, limit)
 
 
 def p_value(value: float, chance: Floats) -> float:
-    """Share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value is of the same kind
-    (the Monte Carlo test of Barnard 1963).
+    """Share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value has the same
+    distribution (the Monte Carlo test of Barnard 1963).
     """
     return float((1 + np.count_nonzero(chance >= value)) / (1 + len(chance)))
 
@@ -114,9 +114,9 @@ class _Tree:
         """`chance` is the largest score among the node and its siblings in each replicate."""
         largest = float(self._sizes[columns].max(initial=0.0))
         p = max(parent_p, p_value(largest, chance))
-        is_found = p <= self._level
-        children = tuple(self._below(path, columns, p)) if is_found and len(path) + 1 < len(LEVELS) else ()
-        return Node(path, largest, p, is_found, children)
+        is_significant = p <= self._level
+        children = tuple(self._below(path, columns, p)) if is_significant and len(path) + 1 < len(LEVELS) else ()
+        return Node(path, largest, p, is_significant, children)
 
     def _below(self, path: tuple[str, ...], columns: list[int], p: float) -> Iterator[Node]:
         parts: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""The numbers of a trial that may be changed, each by a factor, and the trial with them changed."""
+"""The free numbers of a trial, each changed by a factor, and the trial with them changed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from imuarray.gap.inference.effects import Hypothesis
 from imuarray.simulate.effect import Effect
 
 _SAME_FREE, _SAME = 0.2, 0.01
-"""Share by which a number that is refined, and one that is not, may differ in two trials that are the same."""
+"""Relative difference of a refined and of a fixed number within which two trials are the same."""
 
 
 class Factor(NamedTuple):
-    """A free parameter of a trial's effect, or one number of it: `place` in its list, which belongs to an `axis` 0, 1,
-    2 and is its number `turn` there (a 3x3 response has three for each axis); None: it has no axes.
+    """A free parameter of a trial's effect, or one number of it.
+
+    `place` in its list, of an `axis` 0, 1, 2, with the number `turn` on that axis (a 3x3 response has three for each);
+    None: it has no axes.
     """
 
     effect: int
@@ -31,20 +33,20 @@ class Factor(NamedTuple):
 
 def factors_of(trial: Hypothesis) -> list[Factor]:
     """The free parameters that are not 0, axis by axis."""
-    found = []
+    factors = []
     for name in trial.free:
         at = next(number for number, effect in enumerate(trial.effects) if hasattr(effect, name))
         value = getattr(trial.effects[at], name)
         if isinstance(value, tuple):
             each = len(value) // 3
-            found += [
+            factors += [
                 Factor(at, name, place, place // each, place % each)
-                for place, one in enumerate(value)
-                if one and np.isfinite(one)
+                for place, item in enumerate(value)
+                if item and np.isfinite(item)
             ]
         elif value and np.isfinite(value):
-            found.append(Factor(at, name))
-    return found
+            factors.append(Factor(at, name))
+    return factors
 
 
 def moved(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
@@ -58,7 +60,7 @@ def moved(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypoth
 def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
     value: Any = getattr(effect, factor.name)
     if factor.place is not None:
-        changed: Any = tuple(one * by if place == factor.place else one for place, one in enumerate(value))
+        changed: Any = tuple(item * by if place == factor.place else item for place, item in enumerate(value))
     else:
         low, high = limits.get(factor.name, (0.0, 1.0 if factor.name == "probability" else np.inf))
         changed = min(max(value * by, low), high)
@@ -69,22 +71,22 @@ def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tupl
 
 
 def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """Without trials that begin so near an earlier one that a refinement of either would end at the same place."""
+    """The trials except those that begin so near an earlier one that both would be refined to the same result."""
     kept: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
-    found = []
+    kept_trials = []
     for trial in trials:
         whose = (trial.shared, trial.sensor, trial.others, trial.members, trial.everywhere)
-        told = (trial.removed, whose, trial.whole, trial.free)
+        target = (trial.removed, whose, trial.whole, trial.free)
         numbers, reach = _numbers(trial)
-        of_form = kept.setdefault((trial.form, told, trial.fitted, len(numbers)), [])
+        of_form = kept.setdefault((trial.form, target, trial.fitted, len(numbers)), [])
         if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in of_form):
             of_form.append((numbers, reach))
-            found.append(trial)
-    return found
+            kept_trials.append(trial)
+    return kept_trials
 
 
 def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
-    """All numbers and texts of the effects, and by what share of itself each may differ to be the same."""
+    """All numbers and texts of the effects, and the relative difference within which each is the same."""
     numbers: list[float] = []
     reach: list[float] = []
     for effect in (*trial.effects, *trial.opposite):
@@ -97,10 +99,10 @@ def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
     return np.array(numbers), np.array(reach)
 
 
-def _near(one: Floats, other: Floats, reach: Floats) -> bool:
-    same = (one == other) | (np.isnan(one) & np.isnan(other))
+def _near(first: Floats, other: Floats, reach: Floats) -> bool:
+    same = (first == other) | (np.isnan(first) & np.isnan(other))
     with np.errstate(invalid="ignore"):
-        return bool((same | (np.abs(one - other) <= reach * np.fmin(np.abs(one), np.abs(other)))).all())
+        return bool((same | (np.abs(first - other) <= reach * np.fmin(np.abs(first), np.abs(other)))).all())
 
 
 def active_axes(trial: Hypothesis) -> list[int]:
@@ -117,7 +119,7 @@ def _amplitudes(effect: Effect) -> Iterator[str]:
 def without(effect: Effect, axes: set[int]) -> Effect:
     """The effect with nothing on these axes."""
     changes = {
-        name: tuple(0.0 if axis in axes else one for axis, one in enumerate(getattr(effect, name)))
+        name: tuple(0.0 if axis in axes else item for axis, item in enumerate(getattr(effect, name)))
         for name in _amplitudes(effect)
     }
     return replace(effect, **changes)

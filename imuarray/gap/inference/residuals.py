@@ -1,9 +1,9 @@
-"""What is left a little everywhere and always to the same side: each probe of a sensor over all its phases.
+"""Systematic residuals: the mean residual of each probe of a sensor over all its phases.
 
-A cause of another form than the real one can reach every statistic by making it scatter: rare glitches of either sign
-make a skewness of 5 as likely as one of -5. That forty phases are all skewed to the same side is nothing that it makes.
-So what the repaired model leaves is averaged over phases as well, and over axes, and the averages are judged by those
-of its replicates.
+A cause of another form than the real one can fit every single statistic by its scatter: rare glitches of either sign
+make a skewness of 5 as likely as one of -5, but not forty phases with skewness of one sign. The residuals of the
+repaired model are therefore averaged over phases and over axes as well, and the averages compared with those of its
+replicates.
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import FORM, SyntheticLikelihood
 
 LEAST = 12
-"""Fewer statistics are judged one by one: levels of runs, and what a log says once, come twice on each axis."""
+"""Fewest statistics of a group: levels of runs, and statistics of a whole log, come twice on each axis and are judged
+singly.
+"""
 
 _WILD = 5.0
 _LEAST_SPREAD = 0.5
-"""Of scores, over the root of their number: averages that hardly scatter at all say no more than that."""
+"""Least scatter of scores, over the root of their number, for averages that hardly scatter."""
 
 
 class GroupResidual(NamedTuple):
-    """One probe of one sensor over all phases, of one `axis` or of all (""): its `places` among n statistics, how far
-    their mean lies from that of the replicates (`score`, in standard deviations, the causes' form excused), and the
-    largest such score that any replicate has in any group by the others (`furthest`, the same for all).
+    """One probe of one sensor over all phases, of one `axis` or of all ("").
+
+    Its `places` among n statistics, the deviation of their mean from that of the replicates (`score`, in standard
+    deviations, with an allowance for the causes' form), and the largest such score of any replicate in any group by the
+    others (`furthest`, the same for all).
     """
 
     sensor: str
@@ -39,15 +43,16 @@ class GroupResidual(NamedTuple):
     furthest: float
 
 
-def overall(
+def group_residuals(
     keys: Sequence[Key], before: SyntheticLikelihood, after: SyntheticLikelihood, real: Floats, replicates: Floats
 ) -> list[GroupResidual]:
-    """By n statistics of the recording, `real` (n,), and of `replicates` (b, n) of the model with the causes in, that
-    made of them what `after` says, and the base model what `before` does. The worst first.
+    """The systematic residuals, the worst first, of n statistics of the recording (`real`) and of `replicates` (b, n)
+    of the model with its causes.
 
-    The causes may miss what they have moved by the share by which the form of the right ones may be wrong, everywhere
-    alike. Single statistics count up to five standard deviations, so that none stands for many. How axes hang together
-    is left aside: what effects draw they draw for each axis, and one supply, or one bearing, has one course for all.
+    `after` is the likelihood of that model, `before` that of the base model. Causes are allowed the relative error of
+    form of their shifts. Single statistics count up to five standard deviations, so that none dominates. The
+    correlation of axes is ignored: effects are drawn for each axis, although a supply, or a bearing, has one course for
+    all.
     """
     scores, own = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
     moved = np.nan_to_num(np.abs(after.location - before.location))
@@ -59,15 +64,15 @@ def overall(
     means = np.stack([scores[:, places].mean(axis=1) for *_, places in groups], axis=1)
     least = _LEAST_SPREAD / np.sqrt([len(places) for *_, places in groups])
     form = np.array([excused[places].mean() for *_, places in groups])
-    apart = np.array([own[places].mean() for *_, places in groups]) - means.mean(axis=0)
-    found = apart / np.hypot(np.maximum(means.std(axis=0, ddof=1), least), form)
+    deviation = np.array([own[places].mean() for *_, places in groups]) - means.mean(axis=0)
+    score_of_group = deviation / np.hypot(np.maximum(means.std(axis=0, ddof=1), least), form)
     furthest = float(np.abs(_by_others(means, least)).max())
-    order = np.argsort(-np.abs(found))
-    scored = zip(groups, found.tolist(), strict=True)
-    told = [
+    order = np.argsort(-np.abs(score_of_group))
+    scored = zip(groups, score_of_group.tolist(), strict=True)
+    groups_scored = [
         GroupResidual(sensor, axis, probe, places, score, furthest) for (sensor, axis, probe, places), score in scored
     ]
-    return [told[at] for at in order.tolist()]
+    return [groups_scored[at] for at in order.tolist()]
 
 
 def _groups(keys: Sequence[Key], says: Booleans) -> Iterator[tuple[str, str, str, Indices]]:
@@ -83,8 +88,8 @@ def _groups(keys: Sequence[Key], says: Booleans) -> Iterator[tuple[str, str, str
 
 
 def _by_others(means: Floats, least: Floats) -> Floats:
-    """(b, g) of each replicate's means (b, g), in standard deviations (at least `least`) of the others'."""
+    """Means (b, g) of each replicate, in standard deviations (at least `least`) of the others'."""
     count = len(means)
-    apart = (means - means.mean(axis=0)) * count / (count - 1)
-    squares = ((means - means.mean(axis=0)) ** 2).sum(axis=0) - apart**2 * (count - 1) / count
-    return np.asarray(apart / np.maximum(np.sqrt(np.maximum(squares, 0.0) / (count - 2)), least))
+    deviation = (means - means.mean(axis=0)) * count / (count - 1)
+    squares = ((means - means.mean(axis=0)) ** 2).sum(axis=0) - deviation**2 * (count - 1) / count
+    return np.asarray(deviation / np.maximum(np.sqrt(np.maximum(squares, 0.0) / (count - 2)), least))

@@ -1,4 +1,6 @@
-"""Where the search stands with a unit (a sensor, or a family): its model, what that makes, and what is recorded."""
+"""The state of the search for a unit (a sensor, or a family): its model, the statistics under it, and the recorded
+ones.
+"""
 
 from __future__ import annotations
 
@@ -22,30 +24,32 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 
 Unit = tuple[str, ...]
-"""Names of sensors that are looked at together."""
+"""Names of sensors that are searched together."""
 
-Came = Sequence[Mapping[str, FittedParameters]]
-"""What fits of replicates gave, sensor by sensor."""
+FitsOfReplicates = Sequence[Mapping[str, FittedParameters]]
+"""Parameters fitted to replicates, sensor by sensor."""
 
 REPLICATES = 8
-"""By which a refined trial is judged."""
+"""Replicates by which a refined trial is judged."""
 
 LOOKS = 2
-"""The first of them, by which a guess is ranked and refined."""
+"""The first of these, by which a guess is ranked and refined."""
 
 NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
-"""Of these replicates; the null uses others."""
+"""The numbers of these replicates; the null distribution uses others."""
 
 
 @dataclass(frozen=True)
 class UnitState:
-    """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
-    general (`likelihood`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
-    what the fit of the recording gave, `independent` the share of the statistics that is. `other_models` are the models
-    of other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
-    alike, and `scatter_group` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing
-    is known of that), `misfit` the nats that the models' noise lacks. `apart` (n,) is the same share of the statistics
-    that hang together with few others (none: none do).
+    """The state of a unit with its present `models`.
+
+    n statistics of the recording (`real`) and under the models: their `likelihood`, and their `values` (r, n) in the
+    replicates `NUMBERS`, by which changes are compared; `target`, the parameters fitted to the recording;
+    `independent`, the independent share of the statistics; `other_models` of other sensors, on which statistics of
+    motion depend. `probes` (n,) numbers the probes, whose statistics move together, and `scatter_group` (n,) those of
+    each axis and kind of log, which have the same scatter (None: unknown). `misfit` is the loss in nats by the models'
+    noise. `separate_share` (n,) is the independent share of those statistics that depend on few others (None: there are
+    none).
     """
 
     unit: Unit
@@ -53,28 +57,26 @@ class UnitState:
     real: Floats
     likelihood: SyntheticLikelihood
     values: Floats
-    wanted: Mapping[str, FittedParameters]
+    target: Mapping[str, FittedParameters]
     independent: float
     other_models: Models = field(default_factory=dict)
     probes: Indices | None = field(default=None, repr=False)
     scatter_group: Indices | None = field(default=None, repr=False)
     misfit: float = 0.0
-    apart: Floats | None = field(default=None, repr=False)
+    separate_share: Floats | None = field(default=None, repr=False)
 
     @property
     def weight(self) -> Floats | float:
-        """(n,) how much each statistic counts: by the share of all that is independent, or where it is one of those
-        apart by the share of these.
-        """
-        return self.independent if self.apart is None else np.fmax(self.apart, self.independent)
+        """Weight (n,) of each statistic: the independent share of all, or of the separate ones."""
+        return self.independent if self.separate_share is None else np.fmax(self.separate_share, self.independent)
 
     @property
     def scores(self) -> Floats:
-        """(n,) of the recording under the present models."""
+        """Scores (n,) of the recording under the present models."""
         return self.likelihood.scores(self.real)
 
     def changed(self, trial: Hypothesis) -> Models:
-        """The models with the trial's change made to each sensor, or to its own, and the opposite to the others."""
+        """The models with the trial's change of each sensor, or of its own, and the opposite change of the others."""
         effects = dict.fromkeys(trial.others if trial.opposite else (), trial.opposite)
         if trial.sensor:
             effects[trial.sensor] = trial.effects
@@ -85,32 +87,36 @@ class UnitState:
             for name, model in self.models.items()
         }
 
-    def settled(self, models: Models, came: Came, before: tuple[Models, Came] | None = None) -> Models:
-        """`models` with ordinary parameters moved by what the fits of their replicates, which `came`, lack; by these
-        and what came of the models `before`, if there are any. Those of a sensor that reads another's data do nothing,
-        and stay.
+    def settled(
+        self, models: Models, fits: FitsOfReplicates, before: tuple[Models, FitsOfReplicates] | None = None
+    ) -> Models:
+        """`models` with ordinary parameters corrected by the difference between the recording's fit and the `fits` of
+        their replicates; by these and the fits of the models `before`, if given. Those of a sensor that reads another's
+        data have no effect and are kept.
         """
-        return {name: self._settled(name, model, came, before) for name, model in models.items()}
+        return {name: self._settled(name, model, fits, before) for name, model in models.items()}
 
-    def _settled(self, name: str, model: SensorModel, came: Came, before: tuple[Models, Came] | None) -> SensorModel:
+    def _settled(
+        self, name: str, model: SensorModel, fits: FitsOfReplicates, before: tuple[Models, FitsOfReplicates] | None
+    ) -> SensorModel:
         if reads_another(model):
             return model
-        own = [fitted[name] for fitted in came]
+        own = [fitted[name] for fitted in fits]
         if before is None:
-            return replace(model, fitted=model.fitted.moved(self.wanted[name], own))
-        models, gone = before
-        last = models[name].fitted, [fitted[name] for fitted in gone]
-        return replace(model, fitted=model.fitted.between(self.wanted[name], own, *last))
+            return replace(model, fitted=model.fitted.moved(self.target[name], own))
+        models, fits_before = before
+        last = models[name].fitted, [fitted[name] for fitted in fits_before]
+        return replace(model, fitted=model.fitted.between(self.target[name], own, *last))
 
-    def misfit_of(self, headers: Mapping[str, SensorHeader], came: Came) -> float:
-        """Nats that models lose whose replicates' fits, which `came`, have another noise than the recording's: of
-        statistics over that noise, nothing is left that tells a line of one amplitude from one of twice that.
+    def misfit_of(self, headers: Mapping[str, SensorHeader], fits: FitsOfReplicates) -> float:
+        """Loss in nats of models whose replicates' `fits` have another noise than the recording's: statistics relative
+        to that noise do not distinguish a line from one of twice its amplitude.
         """
         lost = 0.0
-        for name, wanted in self.wanted.items():
-            square = np.mean([np.square(fitted[name].noise(headers[name])) for fitted in came], axis=0)
-            apart = np.log(square / np.square(wanted.noise(headers[name]))) / 2 / _NOISE_SURE
-            lost += float((FREEDOM + 1) / 2 * np.log1p(np.square(apart) / FREEDOM).sum())
+        for name, target in self.target.items():
+            square = np.mean([np.square(fitted[name].noise(headers[name])) for fitted in fits], axis=0)
+            deviation = np.log(square / np.square(target.noise(headers[name]))) / 2 / _NOISE_SURE
+            lost += float((FREEDOM + 1) / 2 * np.log1p(np.square(deviation) / FREEDOM).sum())
         return lost
 
 
@@ -127,11 +133,11 @@ def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
 
 
 def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
-    """What a change makes, from its replicates (r, n) beside the first r of those without it: the likeness under it,
-    and (n,) how far it moved each statistic. Draws are the same in both, so that a few replicates do.
+    """Likelihood after a change, and the shift (n,) of each statistic, from its replicates (r, n) and the first r of
+    those without it. Draws are the same in both, so that a few replicates suffice.
     """
     before, without = standing.likelihood, standing.values[: len(values)]
-    moved, came = values - without, np.isfinite(values)
+    moved, has_value = values - without, np.isfinite(values)
     if standing.probes is not None:
         moved = moved * _kept(moved / before.scale, standing.probes)
     known = np.isfinite(moved).any(axis=0)
@@ -148,24 +154,26 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
     location[known] = np.where(np.isfinite(location[known]), paired, location[known])
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
         least = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
-        same = came.all(axis=0) & (np.ptp(values, axis=0) < least)
+        same = has_value.all(axis=0) & (np.ptp(values, axis=0) < least)
         location[same] = values[:, same].mean(axis=0)
     scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
-    fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
+    fresh = has_value.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
     alone = likelihood_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
     scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
-    untold = ~came.any(axis=0) & ~np.isfinite(without).any(axis=0)  # as what is shared with sensors beside the unit
-    never = ~came.any(axis=0) & ~untold
+    untold = ~has_value.any(axis=0) & ~np.isfinite(without).any(
+        axis=0
+    )  # as what is shared with sensors beside the unit
+    never = ~has_value.any(axis=0) & ~untold
     location[never & before.always] = np.nan
-    always = (before.always & (came.all(axis=0) | untold)) | fresh
-    silent = np.asarray((never & before.always) | (~came.any(axis=0) & before.never))
+    always = (before.always & (has_value.all(axis=0) | untold)) | fresh
+    silent = np.asarray((never & before.always) | (~has_value.any(axis=0) & before.never))
     return SyntheticLikelihood(location, scale, np.asarray(always), silent, *_branched(before, moved, shift)), shift
 
 
 def _branched(before: SyntheticLikelihood, moved: Floats, shift: Floats) -> tuple[Floats, Floats]:
-    """Where each replicate takes the statistics (k, n), on top of where effects that were there before take it, and how
-    wide they scatter there (n,); a replicate without the change moves as they do on average.
+    """Outcome of each replicate (k, n), on top of the branches of effects before, and the scatter there (n,); a
+    replicate without the change gets the mean shift.
     """
     if before.branches is None or before.width is None:
         return before.location + moved, before.scale
@@ -174,29 +182,30 @@ def _branched(before: SyntheticLikelihood, moved: Floats, shift: Floats) -> tupl
 
 
 def least_scale(before: SyntheticLikelihood) -> Floats:
-    """(n,) of the scatter under a model with more in it: where a single event drowns what chance makes, no statistic is
-    known better than the event's form.
+    """Least scale (n,) under a model with more effects: where a single event dominates chance, no statistic is known
+    better than the event's form.
     """
     return FORM * before.scale
 
 
 def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> Floats:
-    """(n,) nats by which a change makes each of the recording's statistics likelier; they add up."""
+    """Log-likelihood ratio (n,) of each recorded statistic by a change, in nats; they add up."""
     before = standing.likelihood.log_density(standing.real)
     return standing.weight * (likelihood.log_density(standing.real, moved) - before)
 
 
 def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, moved: Floats) -> Booleans:
-    """(n,) which statistics a change moved, or made wider or narrower, beyond chance."""
+    """Which statistics (n,) a change moved, widened or narrowed beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
     return np.asarray((np.abs(moved) > before.scale) | widened)
 
 
 def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> float:
-    """How much more a gain counts whose statistics are more independent than all of the unit's are: few of those that
-    a curved response moves say the same, whatever hundreds of levels do. Never less: that a change moves many of them
-    for one reason is told when it is judged.
+    """Factor of a gain whose statistics are more independent than those of the whole unit, at least 1.
+
+    The few statistics that a curved response moves are independent, whatever hundreds of levels do; that a change moves
+    many for one reason is considered when it is judged.
     """
     touched = touched_by(standing.likelihood, likelihood, moved)
     if not touched.any() or len(standing.values) < _PAIRS:
@@ -206,11 +215,11 @@ def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Float
 
 
 def _kept(moved: Floats, probes: Indices) -> Floats:
-    """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
+    """Share (n,) of each statistic's shift (r, n), in standard deviations, that the change caused.
 
-    Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
-    told from their scatter, for all statistics of a probe together, and the rest by how far the means are apart
-    (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
+    If a change alters the random draws, pairs differ by chance alone. Its contribution to the mean of r pairs follows
+    from their scatter, for all statistics of a probe together (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc.
+    68, 1973).
     """
     known = np.isfinite(moved).all(axis=0)
     kept = np.ones(moved.shape[1])
@@ -223,10 +232,11 @@ def _kept(moved: Floats, probes: Indices) -> Floats:
 
 
 def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group: Indices | None = None) -> Floats:
-    """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
+    """Ratio (n,) by which a change widens or narrows the scatter, from replicates with and without it.
 
-    Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
-    the correlation of the pairs says. Few pairs tell only what their differences add to those of independent ones.
+    If pairs are close even a few replicates determine it; the log of the ratio is shrunk by its uncertainty, which
+    follows from the correlation of the pairs. Few pairs determine only the excess of their differences over independent
+    ones.
     """
     if len(values) < _PAIRS:
         added = _added((values - without) / scale, scatter_group)
@@ -236,8 +246,8 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group:
     ratio = np.ones(values.shape[1])
     first, second = spreads[0][usable], spreads[1][usable]
     log_ratio = np.log(first / second)
-    apart = np.nanvar(values[:, usable] - without[:, usable], axis=0)
-    together = np.clip((first**2 + second**2 - apart) / (2 * first * second), -1.0, 1.0)
+    deviation = np.nanvar(values[:, usable] - without[:, usable], axis=0)
+    together = np.clip((first**2 + second**2 - deviation) / (2 * first * second), -1.0, 1.0)
     variance = (1 - together**2) / (len(values) - 1)
     ratio[usable] = np.exp(log_ratio * log_ratio**2 / (log_ratio**2 + 2 * variance + _TINY))
     return ratio

@@ -163,8 +163,10 @@ def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
     weight = rows - 3
     z = float((weight * np.arctanh(correlation)).sum() / np.sqrt(weight.sum()))
     mean = float(np.average(pairs, weights=weight / scale**2))
-    unlike = np.abs(pairs - mean) > (AMPLITUDE_RATIO - 1) * AMPLITUDE_RATIO * mean + 3 * scale / np.sqrt(weight)
-    return float(correlation.mean()), 1.0 if mean <= 0 or unlike.any() else float(norm.sf(z))
+    without_duplicates = np.abs(pairs - mean) > (AMPLITUDE_RATIO - 1) * AMPLITUDE_RATIO * mean + 3 * scale / np.sqrt(
+        weight
+    )
+    return float(correlation.mean()), 1.0 if mean <= 0 or without_duplicates.any() else float(norm.sf(z))
 
 
 def _in_phase(log: int, part: PhaseSummary, cross: Cross) -> Iterator[tuple[SharedSignal, bool]]:

@@ -97,7 +97,7 @@ def _bins(evidence: Evidence, axis: int) -> _Bins | None:
 
 def _parts(one: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
     """Of each temperature what `_Bins` has of it, but the face."""
-    raw, left = one.raw.segments, one.left.segments
+    raw, left = one.raw.segments, one.residual.segments
     held = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
     felt = raw.mean[:, axis] - left.mean[:, axis] - offset - slope * warm

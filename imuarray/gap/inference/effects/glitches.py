@@ -148,7 +148,7 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
     phases = [(seen.log, seen.raw.phase) for seen in evidence.seen if not seen.is_still]
     found = []
-    for log, lone in evidence.lone:
+    for log, lone in evidence.outliers:
         nearest = [float(np.abs(lone.deviation[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
         for axis, time_ns, apart in zip(
             lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True

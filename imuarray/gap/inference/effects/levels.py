@@ -54,7 +54,7 @@ class Levels:
 def levels(evidence: Evidence) -> Levels:
     """Of all phases at rest."""
     groups: dict[tuple[int, str], int] = {}
-    parts = [_of_phase(one, groups.setdefault((one.log, one.left.phase.up), len(groups))) for one in evidence.still]
+    parts = [_of_phase(one, groups.setdefault((one.log, one.residual.phase.up), len(groups))) for one in evidence.still]
     if not parts:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         return Levels(np.zeros(0, int), np.zeros(0, int), nothing, nothing, none, none, none, nothing, nothing)
@@ -103,7 +103,7 @@ def log_levels(found: Levels) -> LogLevels:
 
 
 def _of_phase(one: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], ...]:
-    part, header = one.left.segments, one.left.header
+    part, header = one.residual.segments, one.residual.header
     held = (part.rows >= _LEAST_ROWS) & np.isfinite(part.mean).all(axis=1)
     count = int(held.sum())
     return (
@@ -113,7 +113,7 @@ def _of_phase(one: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], 
         part.temperature_degc[held],
         part.mean[held] / header.sensitivity,
         part.steady_variance[held] / (part.rows[held, None] - 1) / header.sensitivity**2,
-        np.broadcast_to(felt_g([one.left])[0], (count, 3)),
+        np.broadcast_to(felt_g([one.residual])[0], (count, 3)),
         part.thermometer[held],
         np.full(count, part.width_s),
     )

@@ -63,7 +63,7 @@ def _of_faces(evidence: Evidence) -> Response | None:
     for seen in evidence.still:
         if seen.raw.rows:
             read = evidence.fitted.unbiased(seen.raw)
-            felt = evidence.fitted.by_response(read - mean(seen.left))
+            felt = evidence.fitted.by_response(read - mean(seen.residual))
             faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, read]))
     if len(faces) < 2:
         return None

@@ -91,7 +91,7 @@ def _of_warming(one: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
     """(o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2 of a
     straight line (IEEE Std 952, Annex C).
     """
-    time_s, level = one.raw.segments.time_s, one.raw.segments.mean - one.left.segments.mean
+    time_s, level = one.raw.segments.time_s, one.raw.segments.mean - one.residual.segments.mean
     known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
     if known.sum() < 2:
         return np.zeros((octaves, 3))
@@ -196,7 +196,7 @@ def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
     """
     found, lengths = [], []
     for one in evidence.still:
-        part = one.left.segments
+        part = one.residual.segments
         held = part.rows > 1
         if np.count_nonzero(held) > 2:
             white = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)

@@ -83,7 +83,7 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
 def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
     scale, parts = evidence.header.sensitivity, []
     for one in phases:
-        raw, left = one.raw.segments, one.left.segments
+        raw, left = one.raw.segments, one.residual.segments
         held = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
         warm = (raw.temperature_degc[held, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
         predicted = (raw.mean[held] - left.mean[held]) / scale - warm

@@ -75,7 +75,7 @@ def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
     """All stretches that are longer than the model makes them."""
     longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
-    held = [span for span, rows in evidence.held if rows >= least]
+    held = [span for span, rows in evidence.repeated if rows >= least]
     if not _FEWEST <= len(held) <= SINGLE:
         return
     yield Hypothesis((Stuck(kind=_kind(evidence), **stretches(held)),), whole=True, rarity=NUMBERS * len(held))
