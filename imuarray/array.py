@@ -174,13 +174,13 @@ def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: st
     """ValueError unless `value` is one of `allowed`; says what is."""
     if value in allowed:
         return
-    came = "is missing" if value is None else f"{value:{style}}"
+    problem = "is missing" if value is None else f"{value:{style}}"
     choice = (
         f"allowed are {', '.join(f'{option:{style}}' for option in allowed)}"
         if allowed
         else "this chip has none to set"
     )
-    raise ValueError(f"{key} {came}: {choice}")
+    raise ValueError(f"{key} {problem}: {choice}")
 
 
 def _check_places(array: ArrayConfig, where: str) -> None:

@@ -12,4 +12,4 @@ def printable(text: str) -> str:
     """`text` with what would steer a terminal spelled out: control characters, marks that turn the direction."""
     if text.isprintable():
         return text
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)

@@ -61,9 +61,9 @@ def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
     mistakes = error.errors()
-    told = [_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in mistakes[:_TOLD]]
+    listed = [_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in mistakes[:_TOLD]]
     more = [f"and {len(mistakes) - _TOLD} more"] if len(mistakes) > _TOLD else []
-    return "; ".join([*told, *more])
+    return "; ".join([*listed, *more])
 
 
 def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
@@ -114,4 +114,4 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     """The models that an annotation names: `list[Model]`, `Model | None`, ..."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [found for part in get_args(annotation) for found in _models_in(part)]
+    return [model for part in get_args(annotation) for model in _models_in(part)]

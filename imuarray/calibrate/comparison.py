@@ -51,7 +51,7 @@ class Change:
 
     @property
     def changed(self) -> bool:
-        """Whether chance does not explain it."""
+        """Return whether chance does not explain it."""
         return self.p_value < CHANGED
 
 

@@ -82,7 +82,7 @@ def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence
 
 
 def tell_all(faces: Sequence[Pose]) -> bool:
-    """Whether faces tell a bias and the three columns of a response."""
+    """Return whether faces tell a bias and the three columns of a response."""
     ups = np.array([pose.up_box for pose in faces if not pose.is_check], float).reshape(-1, 3)
     return len(ups) >= 4 and int(np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))]))) == 4
 

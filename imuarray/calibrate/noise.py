@@ -186,7 +186,7 @@ def _wandering(index: int, track: _Track, rows: int, rms: float) -> NoiseLine:
 
 
 def _smears(line: NoiseLine, resolution_hz: float) -> bool:
-    """Whether it wanders by more than a bin of the mean spectrum, in which it can't be read then."""
+    """Return whether it wanders by more than a bin of the mean spectrum, in which it can't be read then."""
     return line.range_hz is not None and float(np.ptp(line.range_hz)) > resolution_hz
 
 

@@ -45,7 +45,7 @@ def degc_of(sensor: Described) -> tuple[float, float] | None:
 
 
 def has_zero(sensor: Described) -> bool:
-    """Whether its thermometer tells degrees, and not only by how many these change."""
+    """Return whether its thermometer tells degrees, and not only by how many these change."""
     return sensor.thermometer is not None or sensor.chip not in WITHOUT_ZERO
 
 

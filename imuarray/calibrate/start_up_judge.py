@@ -43,7 +43,7 @@ class StartUpJudge:
 
     @property
     def knows_states(self) -> bool:
-        """Whether the calibration knows the start-up states of any sensor."""
+        """Return whether the calibration knows the start-up states of any sensor."""
         return any(sensor.turn_on is not None for sensor in self._calibration.sensors.values())
 
     def in_states(self) -> Calibration:

@@ -167,7 +167,7 @@ class _Axis:
 
 
 def _tells_curvature(clock: Floats, warm: Floats) -> bool:
-    """Whether squares of temperatures (n,) are anything but a straight line in temperature and time."""
+    """Return whether squares of temperatures (n,) are anything but a straight line in temperature and time."""
     squares = warm**2
     design = np.column_stack([np.ones(len(warm)), clock, warm])
     apart = squares - design @ np.linalg.lstsq(design, squares, rcond=None)[0]

@@ -122,7 +122,7 @@ def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[d
 
 
 def _fits_by_reason(order: int, other: Mapping[str, Any], apart: float) -> bool:
-    """Whether a multiple is hardly met by chance: the distance is small against that of multiples."""
+    """Return whether a multiple is hardly met by chance: the distance is small against that of multiples."""
     return bool(apart < CHANCE * other["frequency_hz"] / order)
 
 

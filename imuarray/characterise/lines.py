@@ -130,7 +130,7 @@ def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int
 
 
 def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) -> bool:
-    """Whether peak number `at` stands out from the four bins beside it.
+    """Return whether peak number `at` stands out from the four bins beside it.
 
     Of noise with the square root of a bin's chance: so weak a condition costs few lines, and doubts nearly no peak
     where the floor is right.

@@ -94,7 +94,7 @@ def find_rails(sensor: SensorLog) -> Rails:
 
 
 def _at_end(seen: Histogram, side: int, nominal: int) -> bool | None:
-    """Whether the last code on a side is a rail; None if that depends on whether the box moved."""
+    """Return whether the last code on a side is a rail; None if that depends on whether the box moved."""
     code = int(seen.codes[-1 if side > 0 else 0])
     if code == SPAN[side > 0]:
         return True
@@ -107,7 +107,7 @@ def _at_end(seen: Histogram, side: int, nominal: int) -> bool | None:
 
 
 def _is_pile(seen: Histogram, side: int) -> bool:
-    """Whether the last code on a side comes more often than a density that falls to its end allows."""
+    """Return whether the last code on a side comes more often than a density that falls to its end allows."""
     code = int(seen.codes[-1 if side > 0 else 0])
     count = int(seen.counts[-1 if side > 0 else 0])
     step = usual_step(seen)

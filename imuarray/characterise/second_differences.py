@@ -60,7 +60,7 @@ def _near(values: Values, reference: np.integer[Any]) -> bool:
 
 
 def _fits(values: Values) -> bool:
-    """Whether the running sum of the distance from one of the values is exact for certain."""
+    """Return whether the running sum of the distance from one of the values is exact for certain."""
     if values.dtype.kind not in "biu":
         return False
     span = 1 << 8 * values.dtype.itemsize if values.dtype.itemsize <= 2 else int(values.max()) - int(values.min())

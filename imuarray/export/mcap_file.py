@@ -66,7 +66,7 @@ class _Stream:
 
     @property
     def ended(self) -> bool:
-        """Whether all of them were taken."""
+        """Return whether all of them were taken."""
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:

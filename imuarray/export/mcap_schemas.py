@@ -40,7 +40,7 @@ def time_of(nanoseconds: int) -> dict[str, int]:
 
 
 def is_imu(table: Table) -> bool:
-    """Whether a table has specific force and angular rate."""
+    """Return whether a table has specific force and angular rate."""
     return set(_IMU) <= {column.name for column in table.columns}
 
 

@@ -136,7 +136,7 @@ def _attitudes(seconds: Floats, rate: Floats) -> Rotation:
 
 
 def _is_still(rest: Errors) -> bool:
-    """Whether the truth neither turns nor shakes."""
+    """Return whether the truth neither turns nor shakes."""
     if len(rest.time) == 0:
         return False
     turning = np.linalg.norm(rest.rate, axis=1).max()

@@ -111,19 +111,21 @@ class _Parts:
         return lambda share: self._progress(begin + weight * share)
 
 
-def both(found: Mapping[str, ErrorFrames]) -> Errors:
+def both(frames: Mapping[str, ErrorFrames]) -> Errors:
     """The frames in which both quantities are known, as `coasting` takes them."""
-    rate, force = found["angular_rate"], found["specific_force"]
+    rate, force = frames["angular_rate"], frames["specific_force"]
     time, mine, other = np.intersect1d(rate.time, force.time, assume_unique=True, return_indices=True)
     return Errors(time, rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
 
 
-def _score(technique: str, quantity: str, average: ErrorFrames, found: ErrorFrames) -> Score:
-    _, mine, other = np.intersect1d(average.time, found.time, assume_unique=True, return_indices=True)
+def _score(technique: str, quantity: str, average: ErrorFrames, estimate: ErrorFrames) -> Score:
+    _, mine, other = np.intersect1d(average.time, estimate.time, assume_unique=True, return_indices=True)
     count = min(BLOCKS, len(mine) // 2)
     if count < FEWEST_BLOCKS:
         raise FusionError(f"technique {technique}: {len(mine)} values of {quantity} with a truth, too few to compare")
-    before, after = (block_squares(part, count) for part in (average.errors[mine], found.errors[other]))
+    before, after = (block_squares(part, count) for part in (average.errors[mine], estimate.errors[other]))
     ratio = {axis: ratio_of(before[:, k], after[:, k]) for k, axis in enumerate(AXES[:3])}
     ratio[AXES[3]] = ratio_of(before.sum(axis=1), after.sum(axis=1))
-    return Score(technique, quantity, error_of(found.errors), ratio, consistency(found.errors, found.covariances))
+    return Score(
+        technique, quantity, error_of(estimate.errors), ratio, consistency(estimate.errors, estimate.covariances)
+    )

@@ -111,10 +111,9 @@ class TemperatureMismatch:
 def temperature_mismatch(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration
 ) -> dict[str, TemperatureMismatch]:
-    """By sensor, of those whose bias was calibrated at a temperature that is known and that the log knows, too.
-
-    A bias that follows the log's temperature is uncertain by the standard errors of its slopes; one that does not, by
-    what such slopes usually are.
+    """Return the temperature mismatch by sensor, for sensors whose bias was calibrated at a known temperature that the
+    log knows, too. A bias that follows the log's temperature is uncertain by the standard errors of its slopes; one
+    that does not, by the usual size of such slopes.
     """
     mismatches: dict[str, TemperatureMismatch] = {}
     sensors = list(sensors)
@@ -328,8 +327,9 @@ class TemperatureSources:
 def causal_temperatures(
     everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> TemperatureSources:
-    """As `element_temperatures`, of what is known when a frame is: by the barometer, the chip's own thermometer, or
-    that of another chip among `everything`. A reference is known afterwards only, and not used.
+    """Return element temperatures as `element_temperatures` does, from what is known at the time of a frame: the
+    barometer, the chip's own thermometer, or that of another chip among `everything`. A reference is known only
+    afterwards and not used.
     """
     wanted: dict[str, dict[str, float]] = {}
     for sensor in sensors:
@@ -351,7 +351,7 @@ def causal_temperatures(
 
 
 def _source(everything: Sequence[Described], sensor: Described) -> Described | None:
-    """Whose thermometer is the best one for a sensor."""
+    """Return the best thermometer for a sensor."""
     barometers = [other for other in everything if other.quantity == "pressure" and _compensates(other)]
     chips = [other for other in everything if degc_of(other) is not None]
     chips.sort(key=lambda other: (other.name != sensor.name, not has_zero(other)))

@@ -98,7 +98,7 @@ class Evaluation:
             kept[quantity].add(frames.errors)
 
     def errors(self) -> dict[str, dict[str, Error]]:
-        """By name and quantity, of those with two frames or more."""
+        """Return the errors by name and quantity, for those with at least two frames."""
         return {
             name: {quantity: kept[quantity].figures() for quantity in INERTIAL if _frames(kept, quantity) > 1}
             for name, kept in self._kept.items()
@@ -139,7 +139,7 @@ class QuietNoise:
             self._scatters[quantity].append(_scatters(frames[:whole].reshape(-1, SEGMENT, 3)))
 
     def scatter(self) -> dict[str, Floats]:
-        """Of all frames so far, (3,) by quantity."""
+        """Return the standard deviation of all frames so far, (3,) by quantity."""
         result = {}
         for quantity, parts in self._scatters.items():
             every = np.concatenate([*parts, _scatters(self._rest[quantity][None])])
@@ -267,7 +267,7 @@ class _ErrorSpool:
         self.frames += len(errors)
 
     def figures(self) -> Error:
-        """As `error_of` all of them; two frames at least."""
+        """Return `error_of` all errors; at least two frames."""
         slow = np.array([self._sum(begin, end) / (end - begin) for begin, end in pairwise(self._sixteenths())])
         steps = self.frames - 1
         change = (self._rows(steps, steps + 1)[0] - self._rows(0, 1)[0]) / steps
@@ -340,12 +340,14 @@ class Consistency:
 
     @property
     def holds(self) -> bool:
-        """Whether it lies in its interval."""
+        """Return whether it lies in its interval."""
         return self.low <= self.normalised <= self.high
 
 
 def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
-    """Of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`); None where fewer than twenty have one."""
+    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`); None if fewer than twenty
+    have one.
+    """
     from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
 
     known = np.flatnonzero(np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1))

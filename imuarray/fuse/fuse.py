@@ -63,7 +63,7 @@ class Watch:
     found: EventCallback = lambda event: None
 
     def over(self, technique: str | PipelineFactory) -> bool:
-        """Whether there is any watching."""
+        """Return whether there is any watching."""
         return technique == OPTIMAL if self.on is None else self.on
 
 

@@ -67,7 +67,7 @@ class FusedHead:
 
 
 def is_fused(path: Path) -> bool:
-    """Whether a file says that it is a fused result; nothing else in it was looked at."""
+    """Return whether a file declares itself a fused result; nothing else in it is read."""
     with suppress(*DAMAGE), h5py.File(UnclosedFile(path), "r") as file:
         return bool(file.attrs.get("format") == FORMAT)
     return False
@@ -104,7 +104,7 @@ def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[Fuse
 
 
 def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
-    """What became of sensors, in the order in which it was found; none of a file that does not say. LogError."""
+    """Return the fault events in the order of detection; none if the file has no such table. LogError."""
     with fused_columns(path) as (_, columns):
         return events_in(columns["time"].file, str(path))
 

@@ -51,5 +51,5 @@ class NoteSource(Protocol):
 
 
 def notes_of(pipeline: object) -> FusionNotes:
-    """What a pipeline tells; nothing, if it is none that does."""
+    """Return the notes of a pipeline; none if it has none to give."""
     return pipeline.notes() if isinstance(pipeline, NoteSource) else FusionNotes()

@@ -219,8 +219,8 @@ def _middle(triads: Floats) -> Floats:
         return _medians(triads)
     for turn in range(count):  # odd-even transposition sort (N. Haberman, 1972)
         for low in range(turn % 2, count - 1, 2):
-            one, other = columns[low], columns[low + 1]
-            columns[low], columns[low + 1] = np.minimum(one, other), np.maximum(one, other)
+            low_column, high_column = columns[low], columns[low + 1]
+            columns[low], columns[low + 1] = np.minimum(low_column, high_column), np.maximum(low_column, high_column)
     return np.asarray((columns[(count - 1) // 2] + columns[count // 2]) / 2)
 
 

@@ -28,7 +28,7 @@ class Pipeline(Protocol[Out_co]):
         ...
 
     def finish(self) -> Iterator[Out_co]:
-        """What it held back."""
+        """Return the frames that were held back."""
         ...
 
 
@@ -70,7 +70,7 @@ class QuantityPipeline:
         return iter(())
 
     def notes(self) -> FusionNotes:
-        """What the techniques remark."""
+        """Return the remarks of the techniques."""
         remarks: list[str] = []
         for quantity, technique in self.techniques.items():
             remarking: object = technique

@@ -72,7 +72,7 @@ def direct_combinations(
 
 
 def _is_plain(unit: Unit) -> bool:
-    """Whether nothing but its counts says what it feels, and when."""
+    """Return whether nothing but its counts says what it feels, and when."""
     known = unit.known
     return unit.element is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
 

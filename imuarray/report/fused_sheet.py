@@ -52,8 +52,10 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Sect
         factor, unit = READABLE_SI[quantity]
         own = course.sigma.get(quantity)
         for axis in range(3):
-            told = f"{factor * own[axis]:.3f}" if own is not None and np.isfinite(own[axis]) else "–"
-            rows.append([f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", told])
+            deviation = f"{factor * own[axis]:.3f}" if own is not None and np.isfinite(own[axis]) else "–"
+            rows.append(
+                [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
+            )
     heading = ["box axis", "unit", "scatter at rest", "its own estimate"]
     caption = "Scatter from frame to frame where it is quietest, beside the error that the estimate gives itself."
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]

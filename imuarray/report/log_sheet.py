@@ -55,12 +55,12 @@ def _recorded(log: Log) -> Section:
         flags = sensor.flagged()
         for name, count in flags.items():
             flagged[name] += count
-        told = ", ".join(f"{count} {name}" for name, count in flags.items() if count)
+        listed = ", ".join(f"{count} {name}" for name, count in flags.items() if count)
         span = f"±{sensor.range:g} {sensor.unit}" if sensor.range else sensor.unit
         seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if len(sensor) > 1 else 0.0
         rate = f"{(len(sensor) - 1) / seconds:.2f}" if seconds else "–"
         longest = f"{1e3 * _longest_s(sensor):.1f}"
-        rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, told or "none"])
+        rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, listed or "none"])
     lost = flagged.get("lost before", 0)
     words = f"Epoch {log.epoch}, written by {log.software}. "
     words += (
@@ -119,9 +119,11 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
         f"phase {stretch['phase']}" if stretch["phase"] else "the whole log: motion, if there was any, counts as noise"
     )
     words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where}). "
-    told = findings(result)
+    sentences = findings(result)
     words += (
-        f"What stands out: {'; '.join(told)}." if told else "Nothing stands out: no line, no clipping, no odd codes."
+        f"What stands out: {'; '.join(sentences)}."
+        if sentences
+        else "Nothing stands out: no line, no clipping, no odd codes."
     )
     parts: list[Table | Figure] = [_noise_table(result)]
     if drawn:
@@ -163,8 +165,8 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
 
 def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
     """One coefficient with its interval, or its upper limit."""
-    one = None if fit is None else fit["terms"].get(name)
-    if one is None:
+    term = None if fit is None else fit["terms"].get(name)
+    if term is None:
         return "–"
-    low, high = (factor * bound for bound in (one["low"], one["high"]))
-    return f"< {high:.2g}" if not one["significant"] else f"{factor * one['value']:.3g} ({low:.2g} to {high:.2g})"
+    low, high = (factor * bound for bound in (term["low"], term["high"]))
+    return f"< {high:.2g}" if not term["significant"] else f"{factor * term['value']:.3g} ({low:.2g} to {high:.2g})"

@@ -26,10 +26,10 @@ def techniques_section(
         return None
     title = f"{log.path.name}: what each technique gains"
     try:
-        found = compare(log, with_noise_of(log, calibration), progress=progress)
+        comparison = compare(log, with_noise_of(log, calibration), progress=progress)
     except ImuArrayError as error:
         return Section(title, f"Nothing can be said of it: {error}.")
-    scores = [score for score in found.scores if score.technique != "mean"]
+    scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
         "Rms error against the log's truth over that of the simple average of the same sensors. Left of one is better."
     )
@@ -39,9 +39,9 @@ def techniques_section(
         ratios, errors = zip(*(_ratio(score) for score in scores), strict=True)
         drawing = ratio_figure(labels, ratios, errors)
         caption = "Blue: better than the average beyond chance; bars are two standard errors of this log alone."
-        told = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
-        parts.append(Figure(drawing, caption, f"{caption} {told}."))
-    return Section(title, words, [*parts, _table(found), *_coasting(found)])
+        listed = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
+        parts.append(Figure(drawing, caption, f"{caption} {listed}."))
+    return Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
 
 
 def _ratio(score: Score) -> tuple[float, float]:
@@ -51,9 +51,9 @@ def _ratio(score: Score) -> tuple[float, float]:
     return ratio.ratio, wide if np.isfinite(wide) else 0.0
 
 
-def _table(found: Comparison) -> Table:
+def _table(comparison: Comparison) -> Table:
     rows = []
-    for score in found.scores:
+    for score in comparison.scores:
         factor, unit = READABLE_SI[score.quantity]
         ratio, held = score.ratio["XYZ"], score.consistency
         interval = f" ({ratio.low:.3f} to {ratio.high:.3f})" if np.isfinite([ratio.low, ratio.high]).all() else ""
@@ -69,10 +69,10 @@ def _table(found: Comparison) -> Table:
     return Table(heading, rows, caption, (1,))
 
 
-def _coasting(found: Comparison) -> list[Table]:
+def _coasting(comparison: Comparison) -> list[Table]:
     rows = [
         [name, f"{coast.heading_rms_deg:.3f}", f"{coast.velocity_rms_mps:.3f}", str(len(coast.begins_s))]
-        for name, coast in found.coasting.items()
+        for name, coast in comparison.coasting.items()
         if len(coast.begins_s)
     ]
     caption = "A navigator that stood still for ten seconds and then had nothing but this for a minute."

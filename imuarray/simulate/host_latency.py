@@ -123,7 +123,7 @@ class _Pairs(NamedTuple):
     idle_ns: Floats
 
     def has(self, which: int) -> bool:
-        """Whether this sensor is read right before or after another one."""
+        """Return whether this sensor is read right before or after another one."""
         return bool(np.isfinite(self.usual_ns[which]).any() or np.isfinite(self.usual_ns[:, which]).any())
 
 

@@ -60,7 +60,7 @@ class Part:
     unit: str = ""
 
     def fits(self, sensor: SensorHeader) -> bool:
-        """Whether this is what the sensor is, set as it is set."""
+        """Return whether this is what the sensor is, set as it is set."""
         return (
             self.chip == sensor.chip
             and self.unit in ("", sensor.unit)

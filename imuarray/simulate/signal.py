@@ -69,7 +69,7 @@ class Analog:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing has made noise yet: `noise` is one zero, seen (n, 3) times."""
+        """Return whether nothing has made noise yet: `noise` is one zero, seen (n, 3) times."""
         return self.noise.strides == (0, 0)
 
 

@@ -47,7 +47,7 @@ def allan_figure(result: Table) -> Figure:
 
 
 def _is_shown(axis: Table) -> bool:
-    """Whether there is a curve; a constant series can't stand on a logarithmic scale."""
+    """Return whether there is a curve; a constant series can't stand on a logarithmic scale."""
     return bool(axis["allan"]) and any(value > 0 for value in axis["allan"]["deviation"])
 
 

@@ -54,7 +54,7 @@ def autocorrelation_figure(result: Table) -> Figure:
 
 
 def _is_shown(axis: Table) -> bool:
-    """Whether there is a correlation at all: not of a constant or a very short series."""
+    """Return whether there is a correlation at all: not of a constant or a very short series."""
     return "autocorrelation" in axis and any(value is not None for value in axis["autocorrelation"]["correlation"][1:])
 
 
@@ -91,6 +91,6 @@ def _legend(panel: Axes, kind: Kind, curves: list[Curve], half: float, level: fl
 
 
 def stands_out(axis: Table, level: float) -> bool:
-    """Whether white noise would correlate like this with a chance of at most `level`."""
+    """Return whether white noise would correlate like this with a chance of at most `level`."""
     p_value = axis["autocorrelation"]["p_value"]
     return p_value is not None and p_value <= level

@@ -57,7 +57,7 @@ class Kind:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether there are more sensors than the palette has colours: thin lines without bands then."""
+        """Return whether there are more sensors than the palette has colours: thin lines without bands then."""
         return len(self.sensors) > len(COLOURS)
 
     @property

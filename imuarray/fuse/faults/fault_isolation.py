@@ -39,7 +39,7 @@ class Silence:
 
     @property
     def anybody(self) -> bool:
-        """Whether anybody is silent."""
+        """Return whether anybody is silent."""
         return bool(self._reported.any())
 
     def all_heard(self) -> None:
@@ -327,7 +327,7 @@ class FaultIsolation:
     def _kind(
         self, sensor: int, axes: Sequence[int], drifted: float, seen: WindowResiduals, window: Window
     ) -> Kind | None:
-        """What a fault looks like in a window; None where there is nothing to see."""
+        """Return the kind of fault that a window shows; None if it shows none."""
         if drifted:
             return Kind("random_walk", drifted)
         view = compare_triad(seen, window, self._normal, _members(sensor))
@@ -372,7 +372,7 @@ class FaultIsolation:
         return doubted
 
     def _learn(self, seen: WindowResiduals, window: Window, doubted: Booleans) -> None:
-        """What the sound axes read is normal."""
+        """Learn what is normal from the readings of sound axes."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
         self._normal.learn(seen.regressors, seen.residual, sound)

@@ -83,12 +83,14 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
 
 
 def least_energy_limit(frames: int) -> float:
-    """What `energy_limit` is at least: that of white noise, or of doubt alone where that is less."""
+    """Return the lower bound of `energy_limit`: that of white noise, or of doubt alone if that is less."""
     return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))
 
 
 def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
-    """Of the means: the sensor that gains most, or the one axis of it that does nearly all of that."""
+    """Return the hypothesis for the means: the sensor with the greatest gain, or its one axis with nearly all of that
+    gain.
+    """
     best = int(sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)
     item = int(members[axis[members].argmax()])
@@ -99,7 +101,7 @@ def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
 
 
 def _by_energy(energy: Floats, limit: Floats) -> Suspect:
-    """Of the scatter: the sensor with the wildest axis, and its axes that are wild."""
+    """Return the hypothesis for the scatter: the sensor with the noisiest axis, and its axes beyond the limit."""
     per_sensor = (energy / limit).reshape(-1, 3).max(axis=1)
     best = int(per_sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)

@@ -107,7 +107,7 @@ def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) 
 
 
 def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
-    """What the fault of the axes `which` (0, 1, 2) of a triad is."""
+    """Return the kind of fault of the axes `which` (0, 1, 2) of a triad."""
     if view.stale or (view.quiet < QUIET and reset is None):
         return Kind("stuck", 0.0, whole=True)
     if reset is not None:

@@ -94,7 +94,7 @@ class FaultMonitor:
 
     @property
     def events(self) -> tuple[FaultEvent, ...]:
-        """What was found so far, in order."""
+        """The events so far, in order."""
         return tuple(self._isolation.report.events)
 
     def __call__(self, frames: Frames, rate_box: Floats | None = None) -> Frames:
@@ -225,7 +225,7 @@ class MonitoredPipeline(Generic[Out]):
 
     @property
     def left_out(self) -> dict[str, ExclusionMasks]:
-        """Which axes were left out of the frames so far, by quantity."""
+        """Return the axes excluded from the frames so far, by quantity."""
         return {quantity: monitor.left_out for quantity, monitor in self._monitors.items()}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
@@ -251,7 +251,7 @@ class MonitoredPipeline(Generic[Out]):
         yield from self._inner.finish()
 
     def notes(self) -> FusionNotes:
-        """What the pipeline behind it tells."""
+        """Return the notes of the inner pipeline."""
         return notes_of(self._inner)
 
     def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:

@@ -82,7 +82,7 @@ class Normal:
 
     @property
     def begun(self) -> bool:
-        """Whether there is a noise for every axis."""
+        """Return whether there is a noise for every axis."""
         return bool(self._begun.all())
 
     def begin(self, changes: Floats) -> None:
@@ -100,7 +100,7 @@ class Normal:
 
     @property
     def settled(self) -> bool:
-        """Whether the noise of every axis stays as it is from now on."""
+        """Return whether the noise of every axis stays as it is from now on."""
         return self.begun and not bool((self.learnt & (self._seen < _Q_WINDOWS)).any())
 
     def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:

@@ -204,24 +204,24 @@ def error_model(
     )
 
 
-def _of_design(wander: float, slope: float, told: bool) -> DesignErrors:
+def _of_design(wander: float, slope: float, is_known: bool) -> DesignErrors:
     """What nobody measured: a design is taken to wander in common as far as its units do singly. What was measured of a
     unit has all in it, and nothing is added.
     """
-    if told:
+    if is_known:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
 
 
-def _of_both(one: DesignErrors, other: DesignErrors) -> DesignErrors:
-    """What two units share: the wandering of the one that wanders less, if it does, and the steeper slope."""
-    wandering = [design for design in (one, other) if design.common > 0] or [one]
-    slope = max(one.slope_per_degc, other.slope_per_degc)
+def _of_both(first: DesignErrors, second: DesignErrors) -> DesignErrors:
+    """Return what two units share: the wander of the one that wanders less, if it does, and the steeper slope."""
+    wandering = [design for design in (first, second) if design.common > 0] or [first]
+    slope = max(first.slope_per_degc, second.slope_per_degc)
     return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
 
 
 def _of_sensor(
-    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, told: bool
+    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, is_known: bool
 ) -> list[AxisErrors]:
     """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
     if known.noise_lsb is None:
@@ -234,7 +234,7 @@ def _of_sensor(
     drift, time_constant_s = _drift(known, usual, noise)
     bias, response = _bias(known, usual, noise, drift), _response(known, usual)
     slope, bias_degc = _slope(known, slopes_per_degc)
-    if not told:  # nor does the bias follow the slopes that are known
+    if not is_known:  # nor does the bias follow the slopes that are known
         slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
     correlation = known.noise_correlation

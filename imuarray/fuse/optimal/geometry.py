@@ -53,7 +53,7 @@ class Geometry:
         return self.end - _NEAR * self.noise
 
     def spans(self, valid: Booleans) -> bool:
-        """Whether these of the axes, (r,), span space."""
+        """Return whether these of the axes, (r,), span space."""
         key = valid[: self.axes].tobytes()
         if key not in self._spanning:
             if len(self._spanning) >= _KEPT:
@@ -150,7 +150,7 @@ def readings_of(frames: Frames, geometry: Geometry) -> Readings:
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:
-    """Whether any value is, or may be for not being a number."""
+    """Return whether any value is, or may be for not being a number."""
     return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
 
 

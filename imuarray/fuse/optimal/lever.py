@@ -33,7 +33,7 @@ _JITTER = 0.25
 
 
 def placed(axes: Sequence[Axis]) -> bool:
-    """Whether any sensor is known to sit away from the origin."""
+    """Return whether any sensor is known to sit away from the origin."""
     return any(any(axis.position_m) for axis in axes)
 
 

@@ -203,7 +203,7 @@ class _Group:
         return np.asarray(np.linalg.inv(rows.T @ (rows / noise[:, None] ** 2)))
 
     def spans(self) -> bool:
-        """Whether all axes together span space."""
+        """Return whether all axes together span space."""
         return self._geometry.spans(np.ones(len(self._geometry.noise), bool))
 
     def turn_back(self) -> None:

@@ -34,7 +34,7 @@ class Spool:
         self._end = 0
 
     def __bool__(self) -> bool:
-        """Whether there is anything on it."""
+        """Return whether there is anything on it."""
         return self._end > 0
 
     def push(self, arrays: Sequence[Floats]) -> None:

@@ -49,11 +49,11 @@ class Adjoint(NamedTuple):
     matrix: Floats
 
 
-def predicted(before: Normal, left: Floats, added: Floats) -> Normal:
+def predicted(before: Normal, remaining: Floats, added: Floats) -> Normal:
     """The states a while later: `left` (n,) of each, and `added` (n,) new variance."""
-    covariance = before.covariance * np.outer(left, left)
+    covariance = before.covariance * np.outer(remaining, remaining)
     covariance[np.diag_indices_from(covariance)] += added
-    return Normal(before.mean * left, covariance)
+    return Normal(before.mean * remaining, covariance)
 
 
 def corrected(before: Normal, rows: Floats, values: Floats) -> tuple[Normal, Innovation]:

@@ -138,7 +138,7 @@ def _bias(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -
 
 
 def _reduction(first: float, second: float, sem_first: float, sem_second: float) -> Reduction:
-    """By standard errors of zero the interval is the figure itself."""
+    """Return the reduction with its interval, which collapses to a point for standard errors of zero."""
     tiny = np.finfo(float).tiny
     remaining, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
     single = (abs(first) + abs(second)) / 2

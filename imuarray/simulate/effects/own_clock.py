@@ -62,6 +62,6 @@ class OwnClock(Effect):
         return at.kept((self.name, "phase", at.copy), lambda: float(at.boot_generator(self.name).uniform()))
 
     def _is_polled(self, at: Place) -> bool:
-        """Whether the chip has a rate, and rows come at another one, or are known to be polls."""
+        """Return whether the chip has a rate, and rows come at another one, or are known to be polls."""
         rate_hz = at.sensor.rate_hz
         return rate_hz > 0 and (bool(self.polled) or abs(at.rows_per_s / rate_hz - 1) > AT_ITS_RATE)

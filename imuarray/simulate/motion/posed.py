@@ -59,7 +59,7 @@ class PoseSequence:
         return self.surroundings.seconds
 
     def is_estimated(self, phase: Phase) -> bool:
-        """Whether the attitude was estimated in which the box lies in the middle of a phase."""
+        """Return whether the attitude was estimated in which the box lies in the middle of a phase."""
         middle_ns = np.array([(phase.start_ns + phase.end_ns) // 2])
         return self.attitudes[int(np.searchsorted(self._turns_ns, middle_ns, side="right")[0])].estimated
 

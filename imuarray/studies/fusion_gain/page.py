@@ -150,12 +150,12 @@ def heating_figure(
     return figure
 
 
-def drawings_of(found: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
+def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     """By file name, as many as there are rows for; MissingExtraError without matplotlib."""
-    vectors = [row for row in found.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
-    bounded = found.of(measure="rms", box_axis="XYZ", calibration="true")
+    vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
+    bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
     bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
-    ends = [row for row in found.of(calibration="measured", quantity="") if changed(row)]
+    ends = [row for row in study.of(calibration="measured", quantity="") if changed(row)]
     panels = {
         "ratios.png": (_by_sensors(vectors), "over_mean"),
         "bound.png": (_by_sensors(bounded), "over_bound"),
@@ -213,7 +213,7 @@ _SEE = {
 
 
 def write_study_page(
-    path: str | PathLike[str], found: Study, drawings: Mapping[str, Drawing], *, force: bool = False
+    path: str | PathLike[str], study: Study, drawings: Mapping[str, Drawing], *, force: bool = False
 ) -> None:
     """Write the page; OutputExistsError, OutputError, MissingExtraError without jinja2."""
     figures = [Figure(drawing, *_SEE[name]) for name, drawing in drawings.items()]
@@ -224,29 +224,29 @@ def write_study_page(
             " root mean square over all frames.",
             figures,
         ),
-        *(_section(found, experiment) for experiment in dict.fromkeys(row.experiment for row in found.rows)),
+        *(_section(study, experiment) for experiment in dict.fromkeys(row.experiment for row in study.rows)),
     ]
-    write_page(path, "What fusion gains", summary(found), sections, force=force)
+    write_page(path, "What fusion gains", summary(study), sections, force=force)
 
 
-def summary(found: Study) -> list[str]:
+def summary(study: Study) -> list[str]:
     """What a person should know after half a minute: each technique where it gains most, and how far the best is from
     the bound.
     """
     vectors = [
-        row for row in found.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
+        row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
     ]
     lines = []
     for technique in dict.fromkeys(row.technique for row in vectors):
         best = min((row for row in vectors if row.technique == technique), key=lambda row: row.over_mean.ratio)
         where = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
         lines.append(f"{technique}: at best {interval_text(best.over_mean)} times the average's error ({where})")
-    lines.append(f"seeds {found.seeds[0]} to {found.seeds[-1]}; intervals are 95 %, over the seeds")
+    lines.append(f"seeds {study.seeds[0]} to {study.seeds[-1]}; intervals are 95 %, over the seeds")
     return lines
 
 
-def _section(found: Study, experiment: str) -> Section:
-    rows = found.of(experiment=experiment)
+def _section(study: Study, experiment: str) -> Section:
+    rows = study.of(experiment=experiment)
     tables = []
     for calibration in dict.fromkeys(row.calibration for row in rows):
         lines = [_line(row) for row in rows if row.calibration == calibration and _is_told(row)]

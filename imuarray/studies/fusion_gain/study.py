@@ -197,8 +197,10 @@ def _is_chosen(header: SensorHeader, quantity: str, names: tuple[str, ...]) -> b
     return header.quantity == quantity and (not names or header.name in names)
 
 
-def _measured(found: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]) -> Iterator[RunErrors]:
-    for quantity, frames in found.items():
+def _measured(
+    frames_by_quantity: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]
+) -> Iterator[RunErrors]:
+    for quantity, frames in frames_by_quantity.items():
         held = consistency(frames.errors, frames.covariances)
         yield label(
             quantity=quantity,
@@ -207,8 +209,8 @@ def _measured(found: Mapping[str, ErrorFrames], label: Label, least: Mapping[str
             normalised=None if held is None else held.normalised,
             holds=None if held is None else held.holds,
         )
-    if len(found) == len(INERTIAL):
-        coast = coasting(both(found))
+    if len(frames_by_quantity) == len(INERTIAL):
+        coast = coasting(both(frames_by_quantity))
         if len(coast.begins_s):
             yield label(quantity="", squares=_coasting_squares(coast))
 
@@ -387,16 +389,16 @@ WORDS = {
 """What a calibration is called."""
 
 
-def render_text(found: Study) -> str:
+def render_text(study: Study) -> str:
     """Lengths of error vectors, a line a technique that changes something; then coasting."""
-    return "".join(f"{line}\n" for line in _lines(found))
+    return "".join(f"{line}\n" for line in _lines(study))
 
 
-def _lines(found: Study) -> Iterator[str]:
-    yield f"seeds {found.seeds[0]} to {found.seeds[-1]}; error of the whole vector, 95 % intervals over the seeds"
-    groups = dict.fromkeys((row.experiment, row.sensors, row.calibration) for row in found.rows)
+def _lines(study: Study) -> Iterator[str]:
+    yield f"seeds {study.seeds[0]} to {study.seeds[-1]}; error of the whole vector, 95 % intervals over the seeds"
+    groups = dict.fromkeys((row.experiment, row.sensors, row.calibration) for row in study.rows)
     for experiment, sensors, calibration in groups:
-        chosen = found.of(experiment=experiment, sensors=sensors, calibration=calibration)
+        chosen = study.of(experiment=experiment, sensors=sensors, calibration=calibration)
         yield ""
         yield f"{experiment}: {sensors}, {WORDS[calibration]}"
         yield _HEAD
@@ -408,7 +410,7 @@ def _lines(found: Study) -> Iterator[str]:
 
 
 def changed(row: Row) -> bool:
-    """Whether a technique does anything here."""
+    """Return whether a technique does anything here."""
     return abs(row.over_mean.ratio - 1) > _NOTHING
 
 
@@ -416,8 +418,8 @@ def _shows(row: Row) -> bool:
     return row.technique == AVERAGE or changed(row)
 
 
-def _same(one: Row, other: Row) -> bool:
-    return one.technique == other.technique
+def _same(row: Row, other: Row) -> bool:
+    return row.technique == other.technique
 
 
 def _vector_line(row: Row, drift: Row) -> str:

@@ -170,7 +170,7 @@ class Line:
 
     @property
     def marked(self) -> bool:
-        """Whether the simulation is far off."""
+        """Return whether the simulation is far off."""
         return self.twin is not None and abs(self.twin.z) > MARKED_Z
 
     def texts(self) -> list[str]:
@@ -437,8 +437,8 @@ def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
         f"parameters (seed {replica.seed}): of {whole.count} statistics {item} agree within one uncertainty, {two} "
         f"within two, {three} within three; normal deviates would give 68.3, 95.4 and 99.7 %."
     )
-    axes, thermometers = (_judged(replica.kinds[name]) for name in ("axes", "thermometers"))
-    yield f"Chi-square per degree, all statistics that follow from no others: {_judged(whole)}."
+    axes, thermometers = (_judge_chi_square(replica.kinds[name]) for name in ("axes", "thermometers"))
+    yield f"Chi-square per degree, all statistics that follow from no others: {_judge_chi_square(whole)}."
     yield f"Of the inertial axes: {axes}. Of the chips' own thermometers: {thermometers}."
     yield _recomputed_words(result)
     held = sum(statement["holds"] for statement in result["conclusions"])
@@ -454,12 +454,16 @@ def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
     )
 
 
-def _judged(found: Summary) -> str:
-    low, high = found.expected
+def _judge_chi_square(summary: Summary) -> str:
+    low, high = summary.expected
     verdict = (
-        "as expected" if low <= found.chi_square <= high else "too large" if found.chi_square > high else "too small"
+        "as expected"
+        if low <= summary.chi_square <= high
+        else "too large"
+        if summary.chi_square > high
+        else "too small"
     )
-    return f"{found.chi_square:.2f}, {verdict} (95 % of true models lie between {low:.2f} and {high:.2f})"
+    return f"{summary.chi_square:.2f}, {verdict} (95 % of true models lie between {low:.2f} and {high:.2f})"
 
 
 def _recomputed_words(result: dict[str, Any]) -> str:

@@ -218,7 +218,7 @@ def _hanging(head: str, text: str) -> list[str]:
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is installed."""
+    """Return whether matplotlib is installed."""
     return find_spec("matplotlib") is not None
 
 

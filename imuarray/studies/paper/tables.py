@@ -111,7 +111,7 @@ def design_of(channel: str) -> str:
 
 
 def is_inertial(row: Row) -> bool:
-    """Whether a row is an accelerometer or gyroscope axis, not a chip's thermometer."""
+    """Return whether a row is an accelerometer or gyroscope axis, not a chip's thermometer."""
     return row["range"] != "int"
 
 
@@ -164,7 +164,7 @@ class Cell:
 
     @property
     def matches(self) -> bool:
-        """Whether the recomputed value equals the printed one in every printed digit."""
+        """Return whether the recomputed value equals the printed one in every printed digit."""
         return self.value == self.printed
 
 

@@ -33,12 +33,12 @@ class AxisPair:
 
     @property
     def opposed(self) -> bool:
-        """Whether the two axes point in opposite directions."""
+        """Return whether the two axes point in opposite directions."""
         return self.axis_first[0] != self.axis_second[0]
 
     @property
     def carries_1g(self) -> bool:
-        """Whether gravity lay along the pair while it was heated (accelerometers along box Z)."""
+        """Return whether gravity lay along the pair while it was heated (accelerometers along box Z)."""
         return design_of(self.first["channel"]) != "Gyro" and self.axis_first[1] == "Z"
 
     @property

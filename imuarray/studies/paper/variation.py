@@ -334,8 +334,8 @@ def _scatter(points: Sequence[Point]) -> float:
     return sum(dist(point, centre) ** 2 for point in points)
 
 
-def _dot(left: Sequence[float], right: Sequence[float]) -> float:
-    return sum(a * b for a, b in zip(left, right, strict=True))
+def _dot(first: Sequence[float], second: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(first, second, strict=True))
 
 
 FACE_SECONDS = 900
@@ -587,9 +587,9 @@ def _table11() -> Iterable[RecomputedRow]:
             yield _standard_error(reading, row, f"{reading.log}_sem", f"{reading.log}_std", row["channel"])
 
 
-def _standard_error(found: Readings, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
-    cell = numeric_cell(row, column, lambda values: values[0] / found.middle.sqrt(), [number_in(row, deviation)])
-    return judged(f"Table {found.table}", channel, row, cell, f"{deviation} / sqrt({round(found.middle)})")
+def _standard_error(readings: Readings, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
+    cell = numeric_cell(row, column, lambda values: values[0] / readings.middle.sqrt(), [number_in(row, deviation)])
+    return judged(f"Table {readings.table}", channel, row, cell, f"{deviation} / sqrt({round(readings.middle)})")
 
 
 def _same(values: Sequence[Decimal]) -> Decimal:

@@ -41,7 +41,7 @@ def widest(axes: Sequence[Axis]) -> float:
 
 
 def has_low_range(axis: Axis, axes: Sequence[Axis]) -> bool:
-    """Whether another of the axes goes on where this one ends."""
+    """Return whether another of the axes goes on where this one ends."""
     return axis.range_si < OTHER_RANGE * widest(axes)
 
 

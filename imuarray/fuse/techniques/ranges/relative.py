@@ -302,21 +302,21 @@ class Tracker:
         covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
         return result, covariances / self._share[:, None, None]
 
-    def _learn(self, told: Moments) -> None:
+    def _learn(self, moments: Moments) -> None:
         """One step of the filters: everything walks, then the segment is taken in."""
-        passed_s = 0.0 if self._end_ns is None else (told.end_ns - self._end_ns) * 1e-9
-        self._end_ns = told.end_ns
+        passed_s = 0.0 if self._end_ns is None else (moments.end_ns - self._end_ns) * 1e-9
+        self._end_ns = moments.end_ns
         walk = self._prior * _WALK_PER_S**2 * passed_s
         walk[:, 0] = self._bias_step * passed_s**2
         self._covariances = self._covariances + walk[:, :, None] * np.eye(3)
-        blend = self._blends.of(told.present)
-        if blend is None or not told.products.any():
+        blend = self._blends.of(moments.present)
+        if blend is None or not moments.products.any():
             return
         # Against the blend of those present; what these differ from the blend of all is known from before.
         shift = blend.level(self._differences, self._rows) - self._differences
-        residual = told.residual + np.einsum("mij,mj->mi", told.products, shift)
+        residual = moments.residual + np.einsum("mij,mj->mi", moments.products, shift)
         weight = 1 / np.where(blend.seen, blend.variance, 1.0)[:, None]
-        gain, self._covariances = _taken_in(self._covariances, told.products * weight[:, :, None], told.moved)
+        gain, self._covariances = _taken_in(self._covariances, moments.products * weight[:, :, None], moments.moved)
         self._differences = self._differences + np.einsum("mij,mj->mi", gain, residual * weight)
 
 

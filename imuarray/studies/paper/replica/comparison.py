@@ -206,10 +206,11 @@ def gyroscope(row: Columns) -> Columns:
     }
 
 
-def _runs(found: Sequence[Window]) -> Table:
+def _runs(windows: Sequence[Window]) -> Table:
     columns = ("x_lsb", "y_lsb", "z_lsb", "temp_int")
     return {
-        str(run): dict(zip(columns, map(float, window.mean), strict=True)) for run, window in enumerate(found, start=1)
+        str(run): dict(zip(columns, map(float, window.mean), strict=True))
+        for run, window in enumerate(windows, start=1)
     }
 
 
@@ -403,12 +404,12 @@ def _step_of_fault(channel: str) -> float:
 
 
 def _is_fitted(channel: str, half: str) -> bool:
-    """Whether the model has something of its own for this deviation."""
+    """Return whether the model has something of its own for this deviation."""
     return axis_of(channel) < 3 and own(channel, lambda unit: unit.turn_on if half == "runs" else unit.in_run) > 0
 
 
 def _is_derived(channel: str, half: str) -> bool:
-    """Whether Table 6 or 7 prints the runs one by one."""
+    """Return whether Table 6 or 7 prints the runs one by one."""
     return half == "runs" and channel.split()[0] in ("BMA1", "Gyro3")
 
 

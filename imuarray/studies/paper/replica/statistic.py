@@ -185,11 +185,12 @@ def _together(replica: Replica) -> Iterator[str]:
         yield _chi_square(name, result)
 
 
-def _chi_square(name: str, found: Summary) -> str:
-    low, high = found.expected
+def _chi_square(name: str, summary: Summary) -> str:
+    low, high = summary.expected
     return (
-        f"  {name:<13}{found.chi_square:>7.2f} over {found.independent:>4} of them; expected {low:.2f} to {high:.2f}"
-        f" ({found.degrees:.0f} degrees)"
+        f"  {name:<13}{summary.chi_square:>7.2f} over {summary.independent:>4} of them;"
+        f" expected {low:.2f} to {high:.2f}"
+        f" ({summary.degrees:.0f} degrees)"
     )
 
 
