@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from imuarray.axes import Matrix, orientation_of
 from imuarray.chips import CHIPS, ChipSpec
 from imuarray.errors import ConfigError
+from imuarray.spelling import guess
 from imuarray.toml_files import parse_toml, read_text
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -146,7 +147,9 @@ class ArrayConfig(BaseModel):
         known = [sensor.name for sensor in self.sensors]
         for name in names:
             if name not in known:
-                raise ConfigError(f"array {self.name}: no sensor {name!r}; it has {', '.join(known)}")
+                raise ConfigError(
+                    f"array {self.name}: no sensor {name!r}; it has {', '.join(known)}{guess(name, known)}"
+                )
         return self.model_copy(update={"sensors": tuple(sensor for sensor in self.sensors if sensor.name in names)})
 
 

@@ -1,17 +1,50 @@
-"""A misspelt word, and what was meant."""
+"""Suggestions for misspelt words and file names, appended to the error that refuses them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
+from os import PathLike
+from pathlib import Path
+
+from imuarray.printable import printable
+
+_MOST_FILES = 2000
+"""Only so many names of a folder are compared, so that an error in a large folder is not slow."""
 
 
 def guess(word: str, allowed: Iterable[str]) -> str:
-    """The end of a complaint about `word`: which of those that are allowed it is like; "" if it is like none.
+    """Return `; did you mean NAME?` for the allowed name most like `word`, or "" where none is similar.
+
+    Letter case is ignored.
 
     >>> guess("calibrat", ["calibrate", "fuse"])
     '; did you mean calibrate?'
+    >>> guess("GYRO1", ["Gyro1", "BMA2"])
+    '; did you mean Gyro1?'
     """
+    return _suggestion(closest(word, allowed))
+
+
+def guess_file(path: str | PathLike[str]) -> str:
+    """Return `; did you mean FILE?` for the file in the same folder whose name is most like that of `path`, else ""."""
+    wanted = Path(path)
+    try:
+        names = [entry.name for entry in islice(wanted.parent.iterdir(), _MOST_FILES)]
+    except OSError:
+        return ""
+    name = closest(wanted.name, (name for name in names if not name.startswith(".")), cutoff=0.75)
+    return _suggestion(str(wanted.with_name(name)) if name else "")
+
+
+def closest(word: str, allowed: Iterable[str], *, cutoff: float = 0.6) -> str:
+    """Return the allowed name most like `word`, or "" where none has a similarity (0 to 1, `difflib`) of `cutoff`."""
     from difflib import get_close_matches
 
-    near = get_close_matches(word, list(allowed), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    names = {name.casefold(): name for name in allowed}
+    near = get_close_matches(word.casefold(), list(names), n=1, cutoff=cutoff)
+    return names[near[0]] if near else ""
+
+
+def _suggestion(name: str) -> str:
+    return f"; did you mean {printable(name)}?" if name else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -12,6 +11,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from imuarray.errors import ConfigError
+from imuarray.spelling import closest, guess_file
 
 File = TypeVar("File", bound=BaseModel)
 
@@ -33,7 +33,8 @@ def read_text(path: str | PathLike[str]) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
+        near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}{near}") from None
 
 
 def parse_toml(text: str, model: type[File], where: str) -> File:
@@ -93,8 +94,8 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
     if mistake["type"] == "extra_forbidden":
         *path, key = mistake["loc"]
         allowed = list(_model_at(path, model).model_fields)
-        near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.5)
-        return f"unknown key{f' (did you mean {near[0]!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
+        near = closest(str(key), allowed, cutoff=0.5)
+        return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
     if mistake["type"] in _IN_OTHER_WORDS:
         return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40])
     if mistake["type"] == "value_error":

@@ -14,6 +14,7 @@ from urllib.parse import parse_qsl
 from imuarray.array import ArrayConfig, load_array
 from imuarray.bus.protocol import Bus, OpenBus
 from imuarray.errors import BusUrlError
+from imuarray.spelling import guess
 
 __all__ = ["Bus", "OpenBus", "open_bus"]
 
@@ -31,7 +32,7 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     """
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in _SCHEMES:
-        raise BusUrlError(f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}")
+        raise BusUrlError(f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}{guess(scheme, _SCHEMES)}")
     return _SCHEMES[scheme](rest, array)
 
 

@@ -34,6 +34,7 @@ from imuarray.calibrate.stability import (
     TurnOn,
 )
 from imuarray.errors import CalibrationError
+from imuarray.spelling import guess_file
 
 _UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
 
@@ -48,8 +49,9 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     try:
         file = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
+        near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
         raise CalibrationError(
-            f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}"
+            f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}{near}"
         ) from None
     head = file.get("calibration")
     version = head.get("format_version") if isinstance(head, dict) else None

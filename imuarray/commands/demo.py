@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import find_config, force_option, json_option, print_json
+from imuarray.commands.options import Duration, find_config, force_option, json_option, print_json
 
 
 @click.command("demo")
@@ -22,8 +22,9 @@ from imuarray.commands.options import find_config, force_option, json_option, pr
     "--seconds",
     default=1600.0,
     show_default=True,
-    type=click.FloatRange(min=300),
-    help="array time to record, all runs together",
+    type=Duration(minimum_s=300),
+    metavar="30min",
+    help="array time to record, all runs together; at least 5min",
 )
 @click.option("--seed", default=1, show_default=True, help="draws the emulated noise")
 @force_option

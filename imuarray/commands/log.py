@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write"
 )
 @click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), help="duration in s (default: until interrupted)"
+    "--seconds", type=Duration(), metavar="60s", help="duration: 90, 90s, 10min, 8h (default: until interrupted)"
 )
 @click.option(
     "--rate-hz",

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imuarray.commands.options import Duration
+from imuarray.spelling import guess_file
+
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.monitor import LogMonitor, Snapshot
@@ -25,11 +28,11 @@ if TYPE_CHECKING:
 @click.option(
     "--every",
     "every_s",
-    type=click.FloatRange(0.2, 3600),
+    type=Duration(minimum_s=0.2, maximum_s=3600),
     default=1.0,
     show_default=True,
-    metavar="SECONDS",
-    help="time between updates; the logger writes once a second",
+    metavar="1s",
+    help="time between updates, 0.2s to 1h; the logger writes once a second",
 )
 @click.option(
     "--calibration",
@@ -76,7 +79,7 @@ def command(
     if once and not (as_text or as_json):
         raise click.UsageError("--once needs --text or --json")
     if once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
-        raise click.UsageError(f"{run}: no such file")
+        raise click.UsageError(f"{run}: no such file{guess_file(run)}")
     if as_text or as_json:
         with _monitor(run, known, result) as monitor:
             _show(monitor, every_s, as_json=as_json, once=once)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -17,6 +18,7 @@ import click
 
 from imuarray.errors import ConfigError, ImuArrayError, OutputExistsError
 from imuarray.shipped import configs
+from imuarray.spelling import guess, guess_file
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -50,10 +52,22 @@ else:  # a type with a parameter from click 8.4 on only
 
 
 class Duration(_Seconds):
-    """A length of time as 30s, 10min, 1h or 1d; a number alone is seconds. In s."""
+    """A duration as 30s, 500ms, 10min, 1h or 1d, converted to seconds; a plain number is in seconds."""
 
     name = "duration"
-    _SECONDS: ClassVar[Mapping[str, float]] = {"": 1, "s": 1, "min": 60, "h": 3600, "d": 86400}
+
+    def __init__(self, minimum_s: float = 0.0, maximum_s: float = math.inf) -> None:
+        """Allow durations above 0 from `minimum_s` to `maximum_s`."""
+        self.minimum_s, self.maximum_s = minimum_s, maximum_s
+
+    _SECONDS: ClassVar[Mapping[str, float]] = {
+        "": 1,
+        "ms": 1e-3,
+        "s": 1,
+        "min": 60,
+        "h": 3600,
+        "d": 86400,
+    }
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Seconds; a usage error says what is allowed."""
@@ -62,8 +76,11 @@ class Duration(_Seconds):
             seconds = float(number) * self._SECONDS[str(value)[len(number) :]]
         except (ValueError, KeyError):
             seconds = 0.0
-        if not 0 < seconds < float("inf"):
+        if not 0 < seconds < math.inf:
             self.fail(f"{value!r} is not a duration; write 30s, 10min, 1h or 1d", param, ctx)
+        if not self.minimum_s <= seconds <= self.maximum_s:
+            limit = f"at least {self.minimum_s:g} s" if seconds < self.minimum_s else f"at most {self.maximum_s:g} s"
+            self.fail(f"{value!r}: allowed is {limit}", param, ctx)
         return seconds
 
 
@@ -92,7 +109,10 @@ def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
     if shipped.is_file():
         return shipped
     names = sorted(path.stem for path in folder.glob("*.toml") if table in path.read_text(encoding="utf-8"))
-    raise ConfigError(f"{name}: no such file, and no {kind} of that name comes with the package ({', '.join(names)})")
+    near = guess(str(name), names) or guess_file(name)
+    raise ConfigError(
+        f"{name}: no such file, and no {kind} of that name comes with the package ({', '.join(names)}){near}"
+    )
 
 
 def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:

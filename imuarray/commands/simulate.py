@@ -12,6 +12,7 @@ import click
 
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
+    Duration,
     find_config,
     find_model,
     force_option,
@@ -75,7 +76,10 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="what moves the box in --experiment motion; a file of a trajectory or of force and rate",
 )
 @click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), help="length of the log (default: the experiment's own)"
+    "--seconds",
+    type=Duration(),
+    metavar="60s",
+    help="length of the log: 90, 90s, 10min, 8h (default: the experiment's own)",
 )
 @click.option(
     "--runs", type=click.IntRange(1, 999), default=15, show_default=True, help="boots of a turn-on series, a log each"

@@ -16,6 +16,7 @@ from imuarray.commands.options import (
     progress,
     workers_option,
 )
+from imuarray.spelling import guess
 
 if TYPE_CHECKING:
     from imuarray.studies.fusion_gain import Study
@@ -69,7 +70,9 @@ def command(
 
     names = tuple(dict.fromkeys(name.strip() for name in experiments.split(",") if name.strip()))
     if not names or set(names) - set(EXPERIMENTS):
-        raise click.UsageError(f"--experiments {experiments!r}: allowed are {', '.join(EXPERIMENTS)}")
+        strange = next((name for name in names if name not in EXPERIMENTS), "")
+        allowed = f"allowed are {', '.join(EXPERIMENTS)}{guess(strange, EXPERIMENTS)}"
+        raise click.UsageError(f"--experiments {experiments!r}: {allowed}")
     if output:
         prepare_folder(output, FILES, force)
     count = seeds or (QUICK_SEEDS if quick else SEEDS)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from imuarray.errors import ExportError
 from imuarray.export.formats import UNITS, WRITERS, Exported, Progress, Wanted
+from imuarray.spelling import guess
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,5 +56,8 @@ def _writer(path: Path) -> Any:
     """The writer of a suffix."""
     module = WRITERS.get(path.suffix.lower())
     if module is None:
-        raise ExportError(f"{path}: no format has the suffix {path.suffix!r}; allowed are {', '.join(WRITERS)}")
+        raise ExportError(
+            f"{path}: no format has the suffix {path.suffix!r}; allowed are {', '.join(WRITERS)}"
+            f"{guess(path.suffix, WRITERS)}"
+        )
     return import_module(module).write

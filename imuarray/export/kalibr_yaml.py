@@ -19,6 +19,7 @@ from imuarray.characterise.kalibr import imu_files, imu_text
 from imuarray.errors import ExportError, OutputExistsError
 from imuarray.export.formats import Exported, Progress, Wanted
 from imuarray.log import Log, open_log
+from imuarray.spelling import guess
 from imuarray.units import INERTIAL
 
 _LARGEST = 1 << 28
@@ -68,7 +69,9 @@ def _stored(wanted: Wanted) -> Mapping[str, Any]:
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ExportError(f"{wanted.source}: no result of `imuarray characterise`") from None
     if unknown := sorted(set(wanted.sensors) - set(names)):
-        raise ExportError(f"{wanted.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}")
+        raise ExportError(
+            f"{wanted.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
+        )
     chosen = [one for one in result["sensors"] if not wanted.sensors or one["name"] in wanted.sensors]
     return {**result, "sensors": chosen}
 

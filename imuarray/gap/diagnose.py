@@ -65,6 +65,7 @@ from imuarray.gap.statistics.environment import SharedSignal, environment_of
 from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, load_model
+from imuarray.spelling import guess
 
 LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
@@ -242,7 +243,7 @@ def explain(
 def library(without: Collection[str]) -> dict[str, Candidate]:
     """The candidates except those left out; ConfigError for one that isn't among them."""
     if unknown := sorted(set(without) - set(CANDIDATES)):
-        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}")
+        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}{guess(unknown[0], CANDIDATES)}")
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 

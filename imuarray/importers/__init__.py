@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import BinaryIO, Protocol, cast
 
 from imuarray.errors import SourceError
+from imuarray.spelling import guess_file
 
 FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.mimu4444"})
 """The named formats and the module of each (loaded on demand), whose importer is `import_file`."""
@@ -90,4 +91,5 @@ def decompress(file: BinaryIO) -> BinaryIO:
 
 def unreadable(path: Path, error: OSError) -> SourceError:
     """Return the error of a recording that cannot be opened or read."""
-    return SourceError(f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}")
+    near = guess_file(path)
+    return SourceError(f"{path}: {f'no such file{near}' if isinstance(error, FileNotFoundError) else error.strerror}")

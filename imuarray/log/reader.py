@@ -28,6 +28,7 @@ from imuarray.log.preamble import Preamble
 from imuarray.log.sensor_log import SensorLog
 from imuarray.log.text_checksums import changed_parts
 from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
+from imuarray.spelling import guess
 
 
 class Log:
@@ -151,7 +152,9 @@ class Log:
         if self._is_damaged(f"/sensors/{name}"):
             raise LogError(f"{self.path}: sensor {name} is damaged; good are {', '.join(self.sensors)}")
         if name not in self.sensors:
-            raise LogError(f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}")
+            raise LogError(
+                f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}{guess(name, self.sensors)}"
+            )
         return self.sensors[name]
 
     def of(self, quantity: str) -> list[SensorLog]:

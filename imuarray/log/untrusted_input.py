@@ -14,6 +14,7 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log.format import CACHE_BYTES, FORMAT
+from imuarray.spelling import guess_file
 
 MAX_TEXT_BYTES = 1 << 24
 """Of all texts in a column together: the messages of a hundred thousand events."""
@@ -31,7 +32,7 @@ DAMAGE = (
 def open_file(path: Path) -> h5py.File:
     """Open an HDF5 file for reading; LogError if it is missing, truncated or something else."""
     if not path.is_file():
-        raise LogError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+        raise LogError(f"{path}: {'is a folder' if path.is_dir() else f'no such file{guess_file(path)}'}")
     try:
         return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
     except OSError as error:

@@ -27,6 +27,7 @@ from imuarray.report.fused_sheet import fused_sections, fused_summary
 from imuarray.report.log_sheet import log_sections, log_summary
 from imuarray.report.page import Section, write_page
 from imuarray.report.techniques_sheet import techniques_section
+from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
 """Of a file of text."""
@@ -157,7 +158,7 @@ def kind_of(path: Path) -> str:
     for kind, recognised in _RECOGNISED:
         if recognised(path):
             return kind
-    missing = "no such file or folder" if not path.exists() else "nothing that a report is made of"
+    missing = f"no such file or folder{guess_file(path)}" if not path.exists() else "nothing that a report is made of"
     raise LogError(f"{path}: {missing}; {_ALLOWED}")
 
 

@@ -19,6 +19,7 @@ from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.trajectory_file import load_trajectory
 from imuarray.simulate.motion.tumble import ORDER, Tumble
 from imuarray.simulate.motion.vehicle import Vehicle
+from imuarray.spelling import guess, guess_file
 
 TURN_ON_S = 300.0
 """Length of a run of a turn-on series (section 4)."""
@@ -72,7 +73,10 @@ def motion(wanted: ExperimentOptions) -> Motion:
     """At rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
     if wanted.drive not in DRIVES:
         if not Path(wanted.drive).exists():
-            raise SourceError(f"{wanted.drive}: no such file; allowed are {', '.join(DRIVES)} and a trajectory file")
+            near = guess(wanted.drive, DRIVES) or guess_file(wanted.drive)
+            raise SourceError(
+                f"{wanted.drive}: no such file; allowed are {', '.join(DRIVES)} and a trajectory file{near}"
+            )
         moved = load_trajectory(Path(wanted.drive))
         if wanted.seconds is not None and wanted.seconds > moved.seconds + 1e-9:
             raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are wanted of it")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Mapping
 from dataclasses import Field, field, fields
@@ -12,6 +11,7 @@ import numpy as np
 
 from imuarray.errors import ConfigError
 from imuarray.simulate.effect import Effect, require
+from imuarray.spelling import closest
 
 Value = float | list[float] | str
 SomeEffect = TypeVar("SomeEffect", bound=Effect)
@@ -111,8 +111,8 @@ def _is_number(value: object) -> bool:
 
 
 def _unknown(key: str, allowed: list[str]) -> str:
-    near = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
-    guess = f" (did you mean {near[0]!r}?)" if near else ""
+    near = closest(key, allowed, cutoff=0.5)
+    guess = f" (did you mean {near!r}?)" if near else ""
     return f"{key}: unknown key{guess}; allowed are {', '.join(allowed)}"
 
 

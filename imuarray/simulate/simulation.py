@@ -28,6 +28,7 @@ from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
 from imuarray.simulate.timeline import LogTimes, PollTimes, Timeline, poll
+from imuarray.spelling import guess
 
 EVERY_FLAG = 0xFFFF
 IMPORTED_FLAGS = SATURATED
@@ -155,7 +156,7 @@ def effects_of(
     ConfigError for an effect in `without` that there is not.
     """
     if unknown := sorted(set(without) - set(EFFECTS)):
-        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}")
+        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}{guess(unknown[0], EFFECTS)}")
     units = Streams(seed)
     effects_by_name: dict[str, tuple[Effect, ...]] = {}
     for name, (header, _) in plan.sensors.items():

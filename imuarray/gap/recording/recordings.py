@@ -31,6 +31,7 @@ from imuarray.simulate.motion.like import LikeLog, TemperatureSource
 from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
+from imuarray.spelling import guess
 
 Temperature = Callable[[Times], Reals]
 """Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
@@ -114,7 +115,8 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     names = dict.fromkeys(only or (name for log in logs for name, sensor in log.sensors.items() if sensor.is_triad))
     for name in names:
         if not any(name in log.sensors for log in logs):
-            raise LogError(f"{logs[0].path}: no sensor {name!r}, nor in any other log")
+            known = {sensor for log in logs for sensor in log.sensors}
+            raise LogError(f"{logs[0].path}: no sensor {name!r}, nor in any other log{guess(name, known)}")
     _refuse_two_arrays(logs)
     for log in logs:
         here = [name for name in names if name in log.sensors and len(log[name])]
