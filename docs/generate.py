@@ -1,7 +1,7 @@
 """Reference pages generated from the code: a MkDocs hook, and a program.
 
 `python docs/generate.py DIR` writes the pages as Markdown files into DIR. As a hook of `mkdocs build` they are added to
-the site without being written anywhere, together with the pages at the root of the repository (ARCHITECTURE.md and others).
+the site without being written anywhere, together with the pages at the root of the repository (ARCHITECTURE.md, ...).
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from html import escape
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import click
 from pydantic import BaseModel
@@ -125,11 +126,22 @@ def _fields_of_schema(kind: type[BaseModel]) -> str:
 
 
 def _type_name(kind: Any) -> str:
-    if isinstance(kind, type):
-        return f"`{kind.__name__.lstrip('_')}`"
-    return _escaped(
-        re.sub(r"\b(?:typing|imuarray[\w.]*|annotated_types)\.", "", str(kind)).replace("_", r"\_")
-    ).replace("|", "or")
+    """A type as a person would write it: `list of number`, `text`, `one of 'a', 'b'`."""
+    plain = {str: "text", int: "whole number", float: "number", bool: "true or false"}
+    if kind in plain:
+        return plain[kind]
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return "one of " + ", ".join(f"`{value!r}`" for value in inside)
+    if origin is Annotated:
+        return _type_name(inside[0])
+    if origin in (list, tuple, set, frozenset):
+        return f"list of {_type_name(inside[0])}" if inside else "list"
+    if origin in (dict, Mapping):
+        return "table"
+    if inside:
+        return " or ".join(_type_name(part) for part in inside if part is not type(None))
+    return f"table `{kind.__name__.lstrip('_')}`" if isinstance(kind, type) else "any"
 
 
 # Registries ----------------------------------------------------------------------------------------------------------
@@ -454,13 +466,15 @@ def _index(title: str, rows: Sequence[tuple[str, str, str]]) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     def line(cells: Sequence[str]) -> str:
-        return (
-            "| "
-            + " | ".join(" ".join(cell.split()).replace("\\|", "&#124;").replace("|", "&#124;") for cell in cells)
-            + " |"
-        )
+        return "| " + " | ".join(map(_cell, cells)) + " |"
 
     return "\n".join([line(head), "|" + "---|" * len(head), *map(line, rows)]) + "\n"
+
+
+def _cell(text: str) -> str:
+    """One cell of a table: on one line, without the character that ends a cell."""
+    plain = re.sub(r"`([^`]*[|][^`]*)`", lambda match: f"<code>{escape(match[1])}</code>", " ".join(text.split()))
+    return plain.replace("\\|", "&#124;").replace("|", "&#124;")
 
 
 # The hook ------------------------------------------------------------------------------------------------------------
