@@ -37,7 +37,7 @@ def top(page: Path, height: int, target: Path) -> None:
     subprocess.run(["chromium", *options, f"--screenshot={target}", page.resolve().as_uri()], check=True)
     image = Image.open(target).convert("RGB")
     used = ImageChops.difference(image, Image.new("RGB", image.size, image.getpixel((0, 0)))).getbbox()
-    _save(image.crop((0, 0, image.width, used[3] + 8 if used else image.height)), target)
+    _save(image.crop((0, 0, image.width, min(used[3] + 8, image.height) if used else image.height)), target)
 
 
 def _save(image: Image.Image, target: Path) -> None:
@@ -48,4 +48,4 @@ def _save(image: Image.Image, target: Path) -> None:
 if __name__ == "__main__":
     demo, gap = map(Path, sys.argv[1:])
     figure(demo, "Drift of single gyroscopes", IMAGES / "heating.png")
-    top(gap, 760, IMAGES / "gap.png")
+    top(gap, 940, IMAGES / "gap.png")
