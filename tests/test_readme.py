@@ -1,7 +1,7 @@
 """README.md and the pages in docs/ keep their word: every command block runs, and every name in them exists.
 
-Of the code blocks `sh` is run in order, `sh slow` line by line, `sh setup` installs packages, `sh hardware` needs a bus;
-commands of the last are parsed. Pages of docs/ continue from the files of the README's first steps, each in a copy.
+Of the code blocks, `sh` is run in order, `sh slow` line by line, `sh setup` installs packages, `sh hardware` needs a
+bus: its commands are parsed. Pages of docs/ continue from the files of the README's first steps, each in a copy.
 """
 
 from __future__ import annotations
