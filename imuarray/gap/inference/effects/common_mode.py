@@ -123,8 +123,7 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
         if any(rms := _each(fast * max(rows, 1.0), shared)):
             effect = CommonMode(rms, _WHITE_S, shared, group)
             yield Hypothesis((effect,), ("rms",), shared=True, members=members)
-        if wander is not None:
-            time_s = wander.time_constant_s
+        for time_s in () if wander is None else (wander.time_constant_s, slower(evidence, wander).time_constant_s):
             if any(rms := _each((fast + slow) / within(length_s, time_s), shared)):
                 yield Hypothesis((CommonMode(rms, time_s, shared, group),), _FREE, shared=True, members=members)
 
