@@ -13,6 +13,7 @@ from scipy import stats
 from imuarray.axes import up_vector
 from imuarray.gap.statistics.campaign import Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.probes import PROBES, ArrayProbe, Domain
+from imuarray.gap.statistics.probes.level import least_level
 from imuarray.gap.statistics.probes.probe import arcsine, noise_lsb, score_of_largest
 from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS
@@ -72,6 +73,14 @@ def test_level() -> None:
     elsewhere = summary(block(counts - 99), Phase(0, 20 * SECOND, "x_up", "+X"))
     np.testing.assert_allclose(value("mean_return", [found, elsewhere, again]), 5.0 / SCALE)
     assert np.isnan(value("mean_return", [found, elsewhere])).all()
+
+
+def test_a_level_is_known_no_better_than_half_its_standard_error() -> None:
+    """However little a fit leaves of it: of readings of 20 counts rms, 20 / sqrt(n) counts."""
+    counts = gaussian()
+    error = 20.0 / np.sqrt(len(counts)) / SCALE
+    assert least_level(summary(block(counts))) == pytest.approx(error / 2, rel=0.05)
+    assert least_level(summary(block(np.zeros_like(counts)))) < error / 10
 
 
 def test_the_level_of_a_log_weighs_faces_alike() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,9 @@ from imuarray.gap.statistics.summary import Summary
 
 LEAST_LEVEL = 2e-6
 """In the sensor's unit, a hundredth of what an hour of the usual noise lets see."""
+
+_ERROR_SHARE = 0.5
+"""Of the standard error of a mean: a fit that is told by several sensors, or by several faces, leaves more of it."""
 
 _LEAST, _MANY = 4, 16
 """Fewer segments say nothing of a variance, of higher moments."""
@@ -27,8 +31,16 @@ def mean(summary: Summary) -> Floats:
 
 
 def least_level(summary: Summary) -> float:
-    """The least difference of means that says anything: a fit that takes a level out leaves rounding."""
-    return LEAST_LEVEL
+    """The least difference of means that says anything: a share of the standard error of the mean of readings that are
+    independent. A fit that takes a level out leaves rounding; an attitude that is estimated from the level itself
+    leaves what is of second order in its error, which is as unlike a normal quantity as it is small.
+    """
+    if not summary.rows:
+        return LEAST_LEVEL
+    part = summary.segments
+    held = part.rows > 1
+    variance = part.rows[held] @ part.steady_variance[held] / summary.rows if held.any() else np.zeros(1)
+    return max(LEAST_LEVEL, _ERROR_SHARE * math.sqrt(variance.min() / summary.rows) / summary.header.sensitivity)
 
 
 def halves(summary: Summary) -> Floats:
