@@ -115,7 +115,7 @@ class GapCase:
 
     @property
     def is_gap(self) -> bool:
-        """Whether the recordings as noted differ by more than chance."""
+        """True if the recordings as noted differ by more than chance."""
         return self.as_noted.located.is_gap
 
     @property

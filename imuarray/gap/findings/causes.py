@@ -117,12 +117,12 @@ def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: i
 
 
 def _is_undone(taken: Evaluation, later: Sequence[Round]) -> bool:
-    """Whether a later round removed the effect, or replaced it by another of its kind."""
+    """True if a later round removed the effect, or replaced it by another of its kind."""
     return any(round_.taken is not None and round_.taken.trial.removed == taken.trial.name for round_ in later)
 
 
 def _undoes(trial: Evaluation, before: UnitState) -> bool:
-    """Whether a trial only removes what an earlier round added."""
+    """True if a trial only removes what an earlier round added."""
     added = {effect.name for model in before.models.values() for effect in model.added}
     return not trial.trial.effects and trial.trial.removed in added
 

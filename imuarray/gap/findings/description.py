@@ -232,7 +232,7 @@ def shared_changes(
 
 
 def _is_shared(changes: Floats) -> bool:
-    """Whether all changes have the same sign and about the same size."""
+    """True if all changes have the same sign and about the same size."""
     same = bool((np.sign(changes) == np.sign(changes[0])).all())
     return len(changes) >= _LEAST_UNITS and same and float(changes.std(ddof=1)) < _SPREAD * abs(float(changes.mean()))
 

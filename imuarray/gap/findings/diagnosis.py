@@ -81,7 +81,7 @@ class Cause:
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:
-    """Whether no cause is shown by one part of the campaign alone, such that the other part could judge it."""
+    """True if no cause is shown by one part of the campaign alone, such that the other part could judge it."""
     return bool(causes) and all(cause.needs_both for cause in causes)
 
 
@@ -161,7 +161,7 @@ class Pull:
 
     @property
     def is_out_of_specification(self) -> bool:
-        """Whether the part deviates by more than its tolerance."""
+        """True if the part deviates by more than its tolerance."""
         return abs(self.pull) > 1
 
 

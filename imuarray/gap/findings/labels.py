@@ -243,7 +243,7 @@ def _rotations() -> Iterator[Floats]:
 
 
 def _is_consistent(turn: Floats, labels: Sequence[tuple[str, str]]) -> bool:
-    """Whether a rotation takes every noted face to the measured one."""
+    """True if a rotation takes every noted face to the measured one."""
     return all(np.array_equal(turn @ up_vector(noted), up_vector(felt)) for noted, felt in labels)
 
 

@@ -131,7 +131,7 @@ def _is_one_line(first: _Tone, other: _Tone) -> bool:
 
 
 def _agree(first: Floats, other: Floats) -> bool:
-    """Whether large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
+    """True if large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
     much = np.maximum(first, other) > max(first.max(), other.max()) / 3
     return bool((np.maximum(first, other)[much] <= AMPLITUDE_RATIO * np.minimum(first, other)[much]).all())
 
@@ -149,7 +149,7 @@ def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> boo
 
 
 def _is_whole(cause: Cause, tones: Sequence[_Tone]) -> bool:
-    """Whether these are the cause's tones in each of its sensors."""
+    """True if these are the cause's tones in each of its sensors."""
     return {tone.header.name for tone in tones if tone.cause is cause} == {*cause.sensors}
 
 
@@ -158,7 +158,7 @@ def _strongest(tone: _Tone) -> str:
 
 
 def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedSignal]) -> bool:
-    """Whether half of the sensor's squared wander is along axes of the box with a stimulus."""
+    """True if half of the sensor's squared wander is along axes of the box with a stimulus."""
     axes = {
         signal.axis
         for signal in shared

@@ -129,7 +129,7 @@ def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
 
 
 def _is_sound(cause: Cause, unlikely: Collection[str]) -> bool:
-    """Whether the recordings of all sensors concerned (no names: of all) are likely with the causes in the model."""
+    """True if the recordings of all sensors concerned (no names: of all) are likely with the causes in the model."""
     return not set(unlikely) & set(cause.sensors) if cause.sensors else not unlikely
 
 

@@ -175,7 +175,7 @@ class Evidence:
         return np.asarray(scores[np.abs(scores).argmax(axis=0), range(3)])
 
     def is_odd(self, *probes: str, beyond: float = 3.0) -> bool:
-        """Whether any of these probes deviates from the model by more than that."""
+        """True if any of these probes deviates from the model by more than that."""
         return bool((np.abs(self.score(*probes)) > beyond).any())
 
     def shift(self, probe: str) -> Floats:

@@ -365,7 +365,7 @@ def _log_odds(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[f
 
 
 def _is_outdone(evaluation: Evaluation, evaluations: Sequence[Evaluation]) -> bool:
-    """Whether another that gains as much leaves far smaller scores: a score of 100 costs little more nats than one of
+    """True if another that gains as much leaves far smaller scores: a score of 100 costs little more nats than one of
     30.
     """
     return any(

@@ -69,7 +69,7 @@ class Localisation:
 
     @property
     def is_gap(self) -> bool:
-        """Whether the whole array is significant."""
+        """True if the whole array is significant."""
         return self.root.is_significant
 
 

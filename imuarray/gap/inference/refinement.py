@@ -156,7 +156,7 @@ def _gained(state: _TrialState) -> float:
 
 
 def _widens(standing: UnitState, seen: _Replicated) -> bool:
-    """Whether the change adds much scatter: then two draws of it say little."""
+    """True if the change adds much scatter: then two draws of it say little."""
     return bool(np.mean(seen.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
 

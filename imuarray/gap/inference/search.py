@@ -256,7 +256,7 @@ def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:
 
 
 def _is_open(comparison: Comparison, standing: UnitState, rounds: Sequence[Round]) -> bool:
-    """Whether something remains to be explained, and the last round had a result."""
+    """True if something remains to be explained, and the last round had a result."""
     if any(map(reads_another, standing.models.values())):
         return False
     if not rounds:

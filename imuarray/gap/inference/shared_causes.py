@@ -59,7 +59,7 @@ def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evalu
 
 
 def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
-    """Whether the shared cause explains most of what a member's own cause explains.
+    """True if the shared cause explains most of what a member's own cause explains.
 
     Of two sensors with a common wander, the one that shows it better gains nearly as much by a wander of its own. What
     the member lacks beyond the shared cause is searched in the next round.

@@ -121,7 +121,7 @@ class UnitState:
 
 
 def reads_another(model: SensorModel) -> bool:
-    """Whether a sensor has another's data, so that nothing of its own shows."""
+    """True if a sensor has another's data, so that nothing of its own shows."""
     return any(isinstance(effect, ChannelSwap) and effect.kind == "data" for effect in model.added)
 
 

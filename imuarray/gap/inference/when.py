@@ -19,7 +19,7 @@ class Span(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is all of the log."""
+        """True if it is all of the log."""
         return self.moment_s <= 0 and math.isinf(self.length_s)
 
 
@@ -45,7 +45,7 @@ class When:
         return sum(1 + (span.moment_s > 0) + math.isfinite(span.length_s) for span in self.spans)
 
     def is_in_both(self, split: Split) -> bool:
-        """Whether both parts of a campaign have a good share of it."""
+        """True if both parts of a campaign have a good share of it."""
         if not self.spans:
             return True
         train_s, held_out_s = (self._seconds(split, held_out) for held_out in (False, True))

@@ -150,7 +150,7 @@ def response_tolerance(header: SensorHeader) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """Whether an effect is a nuisance quantity that every such sensor has."""
+    """True if an effect is a nuisance quantity that every such sensor has."""
     return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
 
 

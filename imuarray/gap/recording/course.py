@@ -204,7 +204,7 @@ def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
 
 
 def _are_distinct(first: Booleans, other: Booleans) -> bool:
-    """Whether a set differs from another and from its complement."""
+    """True if a set differs from another and from its complement."""
     agreement = float((first == other).mean())
     return 1 - _SAME_SET < agreement < _SAME_SET
 

@@ -42,7 +42,7 @@ _SAME_COSINE = np.cos(np.radians(10))
 
 
 def is_at_rest(phase: Phase) -> bool:
-    """Whether the box is at rest in a phase: the phase notes the axis that is up, or has a name that means it."""
+    """True if the box is at rest in a phase: the phase notes the axis that is up, or has a name that means it."""
     name = phase.name
     return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
 
@@ -165,7 +165,7 @@ def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
 
 
 def is_heated(phases: Sequence[Phase], motion: LikeLog) -> bool:
-    """Whether a phase is noted as heating, or the temperature changes by more than `HEATED_DEGC` in a phase at rest."""
+    """True if a phase is noted as heating, or the temperature changes by more than `HEATED_DEGC` in a phase at rest."""
     return any("heat" in phase.name or _change_degc(phase, motion) > HEATED_DEGC for phase in phases)
 
 

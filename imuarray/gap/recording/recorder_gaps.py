@@ -88,18 +88,18 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
-    """Whether the logger reports a delay during the gap."""
+    """True if the logger reports a delay during the gap."""
     return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
 
 
 def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:
-    """Whether all other sensors that were due in the gap are missing in it; False if none was due."""
+    """True if all other sensors that were due in the gap are missing in it; False if none was due."""
     due = [(sensor, interval_ns) for sensor, interval_ns in others if 0 < interval_ns <= DUE * gap.length_ns]
     return bool(due) and all(_is_missing(sensor, interval_ns, gap) for sensor, interval_ns in due)
 
 
 def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
-    """Whether the sensor's rows around the middle of the gap are further apart than usual."""
+    """True if the sensor's rows around the middle of the gap are further apart than usual."""
     middle_ns = (gap.begin_ns + gap.end_ns) // 2
     row = sensor.between(middle_ns, middle_ns).start
     if not 0 < row < len(sensor):

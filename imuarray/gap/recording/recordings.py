@@ -68,7 +68,7 @@ class Recording:
 
     @property
     def has_reference_temperature(self) -> bool:
-        """Whether the temperature comes from more than the chips' own thermometers."""
+        """True if the temperature comes from more than the chips' own thermometers."""
         return self.temperature_source not in ("chip", "nothing")
 
 

@@ -133,7 +133,7 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
-    """Whether the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
+    """True if the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
     if np.std(length_s) < REGULAR * np.median(length_s) or not rows_after.std() > 0:
         return hurry > HURRY
     return bool(np.corrcoef(length_s, rows_after)[0, 1] > FOLLOWS)

@@ -46,7 +46,7 @@ class PhaseSummary:
 
     @property
     def is_still(self) -> bool:
-        """Whether the box is at rest in the phase, by its name."""
+        """True if the box is at rest in the phase, by its name."""
         return is_at_rest(self.phase)
 
 

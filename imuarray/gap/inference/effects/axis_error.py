@@ -24,15 +24,15 @@ _MOST = 3
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The signed permutations that fit best, left-handed ones too."""
-    yield from with_removal(evidence, AxisError.name, _found(evidence))
+    yield from with_removal(evidence, AxisError.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
-    found = response(evidence) if evidence.is_odd(*_PROBES) else None
-    if found is None:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    measured = response(evidence) if evidence.is_odd(*_PROBES) else None
+    if measured is None:
         return
-    nominal = found.misfit(np.eye(3))
-    misfits = {axes: found.misfit(matrix) for axes, matrix in exchanges().items()}
+    nominal = measured.misfit(np.eye(3))
+    misfits = {axes: measured.misfit(matrix) for axes, matrix in exchanges().items()}
     for axes in sorted(misfits, key=misfits.__getitem__)[:_MOST]:
         if misfits[axes] < _BETTER * nominal:
             yield Hypothesis((AxisError(axes),))
@@ -43,13 +43,13 @@ def exchanges() -> dict[str, Floats]:
     """The 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3); right-handed ones first, since no chip
     is left-handed.
     """
-    found = {}
+    matrices = {}
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.array(signs)[:, None] * np.eye(3)[list(order)]
         name = "".join("+-"[sign < 0] + "XYZ"[axis] for sign, axis in zip(signs, order, strict=True))
-        found[name] = matrix
-    del found["+X+Y+Z"]
-    return dict(sorted(found.items(), key=lambda item: -np.linalg.det(item[1])))
+        matrices[name] = matrix
+    del matrices["+X+Y+Z"]
+    return dict(sorted(matrices.items(), key=lambda item: -np.linalg.det(item[1])))
 
 
 AXIS_ERROR = Candidate(

@@ -63,10 +63,10 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
     """Two poles, as output stages have at least: with one, rows would sooner show it."""
-    found = odd_lags(evidence)
-    if not found or any(lag.is_large for lag in found):
+    lags_seen = odd_lags(evidence)
+    if not lags_seen or any(lag.is_large for lag in lags_seen):
         return
-    lag_s = mean_of(found, "lag_s")
+    lag_s = mean_of(lags_seen, "lag_s")
     if lag_s > 0 and correlation(1 / (lag_s * evidence.rows_per_s), 2) < _UNSEEN:
         cutoff_hz = _of_two_poles(1 / lag_s)
         yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))

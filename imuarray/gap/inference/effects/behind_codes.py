@@ -85,19 +85,21 @@ def behind(evidence: Evidence, coded: Coded, period: int, stretch: int) -> Fitte
 
 
 def _bins(evidence: Evidence, axis: int) -> _Bins | None:
-    scale, faces = evidence.header.sensitivity, {one.raw.phase.up for one in evidence.still}
+    scale, faces = evidence.header.sensitivity, {phase.raw.phase.up for phase in evidence.still}
     numbers = {face: number for number, face in enumerate(sorted(faces))}
     offset, slope = (getattr(evidence.fitted, name)[axis] * scale for name in ("offset", "slope"))
-    rows = [(numbers[one.raw.phase.up], *part) for one in evidence.still for part in _parts(one, axis, offset, slope)]
+    rows = [
+        (numbers[phase.raw.phase.up], *part) for phase in evidence.still for part in _parts(phase, axis, offset, slope)
+    ]
     if not rows:
         return None
     face, *columns = np.array(rows).T
     return _Bins(face.astype(np.int64), *columns)
 
 
-def _parts(one: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
-    """Of each temperature what `_Bins` has of it, but the face."""
-    raw, left = one.raw.segments, one.residual.segments
+def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
+    """Sums of each temperature as `_Bins` has them, except the face."""
+    raw, left = phase.raw.segments, phase.residual.segments
     held = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
     felt = raw.mean[:, axis] - left.mean[:, axis] - offset - slope * warm
@@ -141,8 +143,8 @@ def _nearer(bins: _Bins, found: Floats, coded: Coded, period: int, stretch: int,
         table = _moments(coded, period, sigma)
         return float(_costs(bins, np.array([offset]), float(slope), sigma, table, period).sum())
 
-    came = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"maxfev": 200, "xatol": 0.02, "fatol": 0.02})
-    nearer = found + np.asarray(came.x) * size
+    optimum = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"maxfev": 200, "xatol": 0.02, "fatol": 0.02})
+    nearer = found + np.asarray(optimum.x) * size
     return np.array([nearer[0], nearer[1], max(float(nearer[2]), _LEAST_LSB)])
 
 
@@ -154,8 +156,8 @@ def _quieter(bins: _Bins, found: Floats, coded: Coded, period: int, units: float
         table = _moments(coded, period, sigma * by)
         return float(_over_faces(bins, np.array([offset]), slope, sigma * by, table, period, units)[0])
 
-    came = minimize_scalar(cost, bounds=(_SHARES[0] / _SHARES[1], _SHARES[1] / _SHARES[0]), method="bounded")
-    return np.array([offset, slope, sigma * float(came.x)])
+    optimum = minimize_scalar(cost, bounds=(_SHARES[0] / _SHARES[1], _SHARES[1] / _SHARES[0]), method="bounded")
+    return np.array([offset, slope, sigma * float(optimum.x)])
 
 
 def _over_faces(
@@ -184,12 +186,7 @@ def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Mom
 
 
 def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
-    """Of readings with that noise (standard deviation, in counts) about each place of a period.
-
-    A reading of a place p is a code c with the share of the noise that rounds to c, and comes as c + m(c): the moments
-    of c + m(c) - p, expanded by the powers of m, are correlations of those powers with the shares times powers of
-    c - p.
-    """
+    """Moments of readings with that noise (standard deviation, in counts) about each place of a period."""
     fine = _FINE if period <= 1024 / _FINE else 1
     reach = int(np.ceil(_REACH * sigma)) + 1
     counts = np.arange(-reach, period + reach)

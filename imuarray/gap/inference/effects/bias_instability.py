@@ -18,10 +18,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     one, if it is slower than phases are long); and one as large as the logs' levels
     are apart, if these wander.
     """
-    yield from with_removal(evidence, BiasInstability.name, _found(evidence), several=True)
+    yield from with_removal(evidence, BiasInstability.name, _hypotheses(evidence), several=True)
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND) or (found := wander_of(evidence)) is None:
         return
     score = evidence.score(*TRACES)
@@ -36,7 +36,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _over_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """As large as the logs' levels are apart."""
+    """A bias that wanders as much as the logs' levels differ."""
     if (found := over_logs(evidence)) is not None:
         effect = BiasInstability(sized(found.rms, evidence.score(*TRACES)), found.time_constant_s)
         limits = {"time_constant_s": (0.0, SLOWEST * longest_s(evidence))}

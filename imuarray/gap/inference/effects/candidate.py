@@ -1,9 +1,4 @@
-"""What a candidate is: an effect that may be the cause, and a guess of its parameters from what a sensor shows.
-
-A guess need not be good: the search refines every free parameter by simulation. It has to be of the right kind (a line
-has a frequency, a reset chip has one of its ranges) and of about the right size, and there should be none where
-nothing of the effect can be seen.
-"""
+"""Candidates: an effect that may be the cause, and guesses of its parameters from a sensor's evidence."""
 
 from __future__ import annotations
 
@@ -70,13 +65,13 @@ class Hypothesis:
 
     @property
     def is_brief(self) -> bool:
-        """Whether it begins at some time within a log, or lies between two logs."""
+        """True if it begins at some time within a log, or lies between two logs."""
         onsets = [getattr(effect, "onset_s", 0.0) for effect in self.effects]
         return any(isfinite(onset) and onset > 0 for onset in onsets)
 
     @property
     def needs_both(self) -> bool:
-        """Whether both parts are needed to see it: neither shows it without the other (`whole`), or it is brief."""
+        """True if both parts are needed to see it: neither shows it without the other (`whole`), or it is brief."""
         return self.whole or self.is_brief
 
     @property

@@ -26,10 +26,10 @@ _NEAR = 0.25
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Each sensor whose noise is this one's, and each along whose axes this one seems to lie."""
-    yield from with_removal(evidence, ChannelSwap.name, _found(evidence))
+    yield from with_removal(evidence, ChannelSwap.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
     odd = evidence.is_odd(*(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
     for other in evidence.others:
@@ -50,20 +50,20 @@ def _twins(evidence: Evidence) -> set[str]:
     """Others with the same readings, counts for counts, whatever is said of their axes."""
     name = evidence.header.name
     largest: dict[str, float] = {}
-    for one in evidence.still:
-        if one.cross is None or not takes_part(evidence, one.cross):
+    for phase in evidence.still:
+        if phase.cross is None or not takes_part(evidence, phase.cross):
             continue
-        for other in one.cross.others(name, family=False):
-            own, its = one.cross.columns(name), one.cross.columns(other)
-            size = np.sqrt(np.diag(one.cross.fast[own, own]) * np.diag(one.cross.fast[its, its]))
-            shared = np.diag(one.cross.fast[own, its])
+        for other in phase.cross.others(name, family=False):
+            own, its = phase.cross.columns(name), phase.cross.columns(other)
+            size = np.sqrt(np.diag(phase.cross.fast[own, own]) * np.diag(phase.cross.fast[its, its]))
+            shared = np.diag(phase.cross.fast[own, its])
             if (size > 0).all():
                 largest[other] = max(largest.get(other, -1.0), float((shared / size).min()))
     return {other for other, correlation in largest.items() if correlation > _SAME}
 
 
 def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> bool:
-    """Whether the response is that of the other's axes, times `scale`, rather than of the own ones."""
+    """True if the response is that of the other sensor's axes, times `scale`, rather than of its own."""
     expected = np.array(other.orientation).T @ np.array(evidence.header.orientation) * scale
     if np.allclose(expected, np.eye(3)):
         return False
@@ -76,13 +76,13 @@ def _shown(evidence: Evidence) -> Iterator[Floats]:
     for kind, ideal in ((0, np.eye(3)), (1, np.zeros((3, 3)))):
         if kind == 0 and evidence.header.quantity != "specific_force":
             continue
-        found = ideal.copy()
+        turned = ideal.copy()
         for step, probes in enumerate(_AXES):
             shown = evidence.values.get(probes[kind], np.full((1, 3), np.nan))
             known = np.isfinite(shown).all(axis=1)
-            found[rows, (rows + step) % 3] += np.median(shown[known], axis=0) if known.any() else np.nan
-        if np.isfinite(found).all():
-            yield found
+            turned[rows, (rows + step) % 3] += np.median(shown[known], axis=0) if known.any() else np.nan
+        if np.isfinite(turned).all():
+            yield turned
 
 
 CHANNEL_SWAP = Candidate(

@@ -34,18 +34,18 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The growth of the lag from the log's epoch on; a sensor ahead has a positive error. Of the host's clock a
     constant rate, or one that settles; whatever the lag at the epoch, which filters and the age of readings make.
     """
-    yield from with_removal(evidence, ClockError.name, _found(evidence))
+    yield from with_removal(evidence, ClockError.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     yield from _of_the_host(evidence)
-    found = odd_lags(evidence)
-    at_s, lag_s, _, weight = np.array(found).reshape(-1, 4).T
+    lags_seen = odd_lags(evidence)
+    at_s, lag_s, _, weight = np.array(lags_seen).reshape(-1, 4).T
     square = float(weight @ at_s**2)
     if not square > 0:
         return
     error_ppm = -1e6 * float((weight * at_s) @ lag_s) / square
-    for factor in _FURTHER if any(lag.is_large for lag in found) else (1.0,):
+    for factor in _FURTHER if any(lag.is_large for lag in lags_seen) else (1.0,):
         yield Hypothesis((ClockError(float(np.clip(factor * error_ppm, -_MOST_PPM, _MOST_PPM))),), ("error_ppm",))
 
 
@@ -53,7 +53,7 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
     """What is read by one clock is behind by the same, polled or not. Lags are of whole logs, and what they make of a
     phase shows where the motion begins or ends too soon for it: in either part, or in one.
     """
-    seen = [one for host in evidence.hosts for one in host.lags]
+    seen = [lag for host in evidence.hosts for lag in host.lags]
     if len(seen) < _FEWEST:
         return
     at_s, lag_s, error_s = np.array(seen).T
@@ -66,7 +66,7 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
         (_settling(at_s, lag_s, weight, warm_up_s), warm_up_s)
         for warm_up_s in np.geomspace(_SHORTEST_S, max(longest_s, 2 * _SHORTEST_S), _WARM_UPS).tolist()
     ]
-    best, warm_up_s = min(settling, key=lambda one: one[0].nats)
+    best, warm_up_s = min(settling, key=lambda lag: lag[0].nats)
     if min(still.nats, steady.nats) - best.nats > _TELLING and max(map(abs, best.ppm)) < _MOST_PPM:
         effect = ClockError(best.ppm[0], best.ppm[1], warm_up_s)
         yield Hypothesis((effect,), ("error_ppm", "warm_up_ppm"), shared=True, everywhere=True, whole=True)
@@ -90,9 +90,9 @@ def _settling(at_s: Floats, lag_s: Floats, weight: Floats, warm_up_s: float) -> 
 def _fitted(columns: list[Floats], lag_s: Floats, weight: Floats) -> _Fit:
     """A log whose clock is fast is behind, and its error negative."""
     design = np.stack(columns, axis=1) * weight[:, None]
-    found = np.linalg.lstsq(design, lag_s * weight, rcond=None)[0]
-    left = lag_s * weight - design @ found
-    return _Fit(tuple((-1e6 * found[1:]).tolist()), float(left @ left) / 2)
+    coefficients = np.linalg.lstsq(design, lag_s * weight, rcond=None)[0]
+    residuals = lag_s * weight - design @ coefficients
+    return _Fit(tuple((-1e6 * coefficients[1:]).tolist()), float(residuals @ residuals) / 2)
 
 
 CLOCK_ERROR = Candidate(

@@ -193,12 +193,12 @@ def _variance(
     means, show of a process of this time constant.
     """
     found, shown, weights = [], [], []
-    for one, cross in seen:
-        own = _slow(one, cross, sensor)
+    for phase, cross in seen:
+        own = _slow(phase, cross, sensor)
         known = np.isfinite(own).all(axis=1)
         if known.sum() < _LEAST:
             continue
-        slow = [np.mean((own * _slow(one, cross, partner))[known], axis=0) for partner in partners]
+        slow = [np.mean((own * _slow(phase, cross, partner))[known], axis=0) for partner in partners]
         fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
         found.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
         shown.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
@@ -208,9 +208,9 @@ def _variance(
     return np.asarray(np.average(found, axis=0, weights=weights) / np.average(shown, weights=weights))
 
 
-def _slow(one: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
+def _slow(phase: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
     """(s, 3) means less their mean, and less what follows the temperature if it changes."""
-    means, part = cross.slow[:, cross.columns(sensor)], one.raw.segments
+    means, part = cross.slow[:, cross.columns(sensor)], phase.raw.segments
     known, held = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
     if not known.any() or not held.any():
         return means

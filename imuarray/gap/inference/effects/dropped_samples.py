@@ -42,7 +42,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Those that the log says were lost."""
+    """Rows that the log reports as lost."""
     holes = evidence.holes
     if not 0 < len(holes) <= SINGLE:
         return

@@ -23,38 +23,38 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Least squares of the levels over the force on each face; where there are no faces, of what the other sensors
     don't explain in motion over the accelerometers' mean.
     """
-    yield from with_removal(evidence, GSensitivity.name, _found(evidence))
+    yield from with_removal(evidence, GSensitivity.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.quantity != "angular_rate":
         return
-    found = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else None
-    if found is None and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
-        found = _from_motion(evidence)
-    if found is not None and found.any():
-        fitted = float(np.count_nonzero(found))  # numbers, whose cost none of them being refined doesn't save
-        yield Hypothesis((GSensitivity(tuple(found.ravel().tolist())),), rarity=fitted)
+    response_g = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else None
+    if response_g is None and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
+        response_g = _from_motion(evidence)
+    if response_g is not None and response_g.any():
+        fitted = float(np.count_nonzero(response_g))  # numbers, whose cost none of them being refined doesn't save
+        yield Hypothesis((GSensitivity(tuple(response_g.ravel().tolist())),), rarity=fitted)
 
 
 def _from_faces(evidence: Evidence) -> Floats | None:
     """(3, 3); None unless faces differ. Directions that were not felt get 0."""
-    found = levels(evidence)
-    known = np.isfinite(found.felt_g).all(axis=1)
+    table = levels(evidence)
+    known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
         return None
-    felt = found.felt_g[known] - found.felt_g[known].mean(axis=0)
+    felt = table.felt_g[known] - table.felt_g[known].mean(axis=0)
     if not felt.any():
         return None
-    beyond = np.linalg.lstsq(felt, found.mean[known], rcond=1e-6)[0].T
+    beyond = np.linalg.lstsq(felt, table.mean[known], rcond=1e-6)[0].T
     return np.asarray(beyond + np.where(beyond != 0, evidence.fitted.response, 0.0))
 
 
 def _from_motion(evidence: Evidence) -> Floats | None:
-    found = moments(evidence)
-    if found is None:
+    table = moments(evidence)
+    if table is None:
         return None
-    force, shared, _ = found.beside(FORCE)
+    force, shared, _ = table.beside(FORCE)
     return np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)
 
 

@@ -74,8 +74,8 @@ def _torn_by_lag(evidence: Evidence) -> Iterator[Hypothesis]:
     reading is a row late. So many of them that they don't stand alone make the sensor late by as much of a row; one of
     three axes is hit.
     """
-    found = odd_lags(evidence)
-    share = 3 * mean_of(found, "lag_s") * evidence.rows_per_s if found else 0.0
+    lags_seen = odd_lags(evidence)
+    share = 3 * mean_of(lags_seen, "lag_s") * evidence.rows_per_s if lags_seen else 0.0
     if 0 < share <= 1:
         yield Hypothesis((Glitches(share, kind="torn"),), ("probability",), limits={"probability": (0.0, 1.0)})
 
@@ -147,7 +147,7 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     """
     weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
     phases = [(seen.log, seen.raw.phase) for seen in evidence.seen if not seen.is_still]
-    found = []
+    spikes = []
     for log, lone in evidence.outliers:
         nearest = [float(np.abs(lone.deviation[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
         for axis, time_ns, apart in zip(
@@ -156,8 +156,8 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
             bytes_off = round(apart / weight)
             is_torn = bytes_off and abs(apart / weight - bytes_off) < _NEAR and abs(apart) > _AMONG * nearest[axis]
             if is_torn and any(log == own and phase.start_ns <= time_ns < phase.end_ns for own, phase in phases):
-                found.append(_Hit(log, time_ns * 1e-9 - half_s, axis, bytes_off * weight))
-    return found
+                spikes.append(_Hit(log, time_ns * 1e-9 - half_s, axis, bytes_off * weight))
+    return spikes
 
 
 def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Hypothesis]:

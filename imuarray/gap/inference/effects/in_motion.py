@@ -31,26 +31,26 @@ class Moments:
         """
         given = self.products[REFERENCE, REFERENCE]
         solved = np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ self.products[REFERENCE]
-        left = self.products - self.products[:, REFERENCE] @ solved
-        return left[columns, columns], left[columns, OWN], np.diag(left[OWN, OWN])
+        remaining = self.products - self.products[:, REFERENCE] @ solved
+        return remaining[columns, columns], remaining[columns, OWN], np.diag(remaining[OWN, OWN])
 
 
 def moments(evidence: Evidence) -> Moments | None:
-    """Of all phases in motion; None without one, or for the only sensor of its kind."""
+    """Moments over all phases in motion; None without one, or for the only sensor of its kind."""
     total, windows = np.zeros((9 + KINEMATIC, 9 + KINEMATIC)), 0
-    for one in evidence.seen:
-        if one.is_still or one.cross is None or not one.cross.windows or not takes_part(evidence, one.cross):
+    for phase in evidence.seen:
+        if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
             continue
-        weights = _weights(one.cross, evidence.header.name)
+        weights = _weights(phase.cross, evidence.header.name)
         if weights is None:
             return None
-        total += one.cross.windows * (weights @ one.cross.fast @ weights.T)
-        windows += one.cross.windows
+        total += phase.cross.windows * (weights @ phase.cross.fast @ weights.T)
+        windows += phase.cross.windows
     return Moments(total / windows, windows) if windows else None
 
 
 def takes_part(evidence: Evidence, cross: Cross) -> bool:
-    """Whether the sensor is among those whose readings stand beside each other: inertial ones, as long as they read."""
+    """True if the sensor is among those whose readings are compared: inertial ones, as long as they read."""
     return any(item.name == evidence.header.name for item in cross.sensors)
 
 

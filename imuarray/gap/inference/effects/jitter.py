@@ -51,9 +51,9 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     rms_s = float(np.sqrt(sum(host.square_s2 for host in evidence.hosts) / max(waits, 1)))
     share = min(waits / sum(host.rows for host in evidence.hosts), 1.0)
-    for told in (1.0, -1.0):
-        effect = Jitter(rms_s, share, told)
-        yield Hypothesis((effect,), shared=True, everywhere=True, rarity=0.0 if told > 0 else _BEHIND)
+    for sign in (1.0, -1.0):
+        effect = Jitter(rms_s, share, sign)
+        yield Hypothesis((effect,), shared=True, everywhere=True, rarity=0.0 if sign > 0 else _BEHIND)
 
 
 def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Hypothesis]:

@@ -29,7 +29,7 @@ class Lag(NamedTuple):
 
     @property
     def is_large(self) -> bool:
-        """Whether it may be any number of periods more or less."""
+        """True if it may be any number of periods more or less."""
         return abs(self.lag_s * self.pace) > 1
 
 
@@ -37,22 +37,18 @@ def odd_lags(evidence: Evidence) -> list[Lag]:
     """Of each phase of motion, if these are odd: by themselves, or because a sensor that is far behind shares none of
     the motion.
     """
-    found = list(lags(evidence))
-    large = any(lag.is_large for lag in found) and bool((evidence.score("motion_residual") > ODD).any())
-    return found if large or evidence.is_odd("motion_delay", beyond=ODD) else []
+    all_lags = list(lags(evidence))
+    large = any(lag.is_large for lag in all_lags) and bool((evidence.score("motion_residual") > ODD).any())
+    return all_lags if large or evidence.is_odd("motion_delay", beyond=ODD) else []
 
 
-def mean_of(found: Sequence[Lag], name: str) -> float:
+def mean_of(lags_seen: Sequence[Lag], name: str) -> float:
     """Of the field of that name, by how much moved."""
-    return float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
+    return float(np.average([getattr(lag, name) for lag in lags_seen], weights=[lag.weight for lag in lags_seen]))
 
 
 def lags(evidence: Evidence) -> Iterator[Lag]:
-    """Of each phase of motion, over the axes as much as they move.
-
-    For a sine of angular frequency w that is behind by d, the share of motion is cos(w d) and the probe of delay sin(w
-    d) / p, p = sin(w h) / h with windows of length h; p^2 is the mean square of change over that of the signal.
-    """
+    """The lag in each phase of motion, averaged over the axes by their motion."""
     usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_gain", 1.0)
     share = np.where(share > 0, share, np.nan)
     sensor = evidence.header.name

@@ -46,15 +46,18 @@ class Levels:
         return float(self.width_s.sum())
 
     def groups(self) -> Iterator[Indices]:
-        """Which segments are of each group."""
+        """The segments of each group."""
         for group in np.unique(self.group):
             yield np.flatnonzero(self.group == group)
 
 
 def levels(evidence: Evidence) -> Levels:
-    """Of all phases at rest."""
+    """Levels of the segments of all phases at rest."""
     groups: dict[tuple[int, str], int] = {}
-    parts = [_of_phase(one, groups.setdefault((one.log, one.residual.phase.up), len(groups))) for one in evidence.still]
+    parts = [
+        _of_phase(phase, groups.setdefault((phase.log, phase.residual.phase.up), len(groups)))
+        for phase in evidence.still
+    ]
     if not parts:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         return Levels(np.zeros(0, int), np.zeros(0, int), nothing, nothing, none, none, none, nothing, nothing)
@@ -64,10 +67,10 @@ def levels(evidence: Evidence) -> Levels:
 
 def centred(values: Floats, group: Integers) -> Floats:
     """(n, k) values less the mean of their group."""
-    found = np.array(values, float)
+    table = np.array(values, float)
     for number in np.unique(group):
-        found[group == number] -= found[group == number].mean(axis=0)
-    return found
+        table[group == number] -= table[group == number].mean(axis=0)
+    return table
 
 
 class LogLevels(NamedTuple):
@@ -80,12 +83,12 @@ class LogLevels(NamedTuple):
     square_error: Floats
 
 
-def log_levels(found: Levels) -> LogLevels:
+def log_levels(table: Levels) -> LogLevels:
     """In the order of the logs' numbers; empty without two logs that share a face."""
-    members = list(found.groups())
-    groups = [(int(found.log[at[0]]), tuple(np.nan_to_num(found.felt_g[at[0]], nan=9.0).round(3))) for at in members]
-    means = np.array([found.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)
-    errors = np.array([found.square_error[at].mean(axis=0) / len(at) for at in members]).reshape(-1, 3)
+    members = list(table.groups())
+    groups = [(int(table.log[at[0]]), tuple(np.nan_to_num(table.felt_g[at[0]], nan=9.0).round(3))) for at in members]
+    means = np.array([table.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)
+    errors = np.array([table.square_error[at].mean(axis=0) / len(at) for at in members]).reshape(-1, 3)
     shared = {face for _, face in groups if sum(other == face for _, other in groups) > 1}
     apart: dict[int, list[tuple[Floats, Floats]]] = {}
     for face in shared:
@@ -102,18 +105,18 @@ def log_levels(found: Levels) -> LogLevels:
     )
 
 
-def _of_phase(one: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], ...]:
-    part, header = one.residual.segments, one.residual.header
+def _of_phase(evidence: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], ...]:
+    part, header = evidence.residual.segments, evidence.residual.header
     held = (part.rows >= _LEAST_ROWS) & np.isfinite(part.mean).all(axis=1)
     count = int(held.sum())
     return (
-        np.full(count, one.log),
+        np.full(count, evidence.log),
         np.full(count, group),
         part.time_s[held],
         part.temperature_degc[held],
         part.mean[held] / header.sensitivity,
         part.steady_variance[held] / (part.rows[held, None] - 1) / header.sensitivity**2,
-        np.broadcast_to(felt_g([one.residual])[0], (count, 3)),
+        np.broadcast_to(felt_g([evidence.residual])[0], (count, 3)),
         part.thermometer[held],
         np.full(count, part.width_s),
     )
@@ -121,7 +124,7 @@ def _of_phase(one: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], 
 
 def change_between_logs(evidence: Evidence) -> Floats:
     """(3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else 0."""
-    counts = Counter(kind for _, kind in {(one.log, one.kind) for one in evidence.still})
+    counts = Counter(kind for _, kind in {(phase.log, phase.kind) for phase in evidence.still})
     if not any(1 < count < _SERIES for count in counts.values()):
         return np.zeros(3)
     probe = "level" if np.isfinite(evidence.values.get("level", np.full((1, 3), np.nan))).any() else "mean"

@@ -57,15 +57,20 @@ def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -
 
 def pooled(spectra: Sequence[Spectrum]) -> Spectrum | None:
     """The finest one, of all phases in which it is as fine; with freedom added up."""
-    known = [one for one in spectra if one.segments]
+    known = [spectrum for spectrum in spectra if spectrum.segments]
     if not known:
         return None
-    rows = max(one.segment_rows for one in known)
-    same_length = [one for one in known if one.segment_rows == rows]
+    rows = max(spectrum.segment_rows for spectrum in known)
+    same_length = [spectrum for spectrum in known if spectrum.segment_rows == rows]
     density = np.average(
-        [one.density for one in same_length], axis=0, weights=[one.segments for one in same_length]
+        [spectrum.density for spectrum in same_length], axis=0, weights=[spectrum.segments for spectrum in same_length]
     )
-    freedom = np.sum([one.freedom for one in same_length], axis=0)
+    freedom = np.sum([spectrum.freedom for spectrum in same_length], axis=0)
     first = same_length[0]
-    runs = (first.rate_hz, rows, sum(one.segments for one in same_length), sum(one.runs for one in same_length))
-    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(one.rows for one in same_length), 0)
+    runs = (
+        first.rate_hz,
+        rows,
+        sum(spectrum.segments for spectrum in same_length),
+        sum(spectrum.runs for spectrum in same_length),
+    )
+    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(spectrum.rows for spectrum in same_length), 0)

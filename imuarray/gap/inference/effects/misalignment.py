@@ -20,10 +20,10 @@ _AXES = np.arange(3)
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The angles beside the diagonal of the response's error, where they stray beyond the population."""
-    yield from with_removal(evidence, Misalignment.name, _found(evidence))
+    yield from with_removal(evidence, Misalignment.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     score, found = np.zeros((3, 3)), response(evidence)
     for step, way in enumerate(("next", "after"), start=1):
         score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}")

@@ -49,10 +49,10 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _from_rates(evidence: Evidence) -> Floats:
     """(3,) coefficients of the square of each axis's rate; sensors lie along the box's axes."""
-    found = moments(evidence)
-    if found is None:
+    table = moments(evidence)
+    if table is None:
         return np.zeros(3)
-    rotation, shared, _ = found.beside(ROTATION)
+    rotation, shared, _ = table.beside(ROTATION)
     at = np.array(_SQUARES)[np.abs(np.array(evidence.header.orientation)).argmax(axis=0)]
     size = rotation[at, at]
     slope = np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
@@ -61,13 +61,13 @@ def _from_rates(evidence: Evidence) -> Floats:
 
 def _from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
     """y = x + c x^3 of a sine x of variance s^2 shows a gain of 1 + 3/2 c s^2 and leaves c^2 s^6 / 4."""
-    found = moments(evidence)
-    if found is None:
+    table = moments(evidence)
+    if table is None:
         return
-    square = np.diag(found.products[REFERENCE, REFERENCE])
-    gain = found.products[OWN, REFERENCE].diagonal() / np.where(square > 0, square, np.inf) - 1
-    left = found.beside(ROTATION)[2]
-    size = 2 * np.sqrt(np.maximum(left, 0.0)) / np.where(square > 0, square**1.5, np.inf)
+    square = np.diag(table.products[REFERENCE, REFERENCE])
+    gain = table.products[OWN, REFERENCE].diagonal() / np.where(square > 0, square, np.inf) - 1
+    remaining = table.beside(ROTATION)[2]
+    size = 2 * np.sqrt(np.maximum(remaining, 0.0)) / np.where(square > 0, square**1.5, np.inf)
     most = _LARGEST / evidence.header.range**2
     cubic = np.sign(gain) * np.minimum(np.minimum(size, np.abs(gain) / (1.5 * square + 1e-30)), most)
     cubic = np.where(np.abs(cubic) * square > _SMALL, cubic, 0.0)

@@ -73,10 +73,10 @@ def _by_age(evidence: Evidence) -> Iterator[Hypothesis]:
     """Faster than the poll, so that no row repeats, and slower than configured: readings are half a period old. It is
     set to a slower rate, or as it should be and its oscillator limps: then the codes are those of the set rate.
     """
-    found = odd_lags(evidence)
-    if not found:
+    lags_seen = odd_lags(evidence)
+    if not lags_seen:
         return
-    lag_s = mean_of(found, "lag_s")
+    lag_s = mean_of(lags_seen, "lag_s")
     configured_hz = evidence.header.rate_hz
     age_s = lag_s + (0.5 / configured_hz if configured_hz else 0.0)
     if lag_s <= 0 or age_s >= 0.5 / evidence.rows_per_s:

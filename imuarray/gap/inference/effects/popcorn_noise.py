@@ -33,10 +33,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     its time constant = twice the switches a second), and a slower one; the same with one level more seldom than the
     other, where segments lie to one side; another by the jumps themselves, where segments show them.
     """
-    yield from with_removal(evidence, PopcornNoise.name, _found(evidence))
+    yield from with_removal(evidence, PopcornNoise.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     score = evidence.score(*TRACES)
@@ -56,7 +56,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _one_sided(
-    evidence: Evidence, found: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
+    evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
 ) -> Hypothesis:
     """The share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1 - p)),
     on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches a
@@ -65,11 +65,11 @@ def _one_sided(
     level = levels(evidence)
     square = level.apart.var(axis=0) - level.square_error.mean(axis=0)
     skewness = (level.apart**3).mean(axis=0) / np.maximum(square, level.apart.var(axis=0) / 10) ** 1.5
-    largest = float(np.abs(skewness[int(found.rms.argmax())]))
+    largest = float(np.abs(skewness[int(wander.rms.argmax())]))
     share = min(max((1 - largest / float(np.hypot(largest, 2.0))) / 2, _SELDOM), 0.5)
     half = float(np.sqrt(share * (1 - share)))
-    x, y, z = (np.array(sized(found.rms / half, score)) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
-    effect = PopcornNoise((x, y, z), 2 * half**2 / found.time_constant_s, share)
+    x, y, z = (np.array(sized(wander.rms / half, score)) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
+    effect = PopcornNoise((x, y, z), 2 * half**2 / wander.time_constant_s, share)
     limits = {**limits, "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
     return Hypothesis((effect,), (*_FREE, "high_share"), limits=limits, rarity=_RARITY)
 

@@ -43,10 +43,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     where not all have one; bits that are never set, though codes leap over where they would be; codes before a carry
     that never come.
     """
-    yield from with_removal(evidence, Quantisation.name, _found(evidence))
+    yield from with_removal(evidence, Quantisation.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     usual = code_span(evidence.header).step
     if not evidence.is_odd(*_PROBES, *_LEAPS):
         return
@@ -72,8 +72,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if short:  # of every 16 all but two are, of every four, two
         carry = max(short, key=lambda carry: short[carry][0] / carry)
         missing, at = map(float, short[carry])
-        found = Quantisation(carry_lsb=float(carry), missing_lsb=missing, carry_at_lsb=at)
-        yield from _with_what_hides(evidence, found, carry, short[carry][0])
+        coarse = Quantisation(carry_lsb=float(carry), missing_lsb=missing, carry_at_lsb=at)
+        yield from _with_what_hides(evidence, coarse, carry, short[carry][0])
 
 
 def _with_power(divisor: int) -> tuple[int, int]:
@@ -81,16 +81,16 @@ def _with_power(divisor: int) -> tuple[int, int]:
     return divisor, max((step for step in _STEPS if divisor and divisor % step == 0), default=divisor)
 
 
-def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
+def _with_what_hides(evidence: Evidence, coarse: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
     """With the parameters of the fit, and with those that the sensor has behind the codes that come."""
-    yield Hypothesis((found,))
-    fitted = behind(evidence, found.coded, period, stretch)
+    yield Hypothesis((coarse,))
+    fitted = behind(evidence, coarse.coded, period, stretch)
     if fitted is not None:
-        yield Hypothesis((found,), fitted=fitted)
+        yield Hypothesis((coarse,), fitted=fitted)
 
 
 def _divisor(merged: Histogram) -> int:
-    """Of all codes but a hundredth of the readings; 0 without one."""
+    """Greatest common divisor of all codes but a hundredth of the readings; 0 without one."""
     least = (1 - _ODD_ONES) * merged.counts.sum()
     for step in range(_STEPS[-1], 1, -1):
         on = merged.codes % step == 0
@@ -100,7 +100,7 @@ def _divisor(merged: Histogram) -> int:
 
 
 def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
-    """Whether a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase leap
+    """True if a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase leap
     over a stretch in which it would be set.
     """
     clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
@@ -139,8 +139,8 @@ def _missing(carry: int, counts: Floats, spans: Integers) -> int:
     few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry
     missing = int(np.argmin(few)) if few[0] else 0
     there = counts[1 : carry - missing]
-    beside = np.concatenate([there[:2], there[-2:]])
-    if not missing or not len(there) or counts[0] < (1 + missing / 2) * beside.mean():
+    edges = np.concatenate([there[:2], there[-2:]])
+    if not missing or not len(there) or counts[0] < (1 + missing / 2) * edges.mean():
         return 0
     return missing if ((spans[:, 0] - 1) // carry < (spans[:, 1] - 1) // carry).any() else 0
 

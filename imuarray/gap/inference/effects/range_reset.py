@@ -70,16 +70,16 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _within(evidence, found)
 
 
-def _within(evidence: Evidence, found: Sequence[Onset]) -> Iterator[Hypothesis]:
+def _within(evidence: Evidence, onsets: Sequence[Onset]) -> Iterator[Hypothesis]:
     """A reset in the log with the clearest step; and in all others in which the same range is left of one."""
-    clearest, *more = found
+    clearest, *more = onsets
     for trial in _reset(evidence, clearest.states, 0.0, 1.0):
         (first,) = (effect for effect in trial.effects if isinstance(effect, RangeReset))
         alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
         others = [
-            replace(effect, onset_s=one.onset_s, run=float(one.log))
-            for one in more
-            for other in _reset(evidence, one.states, 0.0, 1.0)
+            replace(effect, onset_s=onset.onset_s, run=float(onset.log))
+            for onset in more
+            for other in _reset(evidence, onset.states, 0.0, 1.0)
             for effect in other.effects
             if isinstance(effect, RangeReset) and effect.range == first.range
         ]
@@ -150,7 +150,7 @@ def _always(evidence: Evidence) -> Iterator[Hypothesis]:
     if "motion_gain" in evidence.values:
         shown.append(float(np.nanmedian(np.append(evidence.values["motion_gain"], 1.0))))
     for other, ratio in _ratios(evidence).items():
-        if any(one > 0 and abs(np.log(one / ratio)) < _NEAR for one in shown):
+        if any(level_shown > 0 and abs(np.log(level_shown / ratio)) < _NEAR for level_shown in shown):
             yield Hypothesis((RangeReset(range=other),))
 
 
@@ -171,11 +171,11 @@ def _reset(evidence: Evidence, states: States, onset_s: float, probability: floa
 
 def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
     """Of each other range, with the offset and the noise that it leaves in the middle of all pairs of sides."""
-    step = float(np.median([np.linalg.norm(one.after - one.before) for one in sides]))
+    step = float(np.median([np.linalg.norm(side.after - side.before) for side in sides]))
     for other, ratio in _ratios(evidence).items():
-        offsets = np.array([one.after / ratio - one.before for one in sides])
+        offsets = np.array([side.after / ratio - side.before for side in sides])
         offset = np.median(offsets, axis=0)
-        shares = np.array([one.noise_after / (ratio * one.noise_before) for one in sides])
+        shares = np.array([side.noise_after / (ratio * side.noise_before) for side in sides])
         known = shares[np.isfinite(shares).all(axis=1)]
         share = np.median(known, axis=0) if len(known) else np.ones(3)
         if not ((share > _NOISE_SHARES[0]) & (share < _NOISE_SHARES[1])).all():
@@ -188,8 +188,8 @@ def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
         yield _Guess(cost, size, RangeReset(other, (x, y, z), (a, b, c)))
 
 
-def _cheapest(found: Iterable[_Guess]) -> list[_Guess]:
-    return sorted(found, key=lambda one: one.cost)[:_RANGES]
+def _cheapest(candidates: Iterable[_Guess]) -> list[_Guess]:
+    return sorted(candidates, key=lambda guess: guess.cost)[:_RANGES]
 
 
 RANGE_RESET = Candidate(

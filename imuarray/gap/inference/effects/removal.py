@@ -36,7 +36,7 @@ def with_removal(
 
 
 def _is_fitted(evidence: Evidence, name: str) -> bool:
-    """Whether the chip's own filter is all that the model has of the kind."""
+    """True if the chip's own filter is all that the model has of the kind."""
     return name in {effect.name for effect in evidence.fitted.effects()}
 
 

@@ -20,7 +20,7 @@ def repeated_share(evidence: Evidence) -> float:
 
 
 def _share(summary: Summary) -> float:
-    """Of rows that repeat the one before, the longest run left out: it may be of a chip that hung."""
+    """Share of rows that repeat the one before, without the longest run, which may be of a chip that hung."""
     repeats = summary.repeats
     longest = repeats.longest - 1
     return (repeats.repeat_share * (summary.rows - 1) - longest) / max(summary.rows - 1 - longest, 1)

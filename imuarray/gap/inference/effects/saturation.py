@@ -48,8 +48,8 @@ def _piled(seen: Histogram) -> Iterator[int]:
     if len(seen.codes) < 2:
         return
     for last, before in ((0, 1), (-1, -2)):
-        here, beside = np.sqrt(seen.counts[[last, before]] + 3 / 8)
-        if np.sqrt(2) * (here - beside) > _PILE:
+        here, roots = np.sqrt(seen.counts[[last, before]] + 3 / 8)
+        if np.sqrt(2) * (here - roots) > _PILE:
             yield int(seen.codes[last])
 
 

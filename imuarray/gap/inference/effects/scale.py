@@ -18,10 +18,10 @@ _LARGEST = 0.9
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The diagonal of the response's error, on axes that stray beyond the population."""
-    yield from with_removal(evidence, Scale.name, _found(evidence))
+    yield from with_removal(evidence, Scale.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     score, found = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
     if found is None or not (score > ODD).any():
         return

@@ -22,18 +22,18 @@ _TURNS = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 1)
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The place, from least squares of what the other accelerometers' mean doesn't explain."""
-    yield from with_removal(evidence, SizeEffect.name, _found(evidence))
+    yield from with_removal(evidence, SizeEffect.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.quantity != "specific_force":
         return
     if not evidence.is_odd("motion_coupling", "motion_residual", "motion_gain", "motion_next", "motion_after"):
         return
-    found = moments(evidence)
-    if found is None:
+    table = moments(evidence)
+    if table is None:
         return
-    place = _place(evidence, *found.beside(ROTATION)[:2]) * 1e3
+    place = _place(evidence, *table.beside(ROTATION)[:2]) * 1e3
     if place.any() and np.linalg.norm(place) < _LARGEST_MM:
         x, y, z = place.tolist()
         yield Hypothesis((SizeEffect((x, y, z)),), ("position_mm",))

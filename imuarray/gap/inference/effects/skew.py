@@ -19,16 +19,16 @@ behind is late, rather than the other one early.
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The mean lag; a large one also a period earlier or later."""
-    yield from with_removal(evidence, Skew.name, _found(evidence))
+    yield from with_removal(evidence, Skew.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
-    found = odd_lags(evidence)
-    if not found:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    lags_seen = odd_lags(evidence)
+    if not lags_seen:
         return
-    lag_s, pace = mean_of(found, "lag_s"), mean_of(found, "pace")
+    lag_s, pace = mean_of(lags_seen, "lag_s"), mean_of(lags_seen, "pace")
     delays_s = [lag_s]
-    if any(lag.is_large for lag in found):
+    if any(lag.is_large for lag in lags_seen):
         delays_s.append(lag_s - math.copysign(2 * math.pi / pace, lag_s))
     for delay_s in delays_s:
         yield Hypothesis((Skew(delay_s),), ("delay_s",), rarity=_AHEAD if delay_s < 0 else 0.0)

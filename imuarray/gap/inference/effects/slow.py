@@ -69,12 +69,12 @@ class Wander(NamedTuple):
 def allan_of(evidence: Evidence) -> Allan:
     """Octaves with at least one independent term in all; less what follows the temperature as the model lets it."""
     sums, terms = np.zeros((0, 3)), np.zeros(0)
-    for one in evidence.still:
-        variance, count, _ = one.raw.allan
+    for phase in evidence.still:
+        variance, count, _ = phase.raw.allan
         if not len(sums):
             sums, terms = np.zeros_like(variance), np.zeros(len(count))
         white = variance[:1] / 2.0 ** np.arange(len(count))[:, None]
-        warming = _of_warming(one, evidence.rows_per_s, len(count))
+        warming = _of_warming(phase, evidence.rows_per_s, len(count))
         variance = np.maximum(variance - warming, np.minimum(variance, white / 2))
         sums += np.nan_to_num(variance) * count[:, None]
         terms += count
@@ -87,11 +87,11 @@ def allan_of(evidence: Evidence) -> Allan:
     return Allan(np.asarray(times[known]), variance, np.maximum(free, 0.5)[known], *_spread(evidence))
 
 
-def _of_warming(one: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
+def _of_warming(phase: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
     """(o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2 of a
     straight line (IEEE Std 952, Annex C).
     """
-    time_s, level = one.raw.segments.time_s, one.raw.segments.mean - one.residual.segments.mean
+    time_s, level = phase.raw.segments.time_s, phase.raw.segments.mean - phase.residual.segments.mean
     known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
     if known.sum() < 2:
         return np.zeros((octaves, 3))
@@ -138,16 +138,16 @@ def wander_of(evidence: Evidence) -> Wander | None:
     if len(allan.time_s) < 4:
         return None
     times = np.geomspace(3 / evidence.rows_per_s, 3 * longest_s(evidence), _TIMES)
-    found = [_gauss_markov_size(allan, time) for time in times]
-    best = int(np.argmin([misfit for _, misfit in found]))
-    sizes = found[best][0]
+    fits = [_gauss_markov_size(allan, time) for time in times]
+    best = int(np.argmin([misfit for _, misfit in fits]))
+    sizes = fits[best][0]
     return Wander(np.sqrt(sizes), float(times[best])) if sizes.any() else None
 
 
-def slower(evidence: Evidence, found: Wander) -> Wander:
+def slower(evidence: Evidence, wander: Wander) -> Wander:
     """One that is `_APART` times slower, and fits nearly as well; faster by its square, if phases are too short."""
-    is_slow = found.time_constant_s > longest_s(evidence)
-    time_constant_s = found.time_constant_s / (_APART**2) if is_slow else _APART * found.time_constant_s
+    is_slow = wander.time_constant_s > longest_s(evidence)
+    time_constant_s = wander.time_constant_s / (_APART**2) if is_slow else _APART * wander.time_constant_s
     return Wander(rms_at(evidence, time_constant_s), time_constant_s)
 
 
@@ -195,8 +195,8 @@ def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
     tenth of it; the phases' mean length, and how many there are.
     """
     found, lengths = [], []
-    for one in evidence.still:
-        part = one.residual.segments
+    for phase in evidence.still:
+        part = phase.residual.segments
         held = part.rows > 1
         if np.count_nonzero(held) > 2:
             white = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)

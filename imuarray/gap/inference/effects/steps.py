@@ -62,7 +62,7 @@ def onsets(evidence: Evidence) -> list[Onset]:
 
 
 def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
-    """What the `rare` ones of the logs (l,) show on the face that the first one of all has."""
+    """The values of the `rare` ones of the logs (l,) on the face of the first log."""
     logs = sorted({one.log for one in evidence.still})
     if len(logs) != len(rare):
         return None
@@ -83,13 +83,13 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
 def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
     scale, parts = evidence.header.sensitivity, []
     for one in phases:
-        raw, left = one.raw.segments, one.residual.segments
+        raw, residual = one.raw.segments, one.residual.segments
         held = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
         warm = (raw.temperature_degc[held, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
-        predicted = (raw.mean[held] - left.mean[held]) / scale - warm
+        predicted = (raw.mean[held] - residual.mean[held]) / scale - warm
         variance = raw.steady_variance[held] * (raw.rows[held] / (raw.rows[held] - 1.0))[:, None]
         variance = np.maximum(variance, _ROUNDING_LSB2) / scale**2
-        parts.append((raw.time_s[held], left.mean[held] / scale, predicted, variance))
+        parts.append((raw.time_s[held], residual.mean[held] / scale, predicted, variance))
     return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 

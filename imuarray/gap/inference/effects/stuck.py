@@ -82,7 +82,7 @@ def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _kind(evidence: Evidence) -> str:
-    """Whether the chip says that it has nothing new, of most rows that are repeated."""
+    """True if the chip says that it has nothing new, of most rows that are repeated."""
     repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
     return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.seen) > repeated / 2 else "new"
 

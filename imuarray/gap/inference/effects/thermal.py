@@ -30,14 +30,14 @@ class Fit(NamedTuple):
     error: Floats
 
 
-def warmth(found: Levels) -> Floats:
+def warmth(table: Levels) -> Floats:
     """(n,) degC above the temperature at which biases hold."""
-    return np.asarray(found.degc - REFERENCE_DEGC)
+    return np.asarray(table.degc - REFERENCE_DEGC)
 
 
-def is_warmed(found: Levels) -> bool:
-    """Whether the temperature changed within a log and face."""
-    return any(np.ptp(found.degc[at]) >= LEAST_DEGC for at in found.groups())
+def is_warmed(table: Levels) -> bool:
+    """True if the temperature changed within a log and face."""
+    return any(np.ptp(table.degc[at]) >= LEAST_DEGC for at in table.groups())
 
 
 def fitted(columns: Floats, values: Floats, group: Integers | None) -> Fit:
@@ -49,8 +49,8 @@ def fitted(columns: Floats, values: Floats, group: Integers | None) -> Fit:
     nothing = np.zeros((columns.shape[1], values.shape[1]))
     if len(columns) <= columns.shape[1] + 1 or np.linalg.matrix_rank(scaled, tol=1e-2) < columns.shape[1]:
         return Fit(nothing, np.full_like(nothing, np.inf))
-    found = np.linalg.lstsq(scaled, values, rcond=None)[0]
-    left = values - scaled @ found
-    variance = (left**2).sum(axis=0) / (len(columns) - columns.shape[1])
+    solution = np.linalg.lstsq(scaled, values, rcond=None)[0]
+    residuals = values - scaled @ solution
+    variance = (residuals**2).sum(axis=0) / (len(columns) - columns.shape[1])
     inverse = np.diag(np.linalg.inv(scaled.T @ scaled))
-    return Fit(found / size[:, None], np.sqrt(inverse[:, None] * variance) / size[:, None])
+    return Fit(solution / size[:, None], np.sqrt(inverse[:, None] * variance) / size[:, None])

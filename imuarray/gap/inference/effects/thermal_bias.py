@@ -20,23 +20,23 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The quadratic term by least squares; a linear one where only the levels of several logs tell it, which the base
     model doesn't fit.
     """
-    found = levels(evidence)
-    if not len(found.degc) or not evidence.is_odd(*TRACES, beyond=BEYOND):
+    table = levels(evidence)
+    if not len(table.degc) or not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
-    if is_warmed(found):
-        yield from _squares(found)
+    if is_warmed(table):
+        yield from _squares(table)
         if not evidence.is_refitted:
             yield from _since(evidence)
-    elif np.ptp(found.degc) >= LEAST_DEGC:
-        yield from _between_logs(found)
+    elif np.ptp(table.degc) >= LEAST_DEGC:
+        yield from _between_logs(table)
 
 
-def _squares(found: Levels) -> Iterator[Hypothesis]:
+def _squares(table: Levels) -> Iterator[Hypothesis]:
     """With the slope that goes with them: the straight line that was fitted lies along the curve where the sensor was
     warm, and would turn away from it there if the square were put on top.
     """
-    warm = warmth(found)
-    fit = fitted(np.stack([warm, warm**2], axis=1), found.mean, found.group)
+    warm = warmth(table)
+    fit = fitted(np.stack([warm, warm**2], axis=1), table.mean, table.group)
     clear = np.abs(fit.coefficient[1]) > _CLEAR * fit.error[1]
     if clear.any():
         slope, quadratic = np.where(clear, fit.coefficient, 0.0).tolist()
@@ -51,10 +51,10 @@ def _since(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))
 
 
-def _between_logs(found: Levels) -> Iterator[Hypothesis]:
-    """Of levels on one face at several temperatures."""
-    faces = np.unique(np.nan_to_num(found.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
-    fit = fitted(warmth(found)[:, None], found.mean, faces)
+def _between_logs(table: Levels) -> Iterator[Hypothesis]:
+    """A slope from levels on one face at several temperatures."""
+    faces = np.unique(np.nan_to_num(table.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
+    fit = fitted(warmth(table)[:, None], table.mean, faces)
     if fit.coefficient.any():
         x, y, z = fit.coefficient[0].tolist()
         yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))

@@ -30,58 +30,58 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The time constant by which the lagged reference fits levels and the chip's own thermometer best; another by the
     coefficient of dT/dt, which is slope times lag.
     """
-    yield from with_removal(evidence, ThermalLag.name, _found(evidence))
+    yield from with_removal(evidence, ThermalLag.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
-    found = levels(evidence)
-    if not len(found.degc) or not is_warmed(found):
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    table = levels(evidence)
+    if not len(table.degc) or not is_warmed(table):
         return
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
-    best_s, slow_s = _best(found), _from_change(evidence)
+    best_s, slow_s = _best(table), _from_change(evidence)
     if best_s > 0:
         yield Hypothesis((ThermalLag(best_s),), ("time_constant_s",))
     if slow_s > 0 and not 1 / _APART < best_s / slow_s < _APART:
         yield Hypothesis((ThermalLag(slow_s),), ("time_constant_s",))
 
 
-def _best(found: Levels) -> float:
+def _best(table: Levels) -> float:
     """0 if none is better than no lag."""
-    span_s = max(float(np.ptp(found.time_s[found.log == log])) for log in np.unique(found.log))
+    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
     if span_s <= 0:
         return 0.0
     times = np.geomspace(span_s / _STEPS * 2, span_s, _TRIED)
-    misfit = [_misfit(found, found.degc)] + [_misfit(found, lagged(found, time)) for time in times]
+    misfit = [_misfit(table, table.degc)] + [_misfit(table, lagged(table, time)) for time in times]
     best = int(np.argmin(misfit))
     return float(times[best - 1]) if best and misfit[best] < misfit[0] - _CLEAR else 0.0
 
 
-def lagged(found: Levels, time_constant_s: float) -> Floats:
+def lagged(table: Levels, time_constant_s: float) -> Floats:
     """(n,) temperature of an element behind the reference, in equilibrium when its log begins."""
-    degc = np.empty_like(found.degc)
-    for log in np.unique(found.log):
-        at = np.flatnonzero(found.log == log)
-        order = at[np.argsort(found.time_s[at])]
-        grid = np.linspace(found.time_s[order[0]], found.time_s[order[-1]], _STEPS)
-        box = np.interp(grid, found.time_s[order], found.degc[order])
+    degc = np.empty_like(table.degc)
+    for log in np.unique(table.log):
+        at = np.flatnonzero(table.log == log)
+        order = at[np.argsort(table.time_s[at])]
+        grid = np.linspace(table.time_s[order[0]], table.time_s[order[-1]], _STEPS)
+        box = np.interp(grid, table.time_s[order], table.degc[order])
         phi = math.exp(-(grid[1] - grid[0]) / time_constant_s)
         half = (1 - phi) / 2
         element, _ = lfilter([half, half], [1.0, -phi], box, zi=[(1 - half) * box[0]])
-        degc[at] = np.interp(found.time_s[at], grid, element)
+        degc[at] = np.interp(table.time_s[at], grid, element)
     return degc
 
 
-def _misfit(found: Levels, degc: Floats) -> float:
+def _misfit(table: Levels, degc: Floats) -> float:
     """Negative log likelihood of levels, and of the thermometer if there is one, that follow this temperature."""
-    known = np.isfinite(found.thermometer)
+    known = np.isfinite(table.thermometer)
     total = 0.0
     # the base model took a straight line in the reference out: it goes back in
-    warm = centred(np.stack([degc, found.degc], axis=1), found.group)
-    left = found.apart - warm @ np.linalg.lstsq(warm, found.apart, rcond=None)[0]
-    total += len(left) / 2 * float(np.log((left**2).sum(axis=0) + 1e-30).sum())
+    warm = centred(np.stack([degc, table.degc], axis=1), table.group)
+    residuals = table.apart - warm @ np.linalg.lstsq(warm, table.apart, rcond=None)[0]
+    total += len(residuals) / 2 * float(np.log((residuals**2).sum(axis=0) + 1e-30).sum())
     if known.all():
-        heat = centred(found.thermometer[:, None], found.group)
+        heat = centred(table.thermometer[:, None], table.group)
         own = warm[:, :1]
         rest = heat - own @ np.linalg.lstsq(own, heat, rcond=None)[0]
         total += len(rest) / 2 * float(np.log((rest**2).sum() + 1e-30))

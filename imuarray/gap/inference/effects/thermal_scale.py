@@ -20,27 +20,27 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Of an accelerometer, the part of the slope that has the sign of the force. On one face alone it can't be told
     from a slope of the bias, which is fitted: then nothing is guessed.
     """
-    yield from with_removal(evidence, ThermalScale.name, _found(evidence))
+    yield from with_removal(evidence, ThermalScale.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
-    found = levels(evidence)
-    if evidence.header.quantity != "specific_force" or not len(found.degc) or np.ptp(found.degc) < LEAST_DEGC:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    table = levels(evidence)
+    if evidence.header.quantity != "specific_force" or not len(table.degc) or np.ptp(table.degc) < LEAST_DEGC:
         return
     if not evidence.is_odd(*TRACES, "force_own", "motion_gain", beyond=BEYOND):
         return
-    slope = [_slope(found, axis) for axis in range(3)]
+    slope = [_slope(table, axis) for axis in range(3)]
     if any(slope):
         yield Hypothesis((ThermalScale((slope[0], slope[1], slope[2])),), ("slope",))
 
 
-def _slope(found: Levels, axis: int) -> float:
+def _slope(table: Levels, axis: int) -> float:
     """From slopes within logs, else from their levels; 0 if neither says anything."""
-    known = np.isfinite(found.felt_g[:, axis])
-    felt, warm, mean = found.felt_g[known, axis], warmth(found)[known], found.mean[known, axis : axis + 1]
+    known = np.isfinite(table.felt_g[:, axis])
+    felt, warm, mean = table.felt_g[known, axis], warmth(table)[known], table.mean[known, axis : axis + 1]
     if not known.any():
         return 0.0
-    within = fitted(np.stack([warm, warm * felt], axis=1), mean, found.group[known])
+    within = fitted(np.stack([warm, warm * felt], axis=1), mean, table.group[known])
     whole = fitted(np.stack([np.ones_like(warm), warm, felt, warm * felt], axis=1), mean, None)
     for fit in (within, whole):
         if np.abs(fit.coefficient[-1, 0]) > _CLEAR * fit.error[-1, 0]:

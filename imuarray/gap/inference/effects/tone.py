@@ -71,8 +71,8 @@ class _Rate:
 
     @property
     def spectra(self) -> list[Spectrum]:
-        """Those with any segment."""
-        return [one.raw.spectrum for one in self.seen if one.raw.spectrum.segments]
+        """Spectra with at least one segment."""
+        return [phase.raw.spectrum for phase in self.seen if phase.raw.spectrum.segments]
 
     def height(self, hertz: float) -> float:
         """How far a line of that frequency stands above what is beside it, in standard deviations, where rows of this
@@ -88,7 +88,7 @@ class _Rate:
 
 def _rates(evidence: Evidence) -> list[_Rate]:
     """The rates at which the sensor was read, the fastest first."""
-    logs = dict.fromkeys(one.log for one in evidence.still)
+    logs = dict.fromkeys(phase.log for phase in evidence.still)
     by_rate: dict[int, list[int]] = {}
     for log in logs:
         by_rate.setdefault(round(math.log(evidence.within([log]).rows_per_s, SAME_RATE)), []).append(log)
@@ -100,16 +100,16 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of the
     mains if it is where rows show these. One that is elsewhere in each phase, by its course.
     """
-    yield from with_removal(evidence, Tone.name, _found(evidence), several=True)
+    yield from with_removal(evidence, Tone.name, _hypotheses(evidence), several=True)
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
     rates = _rates(evidence)
     for rate in rates:
-        spectrum = pooled([one.raw.spectrum for one in rate.seen])
+        spectrum = pooled([phase.raw.spectrum for phase in rate.seen])
         if spectrum is None:
             continue
         bin_hz = rate.rows_per_s / spectrum.segment_rows
@@ -153,14 +153,14 @@ def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]
 
 
 def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]:
-    for one in evidence.still:
-        spectrum = one.raw.spectrum
-        if spectrum.segments == 0 or not one.raw.intervals.count:
+    for phase in evidence.still:
+        spectrum = phase.raw.spectrum
+        if spectrum.segments == 0 or not phase.raw.intervals.count:
             continue
         bin_hz = evidence.rows_per_s / spectrum.segment_rows
         for line in highest_lines(spectrum, 1, [hertz / bin_hz for hertz in known_hz]):
-            time_s = float(np.nanmean(one.raw.segments.time_s))
-            yield _Sighting(one.log, time_s, line.bin * bin_hz, bin_hz, line.power, line.height)
+            time_s = float(np.nanmean(phase.raw.segments.time_s))
+            yield _Sighting(phase.log, time_s, line.bin * bin_hz, bin_hz, line.power, line.height)
 
 
 def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> Triple:
@@ -181,7 +181,7 @@ def assign_signs(amplitude: Triple, between_axes: Floats) -> Triple:
 
 
 def shown_hz(hertz: float, rows_per_s: float) -> float:
-    """Where rows show a line, 0 to half their rate."""
+    """Frequency at which rows show a line, 0 to half their rate."""
     return abs(hertz - rows_per_s * round(hertz / rows_per_s))
 
 

@@ -37,7 +37,7 @@ def _more(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.when.spans:
         more, less, when = evidence.typical("noise"), np.zeros(3), ALWAYS
     else:
-        logs = sorted({one.log for one in evidence.still})
+        logs = sorted({phase.log for phase in evidence.still})
         alone = {log: evidence.within([log]) for log in logs}
         noisy = [log for log, own in alone.items() if own.score("noise").max() > _BEYOND]
         if not 0 < len(noisy) < len(logs):
@@ -56,7 +56,7 @@ def _more(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
-    moving = [one.cross for one in evidence.seen if not one.is_still and one.cross is not None]
+    moving = [phase.cross for phase in evidence.seen if not phase.is_still and phase.cross is not None]
     window_rows = max(moving[0].window_s * evidence.rows_per_s, 1.0) if moving else 1.0
     variance = evidence.noise**2 * np.exp(np.nanmedian(evidence.values["motion_residual"], axis=0))
     x, y, z = np.sqrt(np.nan_to_num(variance) * window_rows).tolist()

@@ -1,4 +1,4 @@
-"""How means over more and more rows differ from the next ones."""
+"""Probes of the Allan variance: differences of means over increasing numbers of rows."""
 
 from __future__ import annotations
 

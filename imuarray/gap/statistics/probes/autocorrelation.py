@@ -1,4 +1,4 @@
-"""How a reading depends on those just before it."""
+"""Probes of the correlation with the readings just before."""
 
 from __future__ import annotations
 

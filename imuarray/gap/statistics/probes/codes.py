@@ -1,4 +1,4 @@
-"""Which codes come, whatever the signal."""
+"""Probes of the distribution of codes, independent of the signal."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def _absent(seen: Histogram) -> tuple[int, int]:
 def _pile(counts: np.ndarray) -> float:
     if len(counts) < 2:
         return math.nan
-    first, inner, beside, last = (math.sqrt(count + 3 / 8) for count in counts[[0, 1, -2, -1]].tolist())
-    return math.sqrt(2) * max(first - inner, last - beside)
+    first, inner, before_last, last = (math.sqrt(count + 3 / 8) for count in counts[[0, 1, -2, -1]].tolist())
+    return math.sqrt(2) * max(first - inner, last - before_last)
 
 
 def _one_code(summary: Summary) -> float:
-    """What one missing code of the narrowest axis makes, which chance can."""
+    """Resolution of the share of absent codes: one missing code of the narrowest axis, which chance can cause."""
     spans = [codes for _, codes in _middles(summary)]
     return 0.5 / math.sqrt(max(min(spans, default=1), 1))
 

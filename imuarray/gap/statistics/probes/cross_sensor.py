@@ -1,5 +1,5 @@
-"""What a sensor shares with others: along the chips' own axes if it comes of their design, along the box's if it is
-motion.
+"""Probes of errors that sensors share: along the chips' own axes if their design causes them, along the box's axes if
+motion does.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
 
 
 def box_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Mean Fisher's z, box axis by box axis, with the other sensors of this chip; told for the sensor's axis that lies
-    along the box axis.
+    """Mean Fisher's z, box axis by box axis, with the other sensors of this chip, given for the sensor's axis
+    along it.
     """
     return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True)))
 
@@ -83,7 +83,7 @@ def level_apart(log: LogSummary, sensor: str) -> Floats:
 
 @once
 def _levels(log: LogSummary) -> dict[str, tuple[SensorHeader, Floats]]:
-    """Of every sensor that has readings at rest."""
+    """Levels of every sensor that has readings at rest."""
     names = dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors)
     still = {name: log.still(name) for name in names}
     return {name: (phases[0].header, level(phases)) for name, phases in still.items() if phases}
@@ -93,8 +93,8 @@ def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[s
     """(3,) axis by axis, mean over the partners."""
     if not partners:
         return NOTHING
-    beside = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
-    return np.asarray(correlation[cross.columns(sensor).start + AXES, beside].sum(axis=0) / len(partners))
+    columns = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
+    return np.asarray(correlation[cross.columns(sensor).start + AXES, columns].sum(axis=0) / len(partners))
 
 
 def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:

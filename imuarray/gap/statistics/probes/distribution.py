@@ -1,4 +1,4 @@
-"""What the scatter looks like: its shape, its tails."""
+"""Probes of the distribution of the noise: shape and tails."""
 
 from __future__ import annotations
 

@@ -23,22 +23,22 @@ _FACES = frozenset(UP_AXES)
 
 
 def own(phases: Sequence[Summary]) -> Floats:
-    """What one g along the axis itself adds to its reading."""
+    """Response of each axis to one g along it, in the sensor's unit."""
     return np.asarray(_parts(phases)[0][AXES, AXES])
 
 
 def next_axis(phases: Sequence[Summary]) -> Floats:
-    """What one g along the next axis (y for x, z for y, x for z) adds."""
+    """Response of each axis to one g along the next axis (y for x, z for y, x for z)."""
     return np.asarray(_parts(phases)[0][AXES, (AXES + 1) % 3])
 
 
 def axis_after(phases: Sequence[Summary]) -> Floats:
-    """What one g along the axis after that adds."""
+    """Response of each axis to one g along the axis after the next."""
     return np.asarray(_parts(phases)[0][AXES, (AXES + 2) % 3])
 
 
 def square(phases: Sequence[Summary]) -> Floats:
-    """What 1 g^2 along the axis itself adds, beyond the other axes' mean."""
+    """Response of each axis to 1 g^2 along it, less the mean of those to the other axes."""
     even = _parts(phases)[1]
     others = (even[AXES, (AXES + 1) % 3] + even[AXES, (AXES + 2) % 3]) / 2
     return np.asarray(even[AXES, AXES] - others)
@@ -64,8 +64,8 @@ def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
     felt, means = felt_g(phases), np.array([mean(phase) for phase in phases])
     known = np.isfinite(felt).all(axis=1) & np.isfinite(means).all(axis=1)
     design = np.concatenate([felt, felt**2], axis=1)[known]
-    found, _, rank, _ = np.linalg.lstsq(design, means[known], rcond=None)
-    return (found.T[:, :3], found.T[:, 3:]) if rank == design.shape[1] else (nothing, nothing)
+    coefficients, _, rank, _ = np.linalg.lstsq(design, means[known], rcond=None)
+    return (coefficients.T[:, :3], coefficients.T[:, 3:]) if rank == design.shape[1] else (nothing, nothing)
 
 
 _CROSS = ("misalignment", "axis_error", "g_sensitivity", "channel_swap")

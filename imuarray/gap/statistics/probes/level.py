@@ -1,4 +1,4 @@
-"""Where the readings lie, and whether they stay there."""
+"""Probes of the level of the readings and its stability."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ def wander(summary: Summary) -> Floats:
     if len(held) < _LEAST:
         return NOTHING
     expected = 1 / (part.rows[held] - 1) @ part.steady_variance.take(held, axis=0) / len(held)
-    left = _about_line(summary)
-    return np.asarray(log((left * left).sum(axis=0) / (len(held) - 2)) - log(expected))
+    residual = _about_line(summary)
+    return np.asarray(log((residual * residual).sum(axis=0) / (len(held) - 2)) - log(expected))
 
 
 def uneven(summary: Summary) -> Floats:
     """arsinh of the skewness of the segments' means about a straight line: of two levels one is seldom."""
     if np.count_nonzero(summary.segments.rows > 1) < _MANY:
         return np.full(summary.segments.mean.shape[1], np.nan)
-    left = _about_line(summary)
-    square = (left * left).mean(axis=0)
-    return np.asarray(np.arcsinh(_share((left**3).mean(axis=0), square**1.5)))
+    residual = _about_line(summary)
+    square = (residual * residual).mean(axis=0)
+    return np.asarray(np.arcsinh(_share((residual**3).mean(axis=0), square**1.5)))
 
 
 @once

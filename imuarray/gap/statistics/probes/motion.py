@@ -1,10 +1,10 @@
-"""How a sensor follows a motion that the others of its kind feel too: in size, in direction, in time, in place.
+"""Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm.
 
-The reference is the mean of the other sensors that measure the same, along the axes that this one nominally has. It is
-noisy itself, which makes gains a little too small; as much so in a simulation of the same motion.
+The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes. It is noisy
+itself, which makes gains a little too small, but equally in a simulation of the same motion.
 
-A polled chip's readings are up to one of its periods old, and in step with the polls always as old: a delay that says
-nothing. What is left of a sensor's motion is what no delay of it explains either.
+A polled chip's readings are up to one of its periods old, and in step with the polls always equally old: a delay
+without significance. The residual of a sensor's motion is what no delay explains either.
 """
 
 from __future__ import annotations
@@ -20,58 +20,59 @@ from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, log, once
 AXES = np.arange(3)
 
 _ENDS = 0.02
-"""Share of what is left that is kept: about that of the windows at segments' ends, whose change is not known."""
+"""Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
 
 
 def gain(cross: Cross, sensor: str) -> Floats:
-    """What the axis shows of motion along it, as a share."""
+    """Response of each axis to motion along it, as a share."""
     return np.asarray(_gains(cross, sensor)[AXES, AXES])
 
 
 def next_axis(cross: Cross, sensor: str) -> Floats:
-    """What the axis shows of motion along the next one."""
+    """Response of each axis to motion along the next one."""
     return np.asarray(_gains(cross, sensor)[AXES, (AXES + 1) % 3])
 
 
 def axis_after(cross: Cross, sensor: str) -> Floats:
-    """What the axis shows of motion along the one after that."""
+    """Response of each axis to motion along the axis after the next."""
     return np.asarray(_gains(cross, sensor)[AXES, (AXES + 2) % 3])
 
 
 def delay(cross: Cross, sensor: str) -> Floats:
-    """By how many seconds the axis is behind: y(t) = r(t - delay) is about r - delay dr/dt, and so the delay is what y
-    lacks of r, along the change of r.
+    """Delay of each axis in seconds behind the reference.
+
+    y(t) = r(t - delay) is about r - delay dr/dt, so the delay is the projection of r - y on the change of r.
     """
-    found = _beside(cross, sensor)
-    if found is None:
+    joint = _joint_moments(cross, sensor)
+    if joint is None:
         return NOTHING
     own, reference = AXES, AXES + 3
-    lacks = found.turning[reference, reference] - found.turning[own, reference]
-    square = found.changes[reference, reference]
+    lacks = joint.turning[reference, reference] - joint.turning[own, reference]
+    square = joint.changes[reference, reference]
     ratio = np.divide(lacks, square, out=NOTHING.copy(), where=square > 0)
     return np.asarray(ratio * cross.window_s)
 
 
 def residual(cross: Cross, sensor: str) -> Floats:
     """Log of the variance that the reference doesn't explain, whatever the delay behind it."""
-    found = _beside(cross, sensor)
-    return NOTHING if found is None else log(_left(found, AXES + 3))
+    joint = _joint_moments(cross, sensor)
+    return NOTHING if joint is None else log(_residual_variance(joint, AXES + 3))
 
 
 def coupling(cross: Cross, sensor: str) -> Floats:
-    """Log of that variance over what is left when an accelerometer's is explained by products of angular rates and
-    angular accelerations too, a gyroscope's by the force that accelerometers feel.
+    """Log of that variance over the residual when an accelerometer is explained by products of angular rates and
+    angular accelerations too, a gyroscope by the force that accelerometers feel.
     """
-    found = _beside(cross, sensor)
-    if found is None or found.moments.shape[0] == 6:
+    joint = _joint_moments(cross, sensor)
+    if joint is None or joint.moments.shape[0] == 6:
         return NOTHING
-    everything = np.arange(3, found.moments.shape[0])
-    return np.asarray(log(_left(found, AXES + 3)) - log(_left(found, everything)))
+    everything = np.arange(3, joint.moments.shape[0])
+    return np.asarray(log(_residual_variance(joint, AXES + 3)) - log(_residual_variance(joint, everything)))
 
 
-class _Beside(NamedTuple):
-    """Of the sensor's axes, the reference's and what else may explain them: `moments`, `turning` and `changes` (q, q)
-    as `Cross` has them.
+class _JointMoments(NamedTuple):
+    """Moments of the sensor's axes, the reference's, and further explaining columns: `moments`, `turning` and `changes`
+    (q, q) as in `Cross`.
     """
 
     moments: Floats
@@ -79,17 +80,17 @@ class _Beside(NamedTuple):
     changes: Floats
 
 
-def _beside(cross: Cross, sensor: str) -> _Beside | None:
-    """None for the only sensor of its kind, or without windows."""
-    return _all_beside(cross)[sensor]
+def _joint_moments(cross: Cross, sensor: str) -> _JointMoments | None:
+    """The joint moments of a sensor; None for the only sensor of its kind, or without windows."""
+    return _all_joint_moments(cross)[sensor]
 
 
 @once
-def _all_beside(cross: Cross) -> dict[str, _Beside | None]:
-    return {item.name: _put_beside(cross, item.name) for item in cross.sensors}
+def _all_joint_moments(cross: Cross) -> dict[str, _JointMoments | None]:
+    return {item.name: _moments_with_others(cross, item.name) for item in cross.sensors}
 
 
-def _put_beside(cross: Cross, sensor: str) -> _Beside | None:
+def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
     others = cross.others(sensor, family=False)
     if not others or not cross.windows:
         return None
@@ -104,7 +105,7 @@ def _put_beside(cross: Cross, sensor: str) -> _Beside | None:
         feel = [item.name for item in cross.sensors if item.quantity == "specific_force"]
         more += [turn @ _mean_box(cross, feel)] if feel else []
     weights = np.concatenate([own, *more])
-    return _Beside(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
+    return _JointMoments(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
 
 
 def _mean_box(cross: Cross, sensors: tuple[str, ...] | list[str]) -> Floats:
@@ -124,8 +125,8 @@ def _gains(cross: Cross, sensor: str) -> Floats:
 def _all_gains(cross: Cross) -> dict[str, Floats]:
     nothing = np.full((3, 3), np.nan)
     return {
-        name: nothing if found is None else _coefficients(found.moments, AXES, AXES + 3).T
-        for name, found in _all_beside(cross).items()
+        name: nothing if joint is None else _coefficients(joint.moments, AXES, AXES + 3).T
+        for name, joint in _all_joint_moments(cross).items()
     }
 
 
@@ -137,19 +138,17 @@ def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
     return np.asarray(np.linalg.lstsq(scaled, moments[np.ix_(by, of)] / size[:, None], rcond=1e-12)[0] / size[:, None])
 
 
-def _left(beside: _Beside, by: np.ndarray) -> Floats:
-    """Variances (3,) of the sensor's axes that are left without what these columns explain, and of that without what
-    the reference's changes do.
-    """
-    moments, reference = beside.moments, AXES + 3
-    found = _coefficients(moments, AXES, by)
-    left = np.asarray(np.diag(moments)[AXES] - np.einsum("bo,bo->o", found, moments[np.ix_(by, AXES)]))
-    lagging = beside.turning[np.ix_(AXES, reference)] - found.T @ beside.turning[np.ix_(by, reference)]
-    changes = beside.changes[np.ix_(reference, reference)]
+def _residual_variance(joint: _JointMoments, by: np.ndarray) -> Floats:
+    """Variances (3,) of the sensor's axes that neither these columns nor the reference's changes explain."""
+    moments, reference = joint.moments, AXES + 3
+    coefficients = _coefficients(moments, AXES, by)
+    variance = np.asarray(np.diag(moments)[AXES] - np.einsum("bo,bo->o", coefficients, moments[np.ix_(by, AXES)]))
+    lagging = joint.turning[np.ix_(AXES, reference)] - coefficients.T @ joint.turning[np.ix_(by, reference)]
+    changes = joint.changes[np.ix_(reference, reference)]
     if not np.isfinite(changes).all():
-        return left
+        return variance
     delayed = np.einsum("or,rs,os->o", lagging, np.linalg.pinv(changes, hermitian=True), lagging)
-    return np.asarray(np.maximum(left - delayed, _ENDS * left))
+    return np.asarray(np.maximum(variance - delayed, _ENDS * variance))
 
 
 _CROSS = ("misalignment", "axis_error", "channel_swap")

@@ -1,7 +1,7 @@
-"""What a probe is: a pure function that makes a number per axis of a summary, and what is said about it.
+"""Types of probes: pure functions that compute a number per axis from a summary, with their description.
 
-A statistic is such that it scatters about evenly, and nearly normally, where nothing is wrong: logs of variances,
-Fisher's z of correlations, arcsines of the roots of shares. It is nan where it says nothing.
+A statistic is transformed such that it scatters symmetrically and nearly normally without a gap: logs of variances,
+Fisher's z of correlations, arcsines of the roots of shares. It is nan where it is not defined.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.gap.statistics.runs import Runs
 from imuarray.gap.statistics.summary import Summary
 
 Subject = TypeVar("Subject", Summary, Cross, LogSummary)
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 Domain = Literal[
     "level",
     "spread",
@@ -58,9 +58,11 @@ class Probe:
 
 @dataclass(frozen=True)
 class PhaseProbe(Probe):
-    """Of one sensor in one phase: (3,), or one number for all axes. `in_motion`: while the box moves, too. `resolution`
-    is the least difference that means anything where values can be all alike by chance. `by_column`: whatever number of
-    columns there is, each says what it says alone, so that replicates can be looked at side by side.
+    """Probe of one sensor in one phase: (3,), or one number for all axes.
+
+    `in_motion`: also while the box moves. `resolution` is the least meaningful difference where values can be equal by
+    chance. `by_column`: the statistic works column by column for any number of columns, so that replicates can be
+    processed side by side.
     """
 
     statistic: Callable[[Summary], Floats]
@@ -71,7 +73,7 @@ class PhaseProbe(Probe):
 
 @dataclass(frozen=True)
 class LogProbe(Probe):
-    """Of one sensor in all phases of a log in which the box is at rest; `resolution` as of a `PhaseProbe`."""
+    """Probe of one sensor in all phases of a log in which the box is at rest; `resolution` as in `PhaseProbe`."""
 
     statistic: Callable[[Sequence[Summary]], Floats]
     resolution: float = 0.0
@@ -79,7 +81,7 @@ class LogProbe(Probe):
 
 @dataclass(frozen=True)
 class CrossProbe(Probe):
-    """Of one sensor beside the others of the array, at rest or (`in_motion`) in motion."""
+    """Probe of one sensor against the others of the array, at rest or (`in_motion`) in motion."""
 
     statistic: Callable[[Cross, str], Floats]
     in_motion: bool = False
@@ -87,30 +89,28 @@ class CrossProbe(Probe):
 
 @dataclass(frozen=True)
 class ArrayProbe(Probe):
-    """Of one sensor beside the others of the array, in all phases of a log in which the box is at rest."""
+    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest."""
 
     statistic: Callable[[LogSummary, str], Floats]
 
 
 @dataclass(frozen=True)
 class RunsProbe(Probe):
-    """Of one sensor in the logs of one kind."""
+    """Probe of one sensor over the logs of one kind."""
 
     statistic: Callable[[Runs], Floats]
 
 
-def once(work: Callable[[Subject], Found]) -> Callable[[Subject], Found]:
-    """`work`, done once for each summary, for several probes or sensors: what it finds is kept in the summary and goes
-    with it.
-    """
+def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
+    """Caches `work` in each summary, so that several probes or sensors compute it once."""
     name = f"{work.__module__}.{work.__qualname__}"
 
     @wraps(work)
-    def kept(subject: Subject) -> Found:
-        found: dict[str, Any] = vars(subject)
-        if name not in found:
-            found[name] = work(subject)
-        return found[name]  # type: ignore[no-any-return]
+    def kept(subject: Subject) -> Result:
+        results: dict[str, Any] = vars(subject)
+        if name not in results:
+            results[name] = work(subject)
+        return results[name]  # type: ignore[no-any-return]
 
     return kept
 
@@ -158,8 +158,8 @@ def noise_lsb(summary: Summary) -> Floats:
 
     Of Gaussian noise these have a mean of 0.71683 standard deviations: 2 (phi(0) - phi(1.96)) / 0.95.
     """
-    found = [_trimmed_mean(steps.codes, steps.counts) for steps in summary.steps]
-    noise = np.array(found) / (_TRIMMED * np.sqrt(2))
+    means = [_trimmed_mean(steps.codes, steps.counts) for steps in summary.steps]
+    noise = np.array(means) / (_TRIMMED * np.sqrt(2))
     return np.where(noise > 0, noise, np.nan)
 
 

@@ -1,4 +1,4 @@
-"""What changes from one run to the next, and what every run does."""
+"""Probes of the variation from run to run, and of what all runs have in common."""
 
 from __future__ import annotations
 

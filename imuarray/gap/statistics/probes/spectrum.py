@@ -1,4 +1,4 @@
-"""How noise spreads over frequencies, in cycles per row: shape only, the size is a matter of spread."""
+"""Probes of the shape of the spectrum over frequency in cycles per row; the size belongs to `spread`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ BANDS = 6
 """From the second bin to half the rate, equally wide in the log of frequency."""
 
 _FIRST = 4
-_BESIDE = 33
-_SIDE = _BESIDE // 2
+_NEIGHBOURHOOD = 33
+_SIDE = _NEIGHBOURHOOD // 2
 
 Places = npt.NDArray[np.int_]
 
@@ -37,7 +37,7 @@ def line(summary: Summary) -> Floats:
     if summary.spectrum.segments == 0:
         return NOTHING
     mirrored = density.T[:, _mirrored(len(density))]  # one line after the other: faster than three, or two dimensions
-    floor = median_filter(mirrored.ravel(), size=_BESIDE).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
+    floor = median_filter(mirrored.ravel(), size=_NEIGHBOURHOOD).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
     ratio = density / np.where(floor > 0, floor, np.nan)
     scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
     score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
@@ -47,15 +47,17 @@ def line(summary: Summary) -> Floats:
 def alternation(summary: Summary) -> Floats:
     """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it."""
     density = summary.spectrum.density
-    return np.asarray(log(2 * density[-1]) - log(density[-_BESIDE:-2].mean(axis=0)))
+    return np.asarray(log(2 * density[-1]) - log(density[-_NEIGHBOURHOOD:-2].mean(axis=0)))
 
 
 def every_other(summary: Summary) -> Floats:
-    """Mean of the readings of which every other one is taken negative, in its standard errors: what follows the number
-    of a reading, as of two converters in turn or of a sensor that is read first in every other frame, adds up over the
-    phase. A line beats with the rows and doesn't, however near it is to half their rate.
+    """Mean of the readings with alternating signs, in its standard errors.
+
+    An error that follows the number of a reading, as of two converters in turn or of a sensor that is read first in
+    every other frame, adds up over the phase; a line beats with the rows and does not, however near it is to half their
+    rate.
     """
-    density = np.median(summary.spectrum.density[-_BESIDE:-2], axis=0)
+    density = np.median(summary.spectrum.density[-_NEIGHBOURHOOD:-2], axis=0)
     square_error = np.where(density > 0, density, np.nan) / (2 * max(summary.rows, 1))
     return np.asarray(summary.alternating / np.sqrt(square_error))
 
@@ -72,13 +74,13 @@ def _bands(summary: Summary) -> Floats:
 
 @cache
 def _edges(bins: int) -> Places:
-    """Where the bands begin, and the last one ends."""
+    """First bins of the bands, and the end of the last band."""
     return np.rint(np.geomspace(2, bins, BANDS + 1)).astype(int)
 
 
 @cache
 def _mirrored(bins: int) -> Places:
-    """The bins, and at either end those that a median of `_BESIDE` reaches for beyond it."""
+    """The bins, and at either end those that a median of `_NEIGHBOURHOOD` reaches for beyond it."""
     return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 
 

@@ -1,4 +1,4 @@
-"""How much readings scatter, and whether always as much."""
+"""Probes of the noise level and its stability."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the flags say, and words that no sensor gives."""
+"""Probes of the flags, and of words that no sensor sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How readings follow the temperature of the reference: its value, its square, its change."""
+"""Probes of the dependence on the reference temperature: linear, quadratic, and on its rate of change."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def residual(phases: Sequence[Summary]) -> Floats:
     if table is None:
         return NOTHING
     design, means, expected = table
-    left = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
-    return np.asarray(log((left**2).sum(axis=0) / (len(design) - design.shape[1])) - log(expected))
+    residuals = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+    return np.asarray(log((residuals**2).sum(axis=0) / (len(design) - design.shape[1])) - log(expected))
 
 
 def noise_slope(phases: Sequence[Summary]) -> Floats:
     """Slope of the segments' log variance over temperature."""
-    part = _Joined(phases)
+    part = _SegmentColumns(phases)
     if not part.is_warmed:
         return NOTHING
     held = part.rows > 3
@@ -49,7 +49,7 @@ def noise_slope(phases: Sequence[Summary]) -> Floats:
     return np.asarray(warm @ np.log(part.variance[held]) / (warm @ warm))
 
 
-class _Joined:
+class _SegmentColumns:
     """The segments of several phases one after the other; a column is joined when it is asked for."""
 
     def __init__(self, phases: Sequence[Summary]) -> None:
@@ -57,7 +57,7 @@ class _Joined:
 
     @property
     def is_warmed(self) -> bool:
-        """Whether the temperatures span enough for a slope: the usual case, told first, is that they don't."""
+        """True if the temperatures span enough for a slope; tested first, as usually they don't."""
         return bool(np.fmax.reduce(self.degc) - np.fmin.reduce(self.degc) >= _LEAST_DEGC)
 
     @cached_property
@@ -87,7 +87,7 @@ def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
     """
     if len({phase.phase.up for phase in phases}) > 1:
         return None
-    part = _Joined(phases)
+    part = _SegmentColumns(phases)
     if not part.is_warmed:
         return None
     held = (part.rows > 1) & np.isfinite(part.degc)

@@ -1,4 +1,4 @@
-"""When rows come, and whether they are new."""
+"""Probes of the times of rows, and of repeated readings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def longest_repeat(summary: Summary) -> Floats:
 
 
 def _hundredth(_: Summary) -> float:
-    """Of logs of what may be quite regular."""
+    """Resolution of logs of a scatter that may be very small."""
     return 0.01
 
 
