@@ -72,7 +72,7 @@ class SensorConfig(BaseModel):
 
     @property
     def spec(self) -> ChipSpec:
-        """What the data sheet says of this chip."""
+        """The data of this chip's data sheet."""
         return CHIPS[self.chip]
 
     @property
@@ -98,7 +98,7 @@ class SensorConfig(BaseModel):
 
     @property
     def place(self) -> str:
-        """Where it sits, for messages: "channel 1 address 0x40"."""
+        """The location for messages: "channel 1 address 0x40"."""
         where = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
         return f"{where} address {self.address:#04x}"
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the poll loop and the drivers need to know about time."""
+    """A clock for the polling loop and the drivers."""
 
     def now_ns(self) -> int:
         """Nanoseconds since an arbitrary start; never decreases."""

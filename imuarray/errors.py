@@ -49,7 +49,7 @@ def errno_of(error: Exception) -> int:
 
 
 def reason_of(error: Exception) -> str:
-    """What the system said, in one line."""
+    """Return the system's error message in one line."""
     number = errno_of(error)
     return os.strerror(number) if number else " ".join(str(error).split())
 

@@ -16,7 +16,7 @@ from imuarray.spelling import closest, guess_file
 File = TypeVar("File", bound=BaseModel)
 
 _TOLD = 12
-"""So many mistakes are named; a file with more of them is another kind of file."""
+"""Maximum number of mistakes that are listed; a file with more is another kind of file."""
 
 _IN_OTHER_WORDS = {
     "int_type": "{came}: a whole number without quotes is wanted (0x40 is one)",
@@ -90,7 +90,7 @@ def _inside(value: Any, part: int | str) -> Any:
 
 
 def _complaint(mistake: Any, model: type[BaseModel]) -> str:
-    """What is wrong, in one clause, and what is allowed."""
+    """Return one clause: the mistake, and what is allowed."""
     if mistake["type"] == "extra_forbidden":
         *path, key = mistake["loc"]
         allowed = list(_model_at(path, model).model_fields)

@@ -12,7 +12,7 @@ Quantity = Literal["specific_force", "angular_rate", "magnetic_field", "pressure
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 INERTIAL: tuple[Quantity, ...] = ("specific_force", "angular_rate")
-"""What accelerometers and gyroscopes measure."""
+"""The quantities of accelerometers and gyroscopes."""
 
 STANDARD_GRAVITY = 9.80665
 """m/s2 in one g; 3rd CGPM (1901)."""

@@ -106,8 +106,8 @@ def _or_none(value: float | None) -> str:
 
 
 def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Section | None:
-    """By how much the calibrated specific force of each accelerometer differs from one g in a log's poses; None for too
-    few of them.
+    """Return the residuals of each accelerometer: calibrated specific force less one g in a log's poses; None for too
+    few.
     """
     sensors = [sensor for sensor in log.of("specific_force") if sensor.name in calibration.sensors]
     try:

@@ -30,7 +30,7 @@ from imuarray.report.techniques_sheet import techniques_section
 from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
-"""Of a file of text."""
+"""Maximum size of a text file."""
 
 _NOISE = 0.3
 """Share of the time that the noise of a log takes beside the techniques."""
@@ -154,7 +154,7 @@ def _moved(progress: Callable[[float], None], files: int, of: int, share: float)
 
 
 def kind_of(path: Path) -> str:
-    """Which of `KINDS` a file or folder is; LogError if it is none."""
+    """Return which of `KINDS` a file or folder is; LogError if it is none."""
     for kind, recognised in _RECOGNISED:
         if recognised(path):
             return kind
@@ -181,7 +181,7 @@ def _file_of(path: Path) -> Path:
 
 
 def _json(path: Path) -> Any:
-    """What a JSON file holds; None if it is none. A folder stands for the `gap.json` in it."""
+    """Return the content of a JSON file; None if it is none. A folder stands for the `gap.json` in it."""
     place = _file_of(path)
     if place.suffix != ".json" or not place.is_file() or place.stat().st_size > _MOST_BYTES:
         return None

@@ -70,7 +70,7 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Sect
 
 
 def _events(path: Path) -> Table | None:
-    """What became of sensors; None if nothing did."""
+    """Return the table of fault events; None without events."""
     events = read_fused_events(path)
     rows = [[event.sensor, event.kind.replace("_", " "), event.message] for event in events[:_EVENTS]]
     more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""

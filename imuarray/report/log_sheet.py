@@ -19,10 +19,10 @@ from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE
 
 _EVENTS = 30
-"""So many events are listed."""
+"""Maximum number of events that are listed."""
 
 _TERMS = ("white", "flicker", "random walk")
-"""Of the fit to an Allan curve: N, B and K."""
+"""Terms of the Allan fit: N, B and K."""
 
 
 def log_summary(log: Log) -> Iterator[str]:

@@ -45,7 +45,7 @@ def techniques_section(
 
 
 def _ratio(score: Score) -> tuple[float, float]:
-    """Of the whole vector, with its standard error."""
+    """Return the ratio of the whole vector's errors with its standard error."""
     ratio = score.ratio["XYZ"]
     wide = (ratio.high - ratio.low) / (2 * _Z95)
     return ratio.ratio, wide if np.isfinite(wide) else 0.0

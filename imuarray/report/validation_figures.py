@@ -39,7 +39,7 @@ _LEAST_CLOSED = -0.25
 
 
 def plots_of(figures: Figures) -> dict[str, Figure]:
-    """All that there is to draw of a run, by names for files."""
+    """Return all figures of a run by file name."""
     alarms = [row for row in figures.rows if row.name.startswith("false alarms") and row.cases]
     filled = [item for item in figures.reliability if item.cases]
     known = [item for item in figures.closures if isfinite(item.claimed)]

@@ -48,7 +48,7 @@ def write_validation_page(
 
 
 def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tuple[Section, ...]:
-    """All that the page says below its summary."""
+    """Return the sections of the page below its summary."""
     return (
         _figures(figures),
         *_worlds(figures),
@@ -113,7 +113,7 @@ def _by_plan(figures: Figures) -> Iterator[Table]:
 
 
 def _names_by_meaning(figures: Figures) -> dict[str, str]:
-    """What is counted, and of which figures that is said."""
+    """Return the descriptions of what is counted, with the figures to which each applies."""
     names_by_meaning: dict[str, list[str]] = {}
     for row in figures.rows:
         names_by_meaning.setdefault(row.about, []).append(row.name)
@@ -152,7 +152,7 @@ def _plan_text(figures: Figures) -> str:
 
 
 def _plan_of(row: Row) -> str:
-    """Of a row of false alarms."""
+    """Return the plan of a row of false alarms."""
     return row.name.partition("plan ")[2] or "all"
 
 

@@ -89,7 +89,7 @@ def failing_rows(figures: Figures) -> Iterator[list[str]]:
 
 
 def frozen_text(figures: Figures) -> str:
-    """What was settled before the truth was opened."""
+    """Return the thresholds and settings that were fixed before the truth was opened."""
     if not figures.frozen:
         return "Nothing was frozen before the truth was opened."
     return (

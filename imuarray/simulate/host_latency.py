@@ -49,7 +49,7 @@ class DelayedTimes:
 
     @property
     def rows(self) -> int:
-        """Those of its own timeline."""
+        """The rows of its own timeline."""
         return self.own.rows
 
     @property
@@ -58,11 +58,13 @@ class DelayedTimes:
         return self.own.rows_per_s
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """Those of its own timeline."""
+        """Return the times of its own timeline."""
         return self.own.stamps(start, stop)
 
     def waits(self, start: int, stop: int) -> tuple[Integers, Booleans]:
-        """Of rows start ... stop - 1: (n,) half of what the host waited before each, in ns; (n,) which it missed."""
+        """Return, for rows start ... stop - 1, (n,) half of the host's wait before each in ns, and (n,) which it
+        missed.
+        """
         halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
         first, last = np.searchsorted(self.waited, (start, stop))
         halves[self.waited[first:last] - start] = self.half_ns[first:last]
@@ -93,8 +95,8 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
 
 
 class _HostDelays(NamedTuple):
-    """Of one sensor: rows (w,) before which the host waited, half of how long (w,), and the times (l,) of rows that are
-    flagged as ones before which others were lost.
+    """The delays of one sensor: rows (w,) before which the host waited, half of the waits (w,), and the times (l,) of
+    rows flagged as following a loss.
     """
 
     waited: Integers

@@ -94,7 +94,7 @@ class QueueTimes:
     rows_per_s: float
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """By the data rate."""
+        """Return the times by the data rate."""
         return np.asarray(np.rint(np.arange(start, stop) * (1e9 / self.rows_per_s)), np.int64)
 
 
@@ -108,7 +108,7 @@ class LogTimes:
         self.rows_per_s = (self.rows - 1) * 1e9 / span_ns if span_ns else max(sensor.rate_hz, 1.0)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """As they stand in the log; read-only."""
+        """Return the times in the log; read-only."""
         if stop - start == 1:
             return self._one(start)
         first, last = start // _PIECE, max(stop - 1, start) // _PIECE
@@ -152,16 +152,16 @@ class GapFilledTimes:
 
     @property
     def rows(self) -> int:
-        """Those that were recorded and those that were lost."""
+        """The recorded and the lost rows."""
         return self.recorded.rows + int(self.missing.sum())
 
     @property
     def rows_per_s(self) -> float:
-        """As if nothing had been lost."""
+        """The rate without losses."""
         return self.recorded.rows_per_s * (self.rows - 1) / (self.recorded.rows - 1)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """As they stand in the log, and between them."""
+        """Return the times in the log, and those of the lost rows between them."""
         if stop <= start:
             return np.zeros(0, np.int64)
         behind = bisect_right(self._ends, start)  # holes

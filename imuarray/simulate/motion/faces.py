@@ -63,7 +63,7 @@ def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
 
 
 def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> Felt:
-    """What a box feels that rests in this attitude (3, 3); `temperature_degc` is a number or (n,)."""
+    """Return what a box at rest in this attitude (3, 3) senses; `temperature_degc` is a number or (n,)."""
     count = len(time_ns)
     nothing = np.broadcast_to(np.zeros(3), (count, 3))
     return Felt(

@@ -32,7 +32,7 @@ class Felt:
 
 
 class Motion(Protocol):
-    """What happens to the box."""
+    """The motion and the environment of the box."""
 
     @property
     def phases(self) -> tuple[Phase, ...]:
@@ -45,4 +45,4 @@ class Motion(Protocol):
         """How long it lasts; what it shows last it goes on showing."""
 
     def felt(self, time_ns: Integers) -> Felt:
-        """What the box feels at these times (n,), in any order."""
+        """Return what the box senses at these times (n,), in any order."""

@@ -30,7 +30,7 @@ class _Stretch(NamedTuple):
 
     @property
     def ends_degc(self) -> float:
-        """Where it leads."""
+        """The temperature at the end."""
         remaining = math.exp(-self.minutes / self.constant_min)
         return self.towards_degc + (self.begins_degc - self.towards_degc) * remaining
 

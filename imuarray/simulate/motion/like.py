@@ -78,22 +78,22 @@ class LikeLog:
 
     @cached_property
     def source(self) -> str:
-        """Where force and rate come from: "truth", "reference" or "phases"."""
+        """The source of force and rate: "truth", "reference" or "phases"."""
         return self._track[0]
 
     @property
     def temperature_source(self) -> TemperatureSource:
-        """What tells the temperature; "nothing": it is taken to be 25 degC."""
+        """The source of the temperature; "nothing": 25 degC is assumed."""
         return self._warming[0]
 
     def felt(self, time_ns: Integers) -> Felt:
-        """What the log's rows say, or its phases; read-only, of few instants."""
+        """Return what the log's rows or its phases say; read-only for few instants."""
         if len(time_ns) > _FEW:
             return self._felt_before(time_ns)
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
 
     def _felt_before(self, time_ns: Integers) -> Felt:
-        """What is felt at many instants, kept for the next time."""
+        """Return the motion at many instants from a cache."""
         kept, key = self._stretches, (len(time_ns), int(time_ns[0]), int(time_ns[-1]))
         remembered = kept.pop(key, None)
         if remembered is None or not np.array_equal(remembered.time_ns, time_ns):

@@ -19,7 +19,7 @@ BLOCK = 16384
 """Rows per block; a whole number of the log's chunks."""
 
 _KEPT = 4
-"""So many blocks are kept, whatever they hold."""
+"""Minimum number of blocks kept in memory."""
 
 _MANY = 256
 """Fewer times are found by a search."""
@@ -260,7 +260,7 @@ def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
 
 
 def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Which of these pieces are not constant."""
+    """Return which of these pieces are not constant."""
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 

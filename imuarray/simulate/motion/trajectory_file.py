@@ -40,7 +40,7 @@ RATE = ("rate_x_radps", "rate_y_radps", "rate_z_radps")
 TEMPERATURE = "temperature_degc"
 
 LAYOUTS = (PLACE + ANGLES, PLACE + QUATERNION, FORCE + RATE_DPS, FORCE + RATE)
-"""What a file holds besides its times."""
+"""The columns of a file besides its times."""
 
 ROOM_DEGC = 25.0
 _UNIT_WITHIN = 0.01
@@ -96,7 +96,7 @@ def _read(path: Path) -> _Cells:
 
 
 def _layout(cells: _Cells) -> tuple[str, ...]:
-    """Which of `LAYOUTS` the columns are; SourceError unless they are exactly one."""
+    """Return the layout of the columns; SourceError unless they are exactly one of `LAYOUTS`."""
     columns = cells.text.keys() - {TIME, TEMPERATURE}
     for layout in LAYOUTS:
         if columns == set(layout) and TIME in cells.text:

@@ -119,7 +119,7 @@ class Vehicle:
         return self._span.unchanged_until_ns(at_ns)
 
     def _drive(self, seconds: Reals) -> _Drive:
-        """What the driver does."""
+        """Return the driver's inputs."""
         going_s, braking_s = GOING_SHARE * self.drive_s, BRAKING_SHARE * self.drive_s
         going = _derivatives(smooth_step(seconds / going_s), going_s)
         braking = _derivatives(smooth_step((seconds - self.drive_s) / braking_s + 1), braking_s)
@@ -174,6 +174,6 @@ def _derivatives(steps: tuple[Reals, Reals, Reals, Reals], length_s: float) -> t
 
 
 def _edges(begin: float, end: float, way: float) -> tuple[tuple[tuple[float, float], float], ...]:
-    """Where a bend tightens, and where it widens (the step that takes it back)."""
+    """Return where a bend tightens, and where it widens again."""
     ramp = BEND_RAMP * (end - begin)
     return ((begin, begin + ramp), way), ((end - ramp, end), -way)

@@ -50,7 +50,7 @@ class World:
         return self.motion.phases
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """What the box feels at `at_ns`."""
+        """Return what the box senses at `at_ns`."""
         if self._shown is not None and self._since_ns <= at_ns < self._until_ns:
             return self._shown
         until_ns = self.motion.unchanged_until_ns(at_ns) if isinstance(self.motion, Steady) else at_ns
