@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.recording.neighbours import outliers_in_motion
-from imuarray.gap.recording.outliers import OutlierTally
+from imuarray.gap.recording.outliers import OutlierTally, outliers_in_motion
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.simulate.effects.glitches import Glitches

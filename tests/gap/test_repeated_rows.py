@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.recording.repeated_rows import MOST, repeated_rows_in
+from imuarray.gap.recording.events import MOST_STRETCHES, repeated_rows_in
 from tests.gap.made import block
 
 
@@ -40,8 +40,8 @@ def test_all_axes_have_to_stand_still() -> None:
 
 def test_the_longest_are_kept() -> None:
     """A stretch of four, two of which all have: more than are kept of three rows, and one of six."""
-    many = [value for pair in range(MOST) for value in (2 * pair,) * 3 + (2 * pair + 1,)]
+    many = [value for pair in range(MOST_STRETCHES) for value in (2 * pair,) * 3 + (2 * pair + 1,)]
     found = held([*many, -1, -1, -1, -1, -1, -1, *many])
-    assert len(found) == MOST
+    assert len(found) == MOST_STRETCHES
     assert found[-1] == (5, len(many) + 1, len(many) + 5)
     assert held([]) == []

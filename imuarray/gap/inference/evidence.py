@@ -14,9 +14,8 @@ from imuarray.gap.inference.when import ALWAYS, Span, When
 from imuarray.gap.model.base_model import Base, FittedParameters, residual
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
-from imuarray.gap.recording.events import Host
+from imuarray.gap.recording.events import Host, RepeatedRows
 from imuarray.gap.recording.outliers import Outliers
-from imuarray.gap.recording.repeated_rows import RepeatedRows
 from imuarray.gap.recording.resets import Reset
 from imuarray.gap.statistics.campaign import Campaign, runs_in
 from imuarray.gap.statistics.catalogue import Key

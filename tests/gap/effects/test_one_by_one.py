@@ -13,8 +13,8 @@ from imuarray.gap.inference.effects import dropped_samples, glitches, stuck
 from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.recording.events import repeated_rows_in
 from imuarray.gap.recording.recordings import Recording, recording_of
-from imuarray.gap.recording.repeated_rows import repeated_rows_in
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, STALE
