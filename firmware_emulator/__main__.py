@@ -19,8 +19,8 @@ from firmware_emulator.serial_firmware import Firmware
 from firmware_emulator.serial_port import SerialPort
 from firmware_emulator.serve import DEFAULT_HOST, DEFAULT_PORT, UsbipServer
 from imuarray.array import ArrayConfig, load_array
-from imuarray.commands.options import find_config
 from imuarray.commands.program import run
+from imuarray.shipped import find_config
 
 PROGRAM = "firmware_emulator"
 

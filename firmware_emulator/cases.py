@@ -39,9 +39,9 @@ from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.atomic import write_text
 from imuarray.bus.protocol import OpenBus
-from imuarray.commands.options import find_config
 from imuarray.commands.program import run
 from imuarray.errors import OutputExistsError
+from imuarray.shipped import find_config
 
 PROGRAM = "firmware_emulator.cases"
 RATE_HZ = 64.0

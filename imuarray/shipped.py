@@ -1,8 +1,11 @@
-"""Where the files that come with the package lie: arrays and models, in `configs/`."""
+"""The files that come with the package, in `configs/`: arrays, models and import maps, by their names."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+from imuarray.errors import ConfigError
+from imuarray.spelling import guess, guess_file
 
 
 def configs() -> Path:
@@ -10,3 +13,34 @@ def configs() -> Path:
     package = Path(__file__).parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
+
+
+def find_config(name: Path) -> Path:
+    """`name` itself if it is a file, else the configuration of that name which comes with the package
+    ("martin2013").
+    """
+    return _find(name, configs(), "array", "[array]")
+
+
+def find_model(name: Path) -> Path:
+    """`name` itself if it is a file, else the model of that name which comes with the package ("datasheet")."""
+    return _find(name, configs() / "models", "model", "[model]")
+
+
+def find_map(name: Path) -> Path:
+    """`name` itself if it is a file, else the import map of that name which comes with the package ("mimu4444")."""
+    return _find(name, configs() / "imports", "map", "")
+
+
+def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
+    """A file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
+    if name.exists() or name.suffix:
+        return name
+    shipped = folder / f"{name}.toml"
+    if shipped.is_file():
+        return shipped
+    names = sorted(path.stem for path in folder.glob("*.toml") if table in path.read_text(encoding="utf-8"))
+    near = guess(str(name), names) or guess_file(name)
+    raise ConfigError(
+        f"{name}: no such file, and no {kind} of that name comes with the package ({', '.join(names)}){near}"
+    )

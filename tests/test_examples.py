@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "configs" / "examples"
@@ -28,3 +29,15 @@ def test_from_a_log_to_numbers(tmp_path: Path) -> None:
     assert found["Gyro1 x bias in counts"] == pytest.approx(8.4, abs=2.0)
     assert 0.01 < found["Gyro1 x white noise, dps/sqrt(Hz), from"] < found["to"] < 0.06
     assert (tmp_path / "calibration.toml").exists()
+
+
+def test_the_simulators_missing_tone_is_diagnosed(tmp_path: Path) -> None:
+    """The script adds a tone of 0.6 dps at 11 Hz to Gyro2, which its simulator does not know."""
+    assert len((EXAMPLES / "sim_to_real.py").read_text().splitlines()) < 50
+    results = runpy.run_path(str(EXAMPLES / "sim_to_real.py"))["main"](tmp_path)
+    (cause,) = results["diagnosis"].causes
+    assert (cause.effect, cause.sensors) == ("tone", ("Gyro2",))
+    assert cause.parameters["frequency_hz"] == pytest.approx(11.0, abs=0.05)
+    assert cause.parameters["amplitude_dps"] == pytest.approx(0.6, rel=0.1)
+    assert np.linalg.norm(results["fused"].specific_force.mean(axis=0)) == pytest.approx(9.80665, abs=0.03)
+    assert {path.name for path in tmp_path.glob("*.svg")} == {"allan.svg", "diagnosis.svg"}

@@ -10,7 +10,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = ("report", "export", "import", "monitor", "cluster", "test")
+EXTRAS = ("report", "export", "analysis", "import", "monitor", "cluster", "test")
 """Those with which the tests run."""
 INDIRECT = {"pyparsing"}
 """Pinned, and no requirement of ours."""

@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,9 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
 from imuarray.units import SI_PER_UNIT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Described = SensorLog | SensorHeader
 """A sensor as a log describes it: one that was recorded, or that is to be."""
@@ -163,7 +167,7 @@ class SensorCalibration:
         return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """The parameters of many sensors and where they came from."""
 
@@ -219,6 +223,28 @@ class Calibration:
                 f" {sensor.sensitivity:.4g}: another range"
             )
         return known
+
+    def plot(self, group: str | None = None) -> Figure:
+        """The figures of one `group` ("bias", "noise", "thermal" or "turn_on"; None: the first of these that was
+        measured) with two standard errors, a line for each axis. MissingExtraError without matplotlib.
+        """
+        from imuarray.calibrate.plots import calibration_figure
+
+        return calibration_figure(self, group)
+
+    def __repr__(self) -> str:
+        known = (f"{sensor.name} ({', '.join(sensor.measured()) or 'nothing'})" for sensor in self.sensors.values())
+        return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(known)}>"
+
+    def _repr_html_(self) -> str:
+        """Biases and scale factors with their standard errors, for notebooks."""
+        from imuarray.calibrate.plots import bias_rows
+        from imuarray.html_table import html_table
+
+        groups = sorted({group for sensor in self.sensors.values() for group in sensor.measured()})
+        sentence = f"Calibration of {len(self.sensors)} sensors: {', '.join(groups) or 'nothing'} measured"
+        heading = ("axis", "unit", "bias", "standard error", "counts per unit", "noise")
+        return html_table(sentence, heading, bias_rows(self))
 
     def to_toml(self) -> str:
         """The file's text."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
@@ -36,6 +36,9 @@ from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LAGS = 16
 _WHITE = Noise(1.0, 1.0)
@@ -249,13 +252,29 @@ class Heating:
         return tuple((np.abs(self.gravity_g) > CARRIES_G).tolist())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ThermalResult:
     """What was found: the calibration (with nothing in it but `thermal`), every sensor in every log, and the pairs."""
 
     calibration: Calibration
     heatings: tuple[Heating, ...]
     pairs: tuple[OpposedSlopes, ...]
+
+    def plot(self) -> Figure:
+        """Slope of every axis with two standard errors, mg or dps per degree; MissingExtraError without matplotlib."""
+        return self.calibration.plot("thermal")
+
+    def __repr__(self) -> str:
+        logs = len({heating.log for heating in self.heatings})
+        return f"<ThermalResult: slopes of {len(self.calibration.sensors)} sensors from {logs} logs>"
+
+    def _repr_html_(self) -> str:
+        """Slopes with their standard errors, for notebooks."""
+        from imuarray.calibrate.plots import slope_rows
+        from imuarray.html_table import html_table
+
+        heading = ("axis", "unit", "slope per degC", "standard error", "lag, s", "is")
+        return html_table(repr(self), heading, slope_rows(self.calibration))
 
 
 def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +27,9 @@ from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import STANDARD_GRAVITY
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 PATH = "path"
 """The method where the box never rested (`quasi_static.py`)."""
 
@@ -32,7 +37,7 @@ UNSURE_G = 0.01
 """A bias whose standard error is larger is warned of: a table tells it ten times better."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tumble:
     """The calibration, how it was made and how well it fits.
 
@@ -59,6 +64,28 @@ class Tumble:
     left_out: tuple[LeftOut, ...] = ()
     warnings: tuple[str, ...] = ()
     """Sentences on what the poses tell badly."""
+
+    def plot(self) -> Figure:
+        """The residual of every accelerometer in every pose, in mg; MissingExtraError without matplotlib."""
+        from imuarray.calibrate.plots import residual_figure
+
+        names = list(self.pose_residual_g)
+        residual_mg = 1e3 * np.array([self.pose_residual_g[name] for name in names]).reshape(len(names), -1)
+        return residual_figure(names, self.pose_names, residual_mg)
+
+    def __repr__(self) -> str:
+        worst = f", residual at most {1e3 * max(self.residual_g.values()):.2f} mg rms" if self.residual_g else ""
+        return f"<Tumble by {self.method}: {self.poses} poses{worst}, {len(self.calibration.sensors)} sensors>"
+
+    def _repr_html_(self) -> str:
+        """Residuals by accelerometer, for notebooks."""
+        from imuarray.html_table import html_table, number
+
+        rows = [
+            (name, number(1e3 * rms), number(1e3 * self.residual_apart_g.get(name, math.nan)))
+            for name, rms in self.residual_g.items()
+        ]
+        return html_table(repr(self), ("accelerometer", "residual, mg rms", "in poses not fitted, mg rms"), rows)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,9 @@ from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 from imuarray.units import INERTIAL
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NO_RANGES: Ranges = MappingProxyType({})
 _NONE: Mapping[float, float] = MappingProxyType({})
@@ -95,9 +99,29 @@ class TurnOnResult:
         )
 
 
-def calibrate_turn_on(
-    logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int = 1
-) -> tuple[Calibration, tuple[TurnOnResult, ...]]:
+class TurnOnSeries(NamedTuple):
+    """What a series of runs tells: the calibration (with nothing in it but `turn_on`), and every sensor's runs."""
+
+    calibration: Calibration
+    results: tuple[TurnOnResult, ...]
+
+    def plot(self) -> Figure:
+        """Change of the bias from run to run of every axis with two standard errors, in mg or dps; MissingExtraError
+        without matplotlib.
+        """
+        return self.calibration.plot("turn_on")
+
+    def _repr_html_(self) -> str:
+        """Change from run to run with its standard errors, for notebooks."""
+        from imuarray.calibrate.plots import turn_on_rows
+        from imuarray.html_table import html_table
+
+        sentence = f"Change of the bias from run to run, of {len(self.results)} sensors"
+        heading = ("axis", "unit", "run to run", "standard error", "runs", "states", "p of no change")
+        return html_table(sentence, heading, turn_on_rows(self.calibration))
+
+
+def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int = 1) -> TurnOnSeries:
     """Every inertial sensor from logs of one pose, switched off in between: a run a log, or a phase `run <k>` a run.
 
     `ranges` are the sensitivities that tell in which range a faulty run came up. CalibrationError if there are fewer
@@ -116,7 +140,7 @@ def calibrate_turn_on(
         refuse_imprecise(sensor, turn_on.rms_sem_lsb, MOST_SEM, _IMPRECISE)
         results.append(result)
         known[sensor.name] = replace(nominal(sensor), turn_on=turn_on)
-    return Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results)
+    return TurnOnSeries(Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results))
 
 
 def _refuse_moving(logs: Sequence[Log]) -> None:

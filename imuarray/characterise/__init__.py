@@ -1,5 +1,6 @@
 """How noisy a sensor at rest is: Allan deviation and fitted noise, spectrum and lines, correlation, codes, times; as
 numbers, text and figures. The names below are loaded when first used: SciPy takes its time.
+`imuarray.characterise(log)` does all of it and returns a `Characterisation` (`imuarray.analysis.characterise`).
 """
 
 from __future__ import annotations
@@ -7,9 +8,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from imuarray.callable_package import make_callable
+
 if TYPE_CHECKING:
     from imuarray.characterise.allan import AllanCurve, AllanStream, allan_deviation
     from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+    from imuarray.characterise.characterisation import Characterisation, Coefficient
     from imuarray.characterise.noise import NoiseStatistics, noise_statistics
     from imuarray.characterise.result import characterise_log
     from imuarray.characterise.text import render_text
@@ -17,6 +21,8 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "AllanCurve": "allan",
     "AllanStream": "allan",
+    "Characterisation": "characterisation",
+    "Coefficient": "characterisation",
     "NoiseFit": "allan_fit",
     "NoiseStatistics": "noise",
     "allan_deviation": "allan",
@@ -29,6 +35,8 @@ _PUBLIC = {
 __all__ = [
     "AllanCurve",
     "AllanStream",
+    "Characterisation",
+    "Coefficient",
     "NoiseFit",
     "NoiseStatistics",
     "allan_deviation",
@@ -44,3 +52,6 @@ def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+
+
+make_callable(__name__)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import Duration, find_config, force_option, json_option, print_json
+from imuarray.commands.options import Duration, force_option, json_option, print_json
+from imuarray.shipped import find_config
 
 
 @click.command("demo")

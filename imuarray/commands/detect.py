@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imuarray.commands.options import bus_option, find_config, force_option, json_option, print_json, refuse_existing
+from imuarray.commands.options import bus_option, force_option, json_option, print_json, refuse_existing
 from imuarray.printable import printable
+from imuarray.shipped import find_config
 
 if TYPE_CHECKING:
     from imuarray.acquire import Detection

@@ -12,13 +12,13 @@ from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
     Steps,
     ended_by_signals,
-    find_model,
     force_option,
     json_option,
     prepare_folder,
     print_json,
     workers_option,
 )
+from imuarray.shipped import find_model
 
 if TYPE_CHECKING:
     from imuarray.gap.findings.diagnosis import Diagnosis

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from imuarray.axes import UP_AXES
-from imuarray.commands.options import find_map, force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 from imuarray.importers import FORMATS
 from imuarray.printable import printable
+from imuarray.shipped import find_map
 
 if TYPE_CHECKING:
     from imuarray.importers import Importer, Summary

@@ -14,12 +14,12 @@ from imuarray.commands.options import (
     Duration,
     bus_option,
     config_argument,
-    find_config,
     force_option,
     json_option,
     refuse_existing,
 )
 from imuarray.errors import ConfigError
+from imuarray.shipped import find_config
 
 if TYPE_CHECKING:
     from imuarray.array import ArrayConfig

@@ -16,9 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import click
 
-from imuarray.errors import ConfigError, ImuArrayError, OutputExistsError
-from imuarray.shipped import configs
-from imuarray.spelling import guess, guess_file
+from imuarray.errors import ImuArrayError, OutputExistsError
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -82,37 +80,6 @@ class Duration(_Seconds):
             limit = f"at least {self.minimum_s:g} s" if seconds < self.minimum_s else f"at most {self.maximum_s:g} s"
             self.fail(f"{value!r}: allowed is {limit}", param, ctx)
         return seconds
-
-
-def find_config(name: Path) -> Path:
-    """`name` itself if it is a file, else the configuration of that name which comes with the package
-    ("martin2013").
-    """
-    return _find(name, configs(), "array", "[array]")
-
-
-def find_model(name: Path) -> Path:
-    """`name` itself if it is a file, else the model of that name which comes with the package ("datasheet")."""
-    return _find(name, configs() / "models", "model", "[model]")
-
-
-def find_map(name: Path) -> Path:
-    """`name` itself if it is a file, else the import map of that name which comes with the package ("mimu4444")."""
-    return _find(name, configs() / "imports", "map", "")
-
-
-def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
-    """A file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
-    if name.exists() or name.suffix:
-        return name
-    shipped = folder / f"{name}.toml"
-    if shipped.is_file():
-        return shipped
-    names = sorted(path.stem for path in folder.glob("*.toml") if table in path.read_text(encoding="utf-8"))
-    near = guess(str(name), names) or guess_file(name)
-    raise ConfigError(
-        f"{name}: no such file, and no {kind} of that name comes with the package ({', '.join(names)}){near}"
-    )
 
 
 def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:

@@ -13,14 +13,13 @@ import click
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
     Duration,
-    find_config,
-    find_model,
     force_option,
     json_option,
     print_json,
     progress,
     refuse_existing,
 )
+from imuarray.shipped import find_config, find_model
 
 if TYPE_CHECKING:
     from imuarray.log import Log
@@ -165,6 +164,7 @@ def command(
     imuarray simulate --like run.h5 --calibration cal.toml -o twin.h5
     """
     from imuarray.simulate import Simulation, effects_of
+    from imuarray.simulate.series import remarks_on
 
     if (config is None) == (like is None):
         raise click.UsageError("say one thing to simulate: a CONFIG, or --like RUN.h5")
@@ -176,7 +176,8 @@ def command(
         model = _model(model_name, calibration, runs[0].plan)
         for run in runs:
             refuse_existing(run.path, force, source=like)
-        _warn(runs[0].plan, model, log, population)
+        for sentence in remarks_on(runs[0].plan, model, log, population=population):
+            click.echo(f"imuarray: {sentence}", err=True)
         effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # units stay, boots go
         reports = []
         for run in runs:
@@ -216,21 +217,6 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
             raise click.UsageError(f"{option}: with --like it is the log that says so")
         if experiment not in experiments:
             raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
-
-
-def _warn(plan: Plan, model: Model, log: Log | None, population: bool) -> None:
-    """Say what a model leaves out, what of it is for nobody, and that a box is taken to be still."""
-    triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
-    ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
-    if ideal:
-        click.echo(f"imuarray: model {model.name} says nothing of {', '.join(ideal)}: simulated as ideal", err=True)
-    idle = sorted({part.name for part in model.sensors} - set(plan.sensors))
-    if idle and len(idle) == len({part.name for part in model.sensors}):
-        click.echo(f"imuarray: model {model.name}: its sensors {', '.join(idle)} are not in this array", err=True)
-    if log is not None and log.truth is None and log.reference is None:
-        click.echo(
-            f"imuarray: {log.path} does not say how the box moved: it lies still on the faces of its phases", err=True
-        )
 
 
 def _runs(

@@ -1,7 +1,11 @@
 """One specific force and one angular rate from all sensors of an array: the simple average, the paper's three
 techniques, and the estimator of the whole array that contains them.
+
+`imuarray.fuse(log, calibration, technique)` does all of it and returns a `FusedResult` (`imuarray.analysis.fuse`);
+the function `fuse` below gives the frames block by block.
 """
 
+from imuarray.callable_package import make_callable
 from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.compare import Comparison, Score, compare, technique_names
@@ -30,6 +34,7 @@ from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
 from imuarray.fuse.fused_file import FusedEvent, FusedHead, read_fused, read_fused_events, read_fused_head, write_fused
+from imuarray.fuse.fused_result import FusedResult
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
 from imuarray.fuse.pipeline import ComparisonPipeline, Pipeline, PipelineFactory, QuantityPipeline, fused_block
@@ -56,6 +61,7 @@ __all__ = [
     "FusedBlock",
     "FusedEvent",
     "FusedHead",
+    "FusedResult",
     "FusionNotes",
     "FusionStream",
     "Gain",
@@ -95,3 +101,5 @@ __all__ = [
     "with_mismatch",
     "write_fused",
 ]
+
+make_callable(__name__)

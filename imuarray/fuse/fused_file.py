@@ -10,6 +10,8 @@ lengths: others can't be read while a file is written (SWMR).
             specific_force (n, 3) m/s2, angular_rate (n, 3) rad/s, box frame; NaN: not enough axes
             specific_force_covariance (n, 6) (m/s2)^2, ...: xx yy zz xy xz yz (attr columns); NaN: a noise is not known
             specific_force_used (n, s) uint8, ...: which axes of each sensor (attr sensors) went into it: 1 x, 2 y, 4 z
+            axis, entry, specific_force_sensor, ...: labels of the second dimensions (HDF5 dimension scales, as `time`
+            is), so that xarray (engine h5netcdf) opens the group with named dimensions and time as a coordinate
     /events time (m,) int64 ns since epoch, and text (m,): sensor, kind, state, message: which sensors failed, were left
             out and came back (`imuarray.fuse.FaultEvent`); empty where nobody watched, not there in older files
 """
@@ -289,6 +291,16 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
+_LONG_NAMES: Mapping[str, str] = MappingProxyType(
+    {"time": "start of the frame"}
+    | {quantity: f"fused {quantity.replace('_', ' ')} in the box frame" for quantity in INERTIAL}
+    | {
+        f"{quantity}_covariance": f"covariance of the error of the fused {quantity.replace('_', ' ')}"
+        for quantity in INERTIAL
+    }
+    | {f"{quantity}_used": "axes of each sensor in use: 1 x, 2 y, 4 z" for quantity in INERTIAL}
+)
+
 FORMAT, FORMAT_VERSION = FUSED, 1
 
 COVARIANCE, USED = "_covariance", "_used"
@@ -453,7 +465,7 @@ class _FusedColumns:
             self._group.attrs.update(NX_class="NXdata", axes=["time", "."], signal=signal)
             if others:
                 self._group.attrs["auxiliary_signals"] = others
-        for name in columns.keys() - self._group.keys():
+        for name in [name for name in columns if name not in self._group]:  # time comes first: a dimension of the rest
             self._create(name, columns[name])
         for name, rows in columns.items():
             dataset = self._datasets.setdefault(name, self._group[name])
@@ -470,7 +482,29 @@ class _FusedColumns:
             name, (0, *tail), rows.dtype, maxshape=(None, *tail), chunks=(4096, *tail), **self._filters
         )
         column.attrs["units"] = UNITS.get(name, f"nanoseconds since {self._epoch}")
+        column.attrs["long_name"] = _LONG_NAMES[name]
+        if name == "time":
+            column.make_scale("time")
+            return
+        dimension, labels = "axis", tuple("XYZ")
         if name.endswith(COVARIANCE):
             column.attrs["columns"] = list(ENTRIES)
-        elif name.endswith(USED) and (names := self._sensors.get(name.removesuffix(USED))):
-            column.attrs["sensors"] = list(names)
+            dimension, labels = "entry", ENTRIES
+        elif name.endswith(USED):
+            names = tuple(self._sensors.get(name.removesuffix(USED), ()))
+            if names:
+                column.attrs["sensors"] = list(names)
+            dimension = f"{name.removesuffix(USED)}_sensor"
+            labels = names if len(names) == tail[0] else tuple(map(str, range(tail[0])))
+        column.dims[0].attach_scale(self._group["time"])
+        column.dims[1].attach_scale(self._scale(dimension, labels))
+
+    def _scale(self, name: str, labels: Sequence[str]) -> h5py.Dataset:
+        """The labels of a dimension, as a scale that netCDF readers name the dimension by."""
+        if name not in self._group:
+            longest = max(1, *(len(label.encode()) for label in labels))
+            kind = h5py.string_dtype("utf-8", longest if self._live else None)
+            values = [label.encode() for label in labels] if self._live else list(labels)
+            self._group.create_dataset(name, data=np.array(values, kind))
+            self._group[name].make_scale(name)
+        return self._group[name]

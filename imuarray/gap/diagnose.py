@@ -64,6 +64,7 @@ from imuarray.gap.recording.recordings import Recording, recordings_of, refuse_o
 from imuarray.gap.statistics.environment import SharedSignal, environment_of
 from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
+from imuarray.shipped import find_model
 from imuarray.simulate.model import Model, load_model
 from imuarray.spelling import guess
 
@@ -142,11 +143,11 @@ class Verification:
 
 
 def diagnose(
-    logs: Iterable[LogLike],
+    logs: LogLike | Iterable[LogLike],
     *,
     model: Model | str | PathLike[str] | None = None,
     only: Collection[str] = (),
-    against: Iterable[LogLike] = (),
+    against: LogLike | Iterable[LogLike] = (),
     without: Collection[str] = (),
     seed: int = 0,
     replicates: int = REPLICATES,
@@ -156,10 +157,11 @@ def diagnose(
 ) -> Diagnosis:
     """Where recordings of an array differ from what the simulator makes of them, why, and how far causes close that.
 
-    `logs` are paths, or open logs, which stay open; of any experiments (static, tumble, heating, turn-on, motion), all
-    of one array. `model` is what the simulator has, or the path of a model file; without, it has what the data sheets
-    of the chips say. `only` names the sensors to look at (none: all accelerometers and gyroscopes), `without` effects
-    to leave out of the library of causes.
+    `logs` are paths, or open logs, which stay open (one, or several); of any experiments (static, tumble, heating,
+    turn-on, motion), all of one array. `model` is what the simulator has: a model, its file, or the name of one that
+    comes with the package ("datasheet", "martin2013"); without, it has what the data sheets of the chips say. `only`
+    names the sensors to look at (none: all accelerometers and gyroscopes), `without` effects to leave out of the
+    library of causes.
 
     `against` are earlier logs of the same array. With these the question is what has changed since then: noise, bias
     and slope are those of the earlier logs, and what the earlier logs show of a statistic is taken off the new ones
@@ -180,7 +182,7 @@ def diagnose(
     ['run.h5']
     """
     candidates = library(without)
-    chosen = model if model is None or isinstance(model, Model) else load_model(model)
+    chosen = model if model is None or isinstance(model, Model) else load_model(find_model(Path(model)))
     with ExitStack() as stack:
         recordings, earlier = _read(_opened(logs, stack), _opened(against, stack), only)
         executor = stack.enter_context(processes(workers)) if workers > 1 else None
@@ -247,8 +249,9 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
-def _opened(logs: Iterable[LogLike], stack: ExitStack) -> list[Log]:
+def _opened(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
     """The logs, each once; those opened here are closed with the stack."""
+    logs = [logs] if isinstance(logs, str | PathLike | Log) else logs
     distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
     return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in distinct]
 

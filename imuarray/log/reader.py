@@ -8,12 +8,12 @@ length.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from weakref import WeakValueDictionary
 
 import h5py
@@ -29,6 +29,11 @@ from imuarray.log.sensor_log import SensorLog
 from imuarray.log.text_checksums import changed_parts
 from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
 from imuarray.spelling import guess
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from imuarray.calibrate import Calibration
 
 
 class Log:
@@ -219,6 +224,52 @@ class Log:
     def _track(self, name: str) -> Track | None:
         group = self._group(name)
         return None if group is None else track_of(group, f"{self.path}: group {name}")
+
+    def to_xarray(self, calibration: Calibration | None = None) -> Any:
+        """An `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where the
+        log has them. All of it is read. MissingExtraError without xarray (extra "analysis").
+
+        >>> with open_log("run.h5") as log:
+        ...     rate = log.to_xarray()["Gyro1"]["angular_rate"]
+        >>> rate.dims, rate.attrs["units"], str(rate.time.dtype)
+        (('time', 'box_axis'), 'rad s-1', 'datetime64[ns]')
+        """
+        from imuarray.log.datasets import log_tree
+
+        return log_tree(self, calibration)
+
+    def to_pandas(self, calibration: Calibration | None = None) -> dict[str, Any]:
+        """A `pandas.DataFrame` for each sensor, by name (`SensorLog.to_pandas`). MissingExtraError without xarray and
+        pandas (extra "analysis").
+
+        >>> with open_log("run.h5") as log:
+        ...     tables = log.to_pandas()
+        >>> list(tables["BMA1"].columns)[:4]
+        ['specific_force_X', 'specific_force_Y', 'specific_force_Z', 'counts_x']
+        """
+        return {name: sensor.to_pandas(calibration) for name, sensor in self.sensors.items()}
+
+    def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
+        """The recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
+        MissingExtraError without matplotlib (extra "report").
+        """
+        from imuarray.log.plots import log_figure
+
+        return log_figure([self[name] for name in sensors or self.sensors], calibration)
+
+    def __repr__(self) -> str:
+        if not self.is_open:
+            return f"<Log {self.path}: closed>"
+        rows = sum(map(len, self.sensors.values()))
+        return f"<Log {self.path}: {self.source}, {self.state}, {len(self.sensors)} sensors, {rows} rows>"
+
+    def _repr_html_(self) -> str:
+        """A table of the sensors, for notebooks."""
+        from imuarray.html_table import html_table
+
+        sensors = self.sensors.values() if self.is_open else ()
+        rows = [(s.name, s.chip, s.quantity, f"{s.range:g}", s.unit, s.axes, len(s)) for s in sensors]
+        return html_table(repr(self), ("sensor", "chip", "quantity", "range", "unit", "axes", "rows"), rows)
 
     def __reduce__(self) -> tuple[Callable[[Path], Log], tuple[Path]]:
         return _shared, (self.path.absolute(),)

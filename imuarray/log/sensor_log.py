@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from operator import getitem
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 from weakref import ref
 
 import h5py
@@ -19,6 +19,11 @@ from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
 from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from imuarray.calibrate import Calibration
+
 _EDGE_ROWS = 4096
 
 
@@ -26,6 +31,11 @@ class OpenLog(Protocol):
     """An open log, as its sensors know it."""
 
     path: Path
+
+    @property
+    def epoch(self) -> str:
+        """ISO 8601 UTC of time 0."""
+        ...
 
     def __getitem__(self, name: str, /) -> SensorLog: ...
 
@@ -178,6 +188,41 @@ class SensorLog:
     def attributes(self) -> Mapping[str, Any]:
         """All attributes as they stand in the file."""
         return cast(Mapping[str, Any], self._group.attrs)
+
+    def to_xarray(self, calibration: Calibration | None = None) -> Any:
+        """An `xarray.Dataset` of all rows: physical values in SI in the box frame under the name of the quantity, by
+        `calibration` or else the data sheet's sensitivity, raw counts, status and temperature, over `time` (datetime64,
+        UTC). Every variable says its unit. MissingExtraError without xarray (extra "analysis").
+
+        A calibration's biases are taken out as they are; `imuarray.export` and fusion follow the temperature.
+        """
+        from imuarray.log.datasets import sensor_dataset
+
+        return sensor_dataset(self, self._epoch(), calibration)
+
+    def to_pandas(self, calibration: Calibration | None = None) -> Any:
+        """The same as a `pandas.DataFrame` indexed by time, a column for each number: `angular_rate_X`, `counts_x`,
+        `status`, ...; units by column in its `attrs`. MissingExtraError without xarray and pandas (extra "analysis").
+        """
+        from imuarray.log.datasets import table
+
+        return table(self.to_xarray(calibration))
+
+    def plot(self, calibration: Calibration | None = None) -> Figure:
+        """Its physical values in the box frame over time, or its counts where no unit is known; MissingExtraError
+        without matplotlib (extra "report").
+        """
+        from imuarray.log.plots import log_figure
+
+        return log_figure([self], calibration)
+
+    def _epoch(self) -> str:
+        log = self._log()
+        return log.epoch if log is not None else self._opened(self._path).epoch
+
+    def __repr__(self) -> str:
+        span = f" +-{self.range:g} {self.unit}" if self.range else ""
+        return f"<SensorLog {self.name}: {self.chip}, {self.quantity}{span}, {len(self)} rows>"
 
     def __len__(self) -> int:
         return int(self.time.shape[0])

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.plots import residual_figure
 from imuarray.calibrate.pose_readings import find_poses, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
-from imuarray.report.figures import residual_figure
 from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE, STANDARD_GRAVITY
 

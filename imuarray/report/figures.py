@@ -10,14 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.arrays import Reals
-from imuarray.errors import MissingExtraError
+from imuarray.figures import PALETTE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-PALETTE = ("#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
-"""Grey for single sensors, then Okabe and Ito's colours."""
 
 
 def drift_figure(
@@ -90,23 +86,6 @@ def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequenc
     return figure
 
 
-def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Reals) -> Figure:
-    """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
-    figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
-    axes = figure.subplots()
-    span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)
-    for row, values in enumerate(residual_mg):
-        axes.axhline(row, color=PALETTE[0], linewidth=0.5)
-        axes.scatter(values, np.full(len(values), row), s=26, alpha=0.75, color=PALETTE[1], zorder=3)
-    axes.axvline(0, color="black", linewidth=0.8)
-    axes.set_xlim(-1.15 * span, 1.15 * span)
-    axes.set_ylim(len(sensors) - 0.4, -0.6)
-    axes.set_yticks(range(len(sensors)), sensors)
-    axes.set_xlabel(f"length of the specific force less 1 g (mg), a dot for each of {len(poses)} poses")
-    axes.grid(axis="x", linewidth=0.4, alpha=0.6)
-    return figure
-
-
 def course_figure(time_s: Reals, triad: Reals, label: str) -> Figure:
     """A triad (n, 3) over time, a panel for each box axis."""
     figure = new_figure(8.0, 4.6)
@@ -117,16 +96,4 @@ def course_figure(time_s: Reals, triad: Reals, label: str) -> Figure:
         panel.grid(linewidth=0.4, alpha=0.6)
     panels[-1].set_xlabel("time (s)")
     figure.suptitle(label, fontsize=10.5, x=0.02, ha="left")
-    return figure
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "report") from None
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure

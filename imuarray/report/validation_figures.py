@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imuarray.report.figures import PALETTE
+from imuarray.figures import PALETTE
 from imuarray.report.gap_sheet import NARROW, legend_above, make_logarithmic, plain, sheet
 from imuarray.validation.rates import Bin, Estimate, rate
 from imuarray.validation.score_closure import WITHIN, Closure

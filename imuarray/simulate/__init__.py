@@ -8,8 +8,10 @@
     feels       from a model file                           `/truth` beside it
 
 Any block of a log can be made alone; the same seed gives the same rows whatever the block size or number of workers.
+`imuarray.simulate(array, "sim.h5")` does all of it (`imuarray.analysis.simulate`).
 """
 
+from imuarray.callable_package import make_callable
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.model import Model, load_model, parse_model
 from imuarray.simulate.motion.felt import Felt, Motion
@@ -32,3 +34,5 @@ __all__ = [
     "total_rows",
     "write_log",
 ]
+
+make_callable(__name__)

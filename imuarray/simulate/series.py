@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imuarray.array import ArrayConfig
+from imuarray.errors import ConfigError
 from imuarray.log import Log
+from imuarray.simulate.effect import Effect
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
+from imuarray.simulate.model import Model
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.simulation import Plan, plan_like, plan_of
+from imuarray.simulate.simulation import Plan, in_physical_order, plan_like, plan_of
+from imuarray.spelling import guess
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,38 @@ def runs_of(
         motion = EXPERIMENTS[experiment](replace(wanted, run=k))
         listed.append(_run(array, numbered, motion, rate_hz, wanted.seconds, boot + k - 1))
     return listed
+
+
+def run_of(
+    array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int
+) -> Run:
+    """One log of one of `EXPERIMENTS`; of a turn-on series the run `wanted.run`."""
+    return _run(array, path, EXPERIMENTS[experiment](wanted), rate_hz, wanted.seconds, boot)
+
+
+def with_effects(
+    effects: Mapping[str, Sequence[Effect]], added: Mapping[str, Sequence[Effect]]
+) -> dict[str, tuple[Effect, ...]]:
+    """The effects of each sensor with those `added`, in physical order; ConfigError for a sensor that there is not."""
+    for name in added:
+        if name not in effects:
+            raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")
+    return {name: in_physical_order((*known, *added.get(name, ()))) for name, known in effects.items()}
+
+
+def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:
+    """Sentences on what a model leaves out, what of it is for nobody, and a recorded log that does not say how the box
+    moved.
+    """
+    triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
+    ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
+    if ideal:
+        yield f"model {model.name} says nothing of {', '.join(ideal)}: simulated as ideal"
+    idle = sorted({part.name for part in model.sensors} - set(plan.sensors))
+    if idle and len(idle) == len({part.name for part in model.sensors}):
+        yield f"model {model.name}: its sensors {', '.join(idle)} are not in this array"
+    if log is not None and log.truth is None and log.reference is None:
+        yield f"{log.path} does not say how the box moved: it lies still on the faces of its phases"
 
 
 def _run(array: ArrayConfig, path: Path, motion: Motion, rate_hz: float, seconds: float | None, boot: int) -> Run:

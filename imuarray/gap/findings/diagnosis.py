@@ -13,6 +13,8 @@ from imuarray.arrays import Floats
 from imuarray.gap.model.use import Use
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from imuarray.simulate.model import Model
 
 
@@ -190,7 +192,7 @@ class RecordingSummary:
     rows: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """The complete result of a diagnosis."""
 
@@ -225,6 +227,33 @@ class Diagnosis:
 
     pulls: tuple[Pull, ...] = ()
     """The quantities that data sheets leave to the part, against their tolerances. None of them is a cause."""
+
+    def plot(self) -> Figure:
+        """The statistics that differ most, and the causes with the share of the gap that they close; MissingExtraError
+        without matplotlib (extra "report").
+        """
+        from imuarray.gap.findings.plot import diagnosis_figure
+
+        return diagnosis_figure(self)
+
+    def __str__(self) -> str:
+        from imuarray.gap.findings.text import text_of
+
+        return text_of(self)
+
+    def __repr__(self) -> str:
+        causes = ", ".join(f"{cause.effect} ({cause.probability:.0%})" for cause in self.causes)
+        return f"<Diagnosis: {self.verdict}; {f'causes {causes}' if causes else 'no cause'}>"
+
+    def _repr_html_(self) -> str:
+        """The sentence and the causes, for notebooks."""
+        from imuarray.html_table import html_table, number
+
+        rows = [
+            (each.effect, each.action, ", ".join(each.sensors), number(each.probability, 3), number(each.closed, 3))
+            for each in self.causes
+        ]
+        return html_table(self.sentence, ("cause", "action", "sensors", "probability", "share of the gap closed"), rows)
 
     def as_json(self) -> dict[str, Any]:
         """The diagnosis as one JSON object; numbers that aren't finite are null."""

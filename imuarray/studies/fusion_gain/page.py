@@ -13,12 +13,12 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate.start_up import came_up
 from imuarray.errors import LogError
+from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import errors_of, fuse, technique_names
 from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import ten_second_means
 from imuarray.log import open_log
 from imuarray.report import Figure, Section, Table, write_page
-from imuarray.report.figures import PALETTE, new_figure
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions

@@ -15,7 +15,7 @@ import numpy as np
 
 from imuarray.atomic import save_figure
 from imuarray.characterise import allan_deviation
-from imuarray.report.figures import PALETTE, new_figure
+from imuarray.figures import PALETTE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

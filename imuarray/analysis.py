@@ -1,0 +1,350 @@
+"""The steps of an analysis as one call each: what the commands of the same names do, from Python.
+
+Logs are given as paths or as open logs; those that are opened here are closed again. Results hold numbers with their
+uncertainties, draw themselves (`plot`, needs matplotlib) and show tables in notebooks.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+from imuarray.log import Log, open_log
+
+if TYPE_CHECKING:
+    from imuarray.array import ArrayConfig
+    from imuarray.calibrate import Calibration, ThermalResult, Tumble
+    from imuarray.calibrate.turn_on import TurnOnSeries
+    from imuarray.characterise.allan import Estimator
+    from imuarray.characterise.characterisation import Characterisation
+    from imuarray.fuse.fused_result import FusedResult
+    from imuarray.simulate import Model
+    from imuarray.simulate.effect import Effect
+    from imuarray.simulate.series import Run
+
+LogLike = str | PathLike[str] | Log
+"""A path, or an open log."""
+
+
+def calibrate_tumble(*logs: LogLike) -> Tumble:
+    """Bias and response of accelerometers; bias, g-sensitivity and (from turns) response of gyroscopes, from a box that
+    was put on its faces, held in static poses, or turned slowly: `imuarray calibrate tumble`. One log, or several of
+    the same array. LogError, CalibrationError.
+
+    >>> tumble = calibrate_tumble("tumble.h5")
+    >>> tumble.method, sorted(tumble.residual_g)[0]
+    ('faces', 'ADXL1')
+    >>> tumble.calibration.sensors["BMA1"].bias_sem_lsb.shape
+    (3,)
+    """
+    from imuarray.calibrate import calibrate_tumble as calibrate
+
+    with _opened(logs) as opened:
+        return calibrate(*opened)
+
+
+def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | None = None) -> Calibration:
+    """Scatter of single readings, its colour and the drift of every inertial sensor, from stretches in which the box
+    stood still: `imuarray calibrate noise`. What follows temperature by the slopes of the calibration `known` is taken
+    out of the drift. LogError, CalibrationError.
+
+    >>> noise = calibrate_noise("run.h5").sensors["Gyro1"]
+    >>> noise.noise_lsb.shape, bool((noise.noise_sem_lsb < noise.noise_lsb).all())
+    ((3,), True)
+    """
+    from imuarray.calibrate import calibrate_noise as calibrate
+
+    with _opened(logs) as opened:
+        return calibrate(*opened, known=None if known is None else _calibration(known)).stamped(opened)
+
+
+def calibrate_thermal(*logs: LogLike) -> ThermalResult:
+    """How biases change with temperature, from logs in which the box stood still and was heated or cooled:
+    `imuarray calibrate thermal`. LogError, CalibrationError.
+
+    >>> slopes = calibrate_thermal("heating.h5").calibration.sensors["BMA1"].thermal
+    >>> slopes.slope_lsb_per_degc.shape, slopes.slope_sem_lsb_per_degc.shape
+    ((3,), (3,))
+    """
+    from imuarray.calibrate import calibrate_thermal as calibrate
+
+    with _opened(logs) as opened:
+        return calibrate(*opened)
+
+
+def calibrate_turn_on(*logs: LogLike, seed: int = 1) -> TurnOnSeries:
+    """How much biases change from one switch-on to the next, from a log a run, or one log whose phases `run 1`,
+    `run 2`, ... are the runs: `imuarray calibrate turn-on`. `seed` keys the draws that tell two states from chance.
+    LogError, CalibrationError.
+
+    >>> series = calibrate_turn_on("boot_1.h5", "boot_2.h5", "boot_3.h5")
+    >>> series.calibration.sensors["Gyro1"].turn_on.runs
+    3
+    """
+    from imuarray.calibrate import calibrate_turn_on as calibrate
+    from imuarray.chips import SENSITIVITIES
+
+    with _opened(logs) as opened:
+        return calibrate(opened, SENSITIVITIES, seed)
+
+
+def characterise(
+    log: LogLike,
+    *,
+    phase: str | None = None,
+    sensors: Sequence[str] = (),
+    estimator: Estimator | None = None,
+    calibration: str | PathLike[str] | Calibration | None = None,
+) -> Characterisation:
+    """Allan deviation, spectrum, correlation, codes and noise coefficients of the sensors of a log at rest:
+    `imuarray characterise`. `phase` names the stretch (None: the longest at rest), `estimator` is "overlapping" or
+    "decimated" (None: by the length of the log); a `calibration` gives the scale factors. LogError, CalibrationError.
+
+    >>> noise = characterise("run.h5", sensors=["Gyro1"])
+    >>> white = noise.coefficient("Gyro1", "x", "white")
+    >>> white.low < white.value < white.high  # dps/sqrt(Hz)
+    True
+    """
+    from imuarray.calibrate.motion import longest_rest
+    from imuarray.characterise import characterise_log
+    from imuarray.characterise.characterisation import Characterisation
+
+    with _opened([log]) as (opened,):
+        scales: dict[str, list[float]] = {}
+        if calibration is not None:
+            known = _calibration(calibration)
+            fitting = [sensor for sensor in opened.sensors.values() if sensor.name in known.sensors]
+            scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+        return Characterisation(
+            characterise_log(
+                opened,
+                phase,
+                list(sensors) or None,
+                estimator=estimator,
+                scales=scales,
+                stretch=longest_rest(opened, phase),
+            )
+        )
+
+
+# The options are independent of one another, keyword-only, and those of the command.
+def fuse(
+    log: LogLike,
+    calibration: str | PathLike[str] | Calibration | None = None,
+    technique: str = "mean",
+    *,
+    only: Sequence[str] = (),
+    causal: bool = False,
+    watch: bool | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> FusedResult:
+    """One specific force and one angular rate in the box frame from all inertial sensors of a log (`only` these):
+    `imuarray fuse`. The whole result is in memory.
+
+    `technique` is "mean", "opposed", "planes", "ranges" or "optimal"; without a `calibration` the data sheets' values
+    are used. Biases are those of the states in which sensors came up and follow the log's temperature; noise that the
+    calibration lacks is measured where the log stands still; `remarks` of the result say so. `causal`: each frame by
+    what was known when it was read. `watch`: whether sensors that fail are found and left out (None: by "optimal").
+    `progress` hears the share that is done. LogError, CalibrationError, FusionError.
+
+    >>> fused = fuse("run.h5", "cal.toml", "optimal")
+    >>> fused.specific_force.shape[1], fused.standard_error("angular_rate").shape[1]
+    (3, 3)
+    >>> sorted(fused.errors)  # against the truth, which an emulated log knows
+    ['angular_rate', 'specific_force']
+    """
+    from imuarray.calibrate import Calibration
+    from imuarray.chips import SENSITIVITIES
+    from imuarray.fuse import FusedBlock, Watch, evaluate
+    from imuarray.fuse.faults import FaultEvent
+    from imuarray.fuse.fuse import fuse as fused_blocks
+    from imuarray.fuse.fused_result import FusedResult
+    from imuarray.fuse.fusion_notes import FusionNotes
+    from imuarray.fuse.inputs import prepare_inputs
+    from imuarray.units import INERTIAL
+
+    name = str(calibration) if isinstance(calibration, str | PathLike) else ""
+    known = Calibration() if calibration is None else _calibration(calibration)
+    events: list[FaultEvent] = []
+    notes: list[FusionNotes] = []
+    with _opened([log]) as (opened,):
+        inputs = prepare_inputs(
+            opened,
+            known,
+            technique=technique,
+            only=[opened[sensor].name for sensor in only],
+            ranges=SENSITIVITIES,
+            calibration_file=name or ("the calibration" if known.sensors else ""),
+        )
+        blocks = fused_blocks(
+            opened,
+            inputs.calibration,
+            technique,
+            only=inputs.only,
+            causal=causal,
+            watch=Watch(watch, SENSITIVITIES, events.append),
+            notes=notes.append,
+            progress=progress,
+        )
+        frames = FusedBlock.joined(list(blocks))
+        sensors = [s for quantity in INERTIAL for s in opened.of(quantity) if not inputs.only or s.name in inputs.only]
+        truth = opened.truth or opened.reference
+        return FusedResult(
+            frames,
+            opened.epoch,
+            technique,
+            {quantity: [s.name for s in sensors if s.quantity == quantity] for quantity in frames.triads},
+            str(opened.path),
+            name,
+            tuple(events),
+            notes[-1] if notes else FusionNotes(),
+            (*inputs.remarks, *inputs.start_up, *inputs.temperature),
+            evaluate(opened, [frames]) if truth else {},
+        )
+
+
+class Conditions(TypedDict, total=False):
+    """What an experiment may be told: its length, the box axis that points up ("+Z"; static, heating), the temperature,
+    and what moves the box in "motion": "hand", "vehicle" or the path of a trajectory file.
+    """
+
+    seconds: float
+    up: str
+    temperature_degc: float
+    drive: str
+
+
+def simulate(
+    source: str | PathLike[str] | ArrayConfig | Log,
+    output: str | PathLike[str],
+    *,
+    experiment: str = "static",
+    model: str | PathLike[str] | Model = "datasheet",
+    effects: Mapping[str, Sequence[Effect]] | None = None,
+    calibration: str | PathLike[str] | Calibration | None = None,
+    only: Collection[str] = (),
+    without: Collection[str] = (),
+    population: bool = False,
+    rate_hz: float = 50.0,
+    seed: int = 0,
+    boot: int = 0,
+    force: bool = False,
+    **conditions: Unpack[Conditions],
+) -> Log:
+    """A log at `output` as an array would record it, opened for reading: `imuarray simulate`.
+
+    `source` is an array ("martin2013", a configuration file or what `load_array` gives), or a recorded log that the
+    simulated one is to be like (an open one, or a path that ends in .h5): its sensors, times, faces and temperature.
+    `experiment` is "static", "tumble", "heating", "turn-on" (one run: `boot` numbers it from 0) or "motion". `model` is
+    a model, its file or the name of one that comes with the package ("datasheet", "martin2013"); with a `calibration`
+    units are as that found them. `effects` by sensor (of `imuarray.simulate.EFFECTS`) are added to those of the model,
+    `without` leaves effects of the model out; with `population` every unit is drawn from its design. The same `seed`
+    gives the same log; `boot` is another run of the same units. What the model leaves out is a UserWarning.
+
+    ConfigError, LogError, SourceError, OutputExistsError.
+
+    >>> from imuarray.simulate import EFFECTS
+    >>> tone = EFFECTS["tone"](amplitude=0.5, frequency_hz=7.0)
+    >>> with simulate("martin2013", "with_tone.h5", seconds=4, effects={"Gyro1": [tone]}) as log:
+    ...     len(log["Gyro1"]), log.source
+    (200, 'simulated')
+    """
+    from imuarray.simulate import Simulation, effects_of, write_log
+    from imuarray.simulate.record import EPOCH
+    from imuarray.simulate.series import remarks_on, with_effects
+
+    with ExitStack() as stack:
+        recorded = _recorded(source, stack)
+        if recorded is not None:
+            run = _run_like(recorded, Path(output), only, boot, conditions)
+        else:
+            run = _run_of(source, Path(output), only, experiment, rate_hz, boot, conditions)
+        chosen = _model(model, calibration, run)
+        for sentence in remarks_on(run.plan, chosen, recorded, population=population):
+            warnings.warn(sentence, UserWarning, stacklevel=2)
+        made = effects_of(run.plan, chosen, seed, population=population, without=without)
+        made = with_effects(made, effects or {})
+        simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
+        note = f"model {chosen.name}, seed {seed}, boot {run.boot}"
+        epoch = EPOCH if recorded is None else recorded.epoch
+        write_log(simulation, run.path, epoch=epoch, note=note, force=force)
+    return open_log(output)
+
+
+def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
+    """The log that a simulation is to be like; None for an array."""
+    if isinstance(source, Log):
+        return source
+    if isinstance(source, str | PathLike) and Path(source).suffix == ".h5":
+        return stack.enter_context(open_log(source))
+    return None
+
+
+def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions: Conditions) -> Run:
+    from imuarray.errors import ConfigError
+    from imuarray.simulate.series import run_like
+
+    if conditions:
+        raise ConfigError(f"{', '.join(conditions)}: the log that is simulated says so; give an array to choose it")
+    return run_like(log, path, only, boot)
+
+
+def _run_of(
+    source: str | PathLike[str] | ArrayConfig | Log,
+    path: Path,
+    only: Collection[str],
+    experiment: str,
+    rate_hz: float,
+    boot: int,
+    conditions: Conditions,
+) -> Run:
+    from imuarray.array import ArrayConfig, load_array
+    from imuarray.errors import ConfigError
+    from imuarray.shipped import find_config
+    from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
+    from imuarray.simulate.series import run_of
+    from imuarray.spelling import guess
+
+    array = source if isinstance(source, ArrayConfig) else load_array(find_config(Path(str(source))))
+    if experiment not in EXPERIMENTS:
+        allowed = ", ".join(EXPERIMENTS)
+        raise ConfigError(f"experiment {experiment!r}: allowed are {allowed}{guess(experiment, EXPERIMENTS)}")
+    number = boot + 1 if experiment == "turn-on" else 1
+    wanted = ExperimentOptions(**conditions, run=number)
+    return run_of(array.only(tuple(only)) if only else array, path, experiment, wanted, rate_hz=rate_hz, boot=boot)
+
+
+def _model(
+    model: str | PathLike[str] | Model, calibration: str | PathLike[str] | Calibration | None, run: Run
+) -> Model:
+    from imuarray.errors import CalibrationError
+    from imuarray.shipped import find_model
+    from imuarray.simulate import Model, load_model
+    from imuarray.simulate.from_calibration import calibrated
+
+    chosen = model if isinstance(model, Model) else load_model(find_model(Path(model)))
+    if calibration is None:
+        return chosen
+    known, sensors = _calibration(calibration), run.plan.sensors
+    if not set(known.sensors) & set(sensors):
+        name = ", ".join(known.sensors) or "no sensor"
+        raise CalibrationError(f"the calibration knows {name}, but none of {', '.join(sensors)}")
+    return calibrated(chosen, known, [header for header, _ in sensors.values()])
+
+
+def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:
+    """The calibration itself, or that of a file; CalibrationError."""
+    from imuarray.calibrate import Calibration, load_calibration
+
+    return calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+
+
+@contextmanager
+def _opened(logs: Iterable[LogLike]) -> Iterator[list[Log]]:
+    """The logs; those that were given as paths are closed at the end. LogError."""
+    with ExitStack() as stack:
+        yield [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs]

@@ -1,0 +1,142 @@
+"""A calibration's figures in mg and dps: as rows of tables and as drawings, every estimate with its standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from imuarray.arrays import Floats, Reals
+from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.errors import CalibrationError
+from imuarray.figures import PALETTE, estimates_figure, new_figure
+from imuarray.html_table import number
+from imuarray.units import READABLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class _Estimates(NamedTuple):
+    """The values (3,) of one sensor in counts, and their standard errors."""
+
+    value_lsb: Floats
+    sem_lsb: Floats | None
+
+
+_LABELS: Mapping[str, str] = MappingProxyType(
+    {
+        "bias": "bias",
+        "noise": "noise of single readings, rms",
+        "thermal": "slope of the bias per degree Celsius",
+        "turn_on": "change of the bias from run to run, rms",
+    }
+)
+"""What can be drawn, in the order in which it is looked for."""
+
+
+def calibration_figure(calibration: Calibration, group: str | None = None) -> Figure:
+    """One group of figures of all sensors, a panel a unit (mg or dps); CalibrationError for a group that there is not
+    or that was not measured, MissingExtraError without matplotlib.
+    """
+    if group is not None and group not in _LABELS:
+        raise CalibrationError(f"group {group!r}: allowed are {', '.join(_LABELS)}")
+    groups = [name for name in _LABELS if any(_estimates(s, name) is not None for s in calibration.sensors.values())]
+    if not groups or (group is not None and group not in groups):
+        raise CalibrationError(
+            f"{group or 'bias'}: was not measured; the calibration has {', '.join(groups) or 'nothing'}"
+        )
+    chosen = group or groups[0]
+    labels: list[str] = []
+    values: list[float] = []
+    errors: list[float] = []
+    for sensor in calibration.sensors.values():
+        estimates = _estimates(sensor, chosen)
+        if estimates is None:
+            continue
+        factor, unit = READABLE[sensor.unit]
+        per_count = factor / sensor.scale_lsb_per_unit
+        labels += [f"{sensor.name} {axis} ({unit})" for axis in "xyz"]
+        values += (per_count * estimates.value_lsb).tolist()
+        errors += [np.nan] * 3 if estimates.sem_lsb is None else (per_count * estimates.sem_lsb).tolist()
+    return estimates_figure(labels, values, errors, _LABELS[chosen])
+
+
+def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
+    """Axis, unit, bias, its standard error, counts per unit and noise; "–": not known."""
+    for sensor in calibration.sensors.values():
+        factor, unit = READABLE[sensor.unit]
+        per_count = factor / sensor.scale_lsb_per_unit
+        bias, sem, noise = (
+            _scaled(each, per_count) for each in (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
+        )
+        for axis in range(3):
+            scale = number(float(sensor.scale_lsb_per_unit[axis]), 5)
+            yield _axis(sensor, axis), unit, number(bias[axis]), number(sem[axis]), scale, number(noise[axis])
+
+
+def slope_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
+    """Axis, unit, slope, its standard error, lag, and whether it is one of bias or of scale."""
+    for sensor in calibration.sensors.values():
+        if (thermal := sensor.thermal) is None:
+            continue
+        factor, unit = READABLE[sensor.unit]
+        per_count = factor / sensor.scale_lsb_per_unit
+        slope, sem = _scaled(thermal.slope_lsb_per_degc, per_count), _scaled(thermal.slope_sem_lsb_per_degc, per_count)
+        for axis in range(3):
+            lag = number(thermal.significant_lag_s, 3)
+            yield _axis(sensor, axis), unit, number(slope[axis]), number(sem[axis]), lag, thermal.meaning[axis]
+
+
+def turn_on_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
+    """Axis, unit, rms from run to run, its standard error, runs, states and the p-value of no change."""
+    for sensor in calibration.sensors.values():
+        if (turn_on := sensor.turn_on) is None:
+            continue
+        factor, unit = READABLE[sensor.unit]
+        per_count = factor / sensor.scale_lsb_per_unit
+        rms, sem = _scaled(turn_on.rms_lsb, per_count), _scaled(turn_on.rms_sem_lsb, per_count)
+        for axis in range(3):
+            counted = str(turn_on.runs), str(max(1, len(turn_on.states))), number(float(turn_on.p_value[axis]), 2)
+            yield _axis(sensor, axis), unit, number(rms[axis]), number(sem[axis]), *counted
+
+
+def _axis(sensor: SensorCalibration, axis: int) -> str:
+    return f"{sensor.name} {'xyz'[axis]}"
+
+
+def _scaled(values_lsb: Floats | None, per_count: Floats) -> list[float]:
+    """(3,) in mg or dps; nan: not known."""
+    return [np.nan] * 3 if values_lsb is None else [float(value) for value in values_lsb * per_count]
+
+
+def _estimates(sensor: SensorCalibration, group: str) -> _Estimates | None:
+    """The figures of a group; None where it was not measured."""
+    if group == "bias" and sensor.bias_sem_lsb is not None:
+        return _Estimates(sensor.bias_lsb, sensor.bias_sem_lsb)
+    if group == "noise" and sensor.noise_lsb is not None:
+        return _Estimates(sensor.noise_lsb, sensor.noise_sem_lsb)
+    if group == "thermal" and sensor.thermal is not None:
+        return _Estimates(sensor.thermal.slope_lsb_per_degc, sensor.thermal.slope_sem_lsb_per_degc)
+    if group == "turn_on" and sensor.turn_on is not None:
+        return _Estimates(sensor.turn_on.rms_lsb, sensor.turn_on.rms_sem_lsb)
+    return None
+
+
+def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Reals) -> Figure:
+    """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
+    figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
+    axes = figure.subplots()
+    span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)
+    for row, values in enumerate(residual_mg):
+        axes.axhline(row, color=PALETTE[0], linewidth=0.5)
+        axes.scatter(values, np.full(len(values), row), s=26, alpha=0.75, color=PALETTE[1], zorder=3)
+    axes.axvline(0, color="black", linewidth=0.8)
+    axes.set_xlim(-1.15 * span, 1.15 * span)
+    axes.set_ylim(len(sensors) - 0.4, -0.6)
+    axes.set_yticks(range(len(sensors)), sensors)
+    axes.set_xlabel(f"length of the specific force less 1 g (mg), a dot for each of {len(poses)} poses")
+    axes.grid(axis="x", linewidth=0.4, alpha=0.6)
+    return figure

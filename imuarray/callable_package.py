@@ -1,0 +1,33 @@
+"""Packages that are also the function of their name: `imuarray.fuse(log)` beside `from imuarray.fuse import Watch`.
+
+Importing a package sets its name in `imuarray`, where it would hide a function of that name. A module may have a class
+of its own (Python Language Reference, 3.3.2.1).
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from inspect import Signature, signature
+from types import ModuleType
+from typing import Any
+
+
+class CallablePackage(ModuleType):
+    """A package `imuarray.NAME` whose call is that of `imuarray.analysis.NAME`, which is loaded by the first one."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """What the function gives."""
+        return self._function()(*arguments, **options)
+
+    @property
+    def __signature__(self) -> Signature:
+        return signature(self._function())
+
+    def _function(self) -> Any:
+        return getattr(import_module("imuarray.analysis"), self.__name__.rpartition(".")[2])
+
+
+def make_callable(package: str) -> None:
+    """Make a package that is being imported the function of its name."""
+    sys.modules[package].__class__ = CallablePackage

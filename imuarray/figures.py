@@ -1,0 +1,88 @@
+"""Figures that need no display: matplotlib's own `Figure`, never its global state, in colours that the colour-blind can
+tell apart. A notebook shows what these functions return; `figure.savefig("name.svg")` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imuarray.arrays import Reals
+from imuarray.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PALETTE = ("#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+"""Grey for single sensors, then Okabe and Ito's colours."""
+
+_MOST_POINTS = 4000
+"""Of a curve over time: a stretch of rows is drawn by its least and its greatest value."""
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "report") from None
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def time_series_figure(
+    panels: Mapping[str, tuple[Reals, Reals]], names: Sequence[str] = "XYZ", title: str = "", height: float = 1.7
+) -> Figure:
+    """Curves over time, a panel for each label: times (n,) in s and values (n, k), of which `names` are the columns.
+
+    Of more than 4000 rows each stretch is drawn by its least and greatest value, so that a single spike is seen.
+    """
+    figure = new_figure(8.0, 0.8 + height * max(1, len(panels)))
+    axes = figure.subplots(max(1, len(panels)), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (label, (time_s, values)) in zip(axes, panels.items(), strict=False):
+        columns = np.asarray(values, float).reshape(len(time_s), -1)
+        for number, column in enumerate(columns.T):
+            drawn_s, drawn = envelope(np.asarray(time_s, float), column)
+            colour, name = PALETTE[1 + number % (len(PALETTE) - 1)], names[number] if columns.shape[1] > 1 else None
+            panel.plot(drawn_s, drawn, color=colour, linewidth=0.8, label=name)
+        panel.set_ylabel(label, fontsize=9)
+        panel.grid(linewidth=0.4, alpha=0.6)
+        if columns.shape[1] > 1:
+            panel.legend(frameon=False, fontsize=8, ncols=columns.shape[1], loc="upper right")
+    axes[-1].set_xlabel("time (s)")
+    if title:
+        figure.suptitle(title.replace("$", r"\$"), fontsize=10.5, x=0.02, ha="left")
+    return figure
+
+
+def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Reals, Reals]:
+    """The curve (n,), or of a longer one than `most` rows the least and the greatest value of each stretch."""
+    width = -(-2 * len(values) // most)
+    if width <= 2:
+        return time_s, values
+    first = np.arange(0, len(values), width)
+    low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+    return np.repeat(time_s[first], 2), np.stack([low, high], axis=1).ravel()
+
+
+def estimates_figure(
+    labels: Sequence[str], values: Sequence[float], errors: Sequence[float], quantity: str, title: str = ""
+) -> Figure:
+    """Estimates, a dot a line, with two standard errors to either side; nan: not known, no dot or no bar."""
+    figure = new_figure(8.0, 1.1 + 0.24 * max(3, len(labels)))
+    panel = figure.subplots()
+    rows = np.arange(len(labels))
+    bars = 2 * np.nan_to_num(np.asarray(errors, float))
+    panel.axvline(0, color=PALETTE[0], linewidth=0.8)
+    panel.errorbar(values, rows, xerr=bars, fmt="o", color=PALETTE[1], ecolor=PALETTE[0], markersize=4, elinewidth=1)
+    panel.set_yticks(rows, labels, fontsize=8)
+    panel.set_ylim(len(labels) - 0.4, -0.6)
+    panel.set_xlabel(f"{quantity}; bars: two standard errors")
+    panel.grid(axis="x", linewidth=0.4, alpha=0.6)
+    if title:
+        figure.suptitle(title.replace("$", r"\$"), fontsize=10.5, x=0.02, ha="left")
+    return figure

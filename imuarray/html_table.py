@@ -1,0 +1,23 @@
+"""Results as notebooks show them: a sentence and a table, as HTML without styles, so that a theme's colours hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+MOST_ROWS = 60
+"""Rows that are shown; the rest are counted."""
+
+
+def html_table(sentence: str, heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A sentence, and a table below it; everything is escaped."""
+    listed = list(rows)
+    head = "".join(f"<th>{escape(str(cell))}</th>" for cell in heading)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in listed[:MOST_ROWS])
+    more = f"<p>{len(listed) - MOST_ROWS} more rows</p>" if len(listed) > MOST_ROWS else ""
+    return f"<p>{escape(sentence)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number as a person reads it; an en dash for None and for what is not a number."""
+    return "–" if value is None or value != value else f"{value:.{digits}g}"

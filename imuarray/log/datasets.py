@@ -1,0 +1,175 @@
+"""A log as labelled arrays (xarray) and tables (pandas), in SI units with absolute times; both packages are optional.
+
+The physical values of an accelerometer, gyroscope or magnetometer stand in the box frame under the name of their
+quantity, by the data sheet's sensitivity or by a calibration; the raw counts along the sensor's own axes stand beside
+them. A column that the log lacks is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imuarray.arrays import Floats, Times
+from imuarray.errors import MissingExtraError
+from imuarray.log.format import FLAGS
+from imuarray.log.layout import TRACK_UNITS
+from imuarray.units import SI_NAME, SI_PER_UNIT
+
+if TYPE_CHECKING:
+    from imuarray.calibrate import Calibration
+    from imuarray.log.columns import Track
+    from imuarray.log.reader import Log
+    from imuarray.log.sensor_log import SensorLog
+
+AXIS, BOX_AXIS = "axis", "box_axis"
+"""Dimensions of a triad: x, y, z along the sensor's own axes; X, Y, Z along those of the box."""
+
+_LABELS = {AXIS: ("x", "y", "z"), BOX_AXIS: ("X", "Y", "Z")}
+
+_LONG_NAME: Mapping[str, str] = MappingProxyType(
+    {
+        "specific_force": "specific force in the box frame",
+        "angular_rate": "angular rate in the box frame",
+        "magnetic_field": "magnetic flux density in the box frame",
+        "pressure": "air pressure",
+        "temperature": "temperature",
+    }
+)
+
+_Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
+"""Dimensions, values and attributes, as xarray takes them."""
+
+
+def sensor_dataset(sensor: SensorLog, epoch: str, calibration: Calibration | None = None) -> Any:
+    """An `xarray.Dataset` of one sensor; MissingExtraError, CalibrationError."""
+    variables = _sensor_variables(sensor, calibration)
+    attributes: dict[str, Any] = {
+        "name": sensor.name,
+        "chip": sensor.chip,
+        "quantity": sensor.quantity,
+        "range": sensor.range,
+        "range_unit": sensor.unit,
+        "sensitivity_counts_per_range_unit": sensor.sensitivity,
+        "rate_hz": sensor.rate_hz,
+        "bandwidth_hz": sensor.bandwidth_hz,
+        "axes": sensor.axes,
+        "position_mm": sensor.position_mm.tolist(),
+        "calibrated": int(calibration is not None and sensor.name in calibration.sensors),
+        "epoch": epoch,
+    }
+    return dataset(np.asarray(sensor.time[:]), epoch, variables, attributes)
+
+
+def track_dataset(track: Track, epoch: str) -> Any:
+    """An `xarray.Dataset` of `/truth` or `/reference`; MissingExtraError."""
+    variables: dict[str, _Variable] = {}
+    for name, column in track._asdict().items():
+        if name != "time" and column is not None:
+            dims = ("time", BOX_AXIS)[: len(column.shape)]
+            variables[name] = dims, np.asarray(column[:]), _about(name, TRACK_UNITS[name])
+    return dataset(np.asarray(track.time[:]), epoch, variables, {"epoch": epoch})
+
+
+def log_tree(log: Log, calibration: Calibration | None = None) -> Any:
+    """An `xarray.DataTree` with a node for each sensor, `truth` and `reference`; MissingExtraError."""
+    xarray = optional_package("xarray")
+    nodes = {name: sensor_dataset(sensor, log.epoch, calibration) for name, sensor in log.sensors.items()}
+    tracks = {"truth": log.truth, "reference": log.reference}
+    nodes |= {name: track_dataset(track, log.epoch) for name, track in tracks.items() if track is not None}
+    attributes = {"epoch": log.epoch, "source": log.source, "software": log.software, "log": log.path.name}
+    return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=attributes), **nodes})
+
+
+def dataset(time: Times, epoch: str, variables: Mapping[str, _Variable], attributes: Mapping[str, Any]) -> Any:
+    """An `xarray.Dataset` over `time` (n,) ns since `epoch`: dates, or durations where the epoch is no date. The axes
+    get the coordinates x, y, z and X, Y, Z. MissingExtraError.
+    """
+    xarray = optional_package("xarray")
+    used = {name for dims, _, _ in variables.values() for name in dims}
+    coordinates: dict[str, Any] = {"time": ("time", times_of(time, epoch))}
+    coordinates |= {name: (name, list(labels)) for name, labels in _LABELS.items() if name in used}
+    return xarray.Dataset(dict(variables), coordinates, dict(attributes))
+
+
+def table(labelled: Any) -> Any:
+    """A `pandas.DataFrame` of a Dataset: a column for each number of a row (`angular_rate_X`, `counts_x`, `status`),
+    indexed by time, with the Dataset's attributes and the units by column in `attrs`. MissingExtraError.
+    """
+    pandas = optional_package("pandas")
+    columns: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    for name, variable in labelled.data_vars.items():
+        if variable.ndim == 1:
+            parts = {str(name): variable.values}
+        else:
+            labels = [str(label) for label in variable.coords[variable.dims[1]].values]
+            parts = {f"{name}_{label}": variable.values[:, place] for place, label in enumerate(labels)}
+        columns |= parts
+        units |= dict.fromkeys(parts, str(variable.attrs.get("units", "1")))
+    frame = pandas.DataFrame(columns, index=pandas.Index(labelled["time"].values, name="time"))
+    frame.attrs = {**labelled.attrs, "units": units}
+    return frame
+
+
+def times_of(time: Times, epoch: str) -> Any:
+    """(n,) datetime64[ns], UTC, of ns since an ISO 8601 epoch; timedelta64[ns] where the epoch is no date."""
+    try:
+        zero = datetime.fromisoformat(epoch)
+    except ValueError:
+        return np.asarray(time, np.int64).astype("timedelta64[ns]")
+    naive = (zero if zero.tzinfo else zero.replace(tzinfo=UTC)).astimezone(UTC).replace(tzinfo=None)
+    return np.datetime64(naive, "ns") + np.asarray(time, np.int64).astype("timedelta64[ns]")
+
+
+def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:
+    """(n, 3) SI in the box frame, of all rows of a triad; None where the log has no sensitivity. A calibration's bias
+    is taken out as it is, without following the temperature. CalibrationError for one that does not fit.
+    """
+    counts = np.asarray(sensor.counts[:], float)
+    if calibration is not None:
+        return calibration.or_nominal(sensor).stimulus_box(counts)
+    if not sensor.sensitivity:
+        return None
+    return np.asarray(counts * (SI_PER_UNIT[sensor.unit] / sensor.sensitivity) @ sensor.orientation.T)
+
+
+def _sensor_variables(sensor: SensorLog, calibration: Calibration | None) -> dict[str, _Variable]:
+    variables: dict[str, _Variable] = {}
+    if sensor.is_triad:
+        values = physical_values(sensor, calibration)
+        if values is not None:
+            variables[sensor.quantity] = ("time", BOX_AXIS), values, _about(sensor.quantity, SI_NAME[sensor.unit])
+        counts = {"units": "count", "long_name": "raw register values along the sensor's axes"}
+        variables["counts"] = ("time", AXIS), np.asarray(sensor.counts[:]), counts
+    for name, unit in (("pressure", "Pa"), ("temperature", "degC")):
+        if sensor.has_compensated(name):
+            variables[name] = ("time",), np.asarray(sensor.compensated(name)[:]), _about(name, unit)
+    degrees = sensor.temperature_counts
+    if degrees is not None:
+        raw = np.asarray(degrees[:])
+        if (scale := sensor.thermometer) is not None:
+            values = scale.zero_degc + raw / scale.lsb_per_degc
+            variables["temperature"] = ("time",), values, _about("temperature", "degC")
+        variables["temperature_counts"] = ("time",), raw, {"units": "count", "long_name": "the chip's own thermometer"}
+    flags = {"units": "1", "flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)}
+    variables["status"] = ("time",), np.asarray(sensor.status[:]), flags
+    return variables
+
+
+def _about(quantity: str, unit: str) -> dict[str, Any]:
+    return {"units": unit, "long_name": _LONG_NAME[quantity]}
+
+
+def optional_package(name: str) -> Any:
+    """xarray or pandas; MissingExtraError names the extra."""
+    from importlib import import_module
+
+    try:
+        return import_module(name)
+    except ImportError:
+        raise MissingExtraError(name, "analysis") from None

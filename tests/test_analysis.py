@@ -1,0 +1,254 @@
+"""One call for each step: the same numbers as the commands give, with uncertainties, drawings and tables."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import imuarray as ia
+from imuarray.calibrate import Calibration
+from imuarray.cli import program
+from imuarray.errors import CalibrationError, ConfigError, FusionError, LogError, MissingExtraError
+from imuarray.fuse import read_fused_head
+from imuarray.simulate import EFFECTS
+from tests.log.conftest import write_small
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tumble, a log at rest and a calibration."""
+    here = tmp_path_factory.mktemp("analysis")
+    ia.simulate("martin2013", here / "tumble.h5", experiment="tumble", seconds=60.0, model="martin2013").close()
+    ia.simulate("martin2013", here / "rest.h5", seconds=40.0, model="martin2013").close()
+    ia.calibrate_tumble(here / "tumble.h5").calibration.save(here / "cal.toml")
+    return here
+
+
+def run(*words: str | Path) -> None:
+    done = CliRunner().invoke(program, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+
+
+def columns(path: Path) -> dict[str, Any]:
+    """Every dataset of numbers of a file."""
+    found: dict[str, Any] = {}
+    with h5py.File(path) as file:
+        file.visititems(
+            lambda name, item: (
+                found.update({name: item[...]}) if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" else None
+            )
+        )
+    return found
+
+
+def equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    return first.keys() == second.keys() and all(
+        np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f") for name in first
+    )
+
+
+def test_a_simulation_is_that_of_the_command(tmp_path: Path) -> None:
+    run("simulate", "martin2013", "-o", tmp_path / "a.h5", "--seconds", "5", "--seed", "3", "--without", "tone")
+    with ia.simulate("martin2013", tmp_path / "b.h5", seconds=5.0, seed=3, without=["tone"]) as log:
+        assert log.source == "simulated"
+    assert equal(columns(tmp_path / "a.h5"), columns(tmp_path / "b.h5"))
+    run("simulate", "--like", tmp_path / "a.h5", "-o", tmp_path / "c.h5", "--seed", "4", "--model", "martin2013")
+    ia.simulate(tmp_path / "a.h5", tmp_path / "d.h5", seed=4, model="martin2013").close()
+    assert equal(columns(tmp_path / "c.h5"), columns(tmp_path / "d.h5"))
+
+
+def test_an_effect_is_added_to_one_sensor_and_changes_no_other(tmp_path: Path) -> None:
+    """A sine of amplitude a has an rms of a / sqrt(2)."""
+    tone = EFFECTS["tone"](amplitude=5.0, frequency_hz=7.0)  # type: ignore[call-arg]
+    with (
+        ia.simulate("martin2013", tmp_path / "a.h5", seconds=20.0) as plain,
+        ia.simulate("martin2013", tmp_path / "b.h5", seconds=20.0, effects={"Gyro1": [tone]}) as hum,
+    ):
+        added_dps = (hum["Gyro1"].counts[:].astype(float) - plain["Gyro1"].counts[:]) / plain["Gyro1"].sensitivity
+        np.testing.assert_allclose(added_dps.std(axis=0), 5.0 / np.sqrt(2), rtol=0.02)
+        np.testing.assert_array_equal(hum["Gyro2"].counts[:], plain["Gyro2"].counts[:])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"experiment": "heat"}, "allowed are static, tumble, heating"),
+        ({"effects": {"Gyro9": []}}, "effects of 'Gyro9': the array has"),
+        ({"model": "datashet"}, "no model of that name"),
+    ],
+)
+def test_a_wrong_word_is_told_with_what_is_allowed(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        ia.simulate("martin2013", tmp_path / "a.h5", seconds=1.0, **options)
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_a_log_that_is_simulated_again_has_its_own_conditions(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="seconds: the log that is simulated says so"):
+        ia.simulate(folder / "rest.h5", tmp_path / "a.h5", seconds=1.0)
+
+
+@pytest.mark.parametrize("technique", ["mean", "optimal"])
+def test_a_fusion_is_that_of_the_command(folder: Path, tmp_path: Path, technique: str) -> None:
+    command, own = tmp_path / "command.h5", tmp_path / "own.h5"
+    run("fuse", folder / "rest.h5", "--calibration", folder / "cal.toml", "--technique", technique, "-o", command)
+    fused = ia.fuse(folder / "rest.h5", folder / "cal.toml", technique)
+    assert fused.save(own) == len(fused.time) > 1000
+    assert equal(columns(command), columns(own))
+    assert read_fused_head(own) == read_fused_head(command)
+    # against the truth by hand: the box lies still, Z up. (All frames, not only those within the truth's times.)
+    still = np.array([0.0, 0.0, 9.80665])
+    by_hand = np.sqrt(np.nanmean((fused.specific_force - still) ** 2, axis=0))
+    np.testing.assert_allclose(fused.errors["specific_force"].rms, by_hand, rtol=1e-2)
+
+
+def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
+    fused = ia.fuse(folder / "rest.h5", technique="planes", only=["BMA1", "BMA2", "Gyro1"])
+    assert fused.sensors == {"specific_force": ["BMA1", "BMA2"], "angular_rate": ["Gyro1"]}
+    assert any(remark.startswith("no noise in the calibration") for remark in fused.remarks)
+    other = Calibration({"Other": ia.calibrate_noise(folder / "rest.h5").sensors["Gyro1"]})
+    with pytest.raises(FusionError, match="the calibration: knows Other, but none of"):
+        ia.fuse(folder / "rest.h5", other)
+
+
+def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path) -> None:
+    run("characterise", folder / "rest.h5", "-o", tmp_path / "noise", "--sensor", "Gyro1,BMA1")
+    found = ia.characterise(folder / "rest.h5", sensors=["Gyro1", "BMA1"])
+    assert found.result == json.loads((tmp_path / "noise" / "characterise.json").read_text())
+    white = found.coefficient("Gyro1", "x")
+    assert white is not None
+    assert white.low < white.value < white.high
+    # counts that are white with a scatter of s at r rows a second have N = s / sqrt(r)
+    entry = found.axis("Gyro1", "x")
+    assert white.value == pytest.approx(entry["unit"]["std"] / np.sqrt(50.0), rel=0.1)
+    table = found.to_pandas()
+    assert table.loc[("Gyro1", "x"), "N"] == white.value
+    for sensor, axis, term, words in (
+        ("Gyro7", "x", "white", "no sensor 'Gyro7'"),
+        ("Gyro1", "q", "white", "no axis 'q'"),
+        ("Gyro1", "x", "pink", "allowed are white"),
+    ):
+        with pytest.raises(LogError, match=words):
+            found.coefficient(sensor, axis, term)
+
+
+def test_every_result_draws_itself_and_shows_a_table(folder: Path, tmp_path: Path) -> None:
+    with ia.open_log(folder / "rest.h5") as log:
+        tumble = ia.calibrate_tumble(folder / "tumble.h5")
+        results = [log, tumble, tumble.calibration, ia.calibrate_noise(log), ia.fuse(log, technique="mean")]
+        results.append(ia.characterise(log, sensors=["Gyro1"]))
+        for number, result in enumerate(results):
+            result.plot().savefig(tmp_path / f"{number}.svg")
+            assert (tmp_path / f"{number}.svg").stat().st_size > 10_000
+            html = result._repr_html_()
+            assert html.count("<tr>") == html.count("</tr>") > 1
+            assert len(repr(result)) < 2000
+        assert "Gyro1" in log.plot(["Gyro1"]).axes[0].get_ylabel()
+    assert repr(log).endswith("closed>")
+
+
+def test_a_group_that_was_not_measured_is_no_figure(folder: Path) -> None:
+    known = ia.load_calibration(folder / "cal.toml")
+    with pytest.raises(CalibrationError, match="thermal: was not measured; the calibration has bias"):
+        known.plot("thermal")
+    with pytest.raises(CalibrationError, match="allowed are bias, noise, thermal, turn_on"):
+        known.plot("therml")
+
+
+def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> None:
+    found = ia.diagnose(folder / "rest.h5", model="martin2013", only=["Gyro1"], replicates=40)
+    assert [recording.name for recording in found.recorded] == ["rest.h5"]
+    found.plot().savefig(tmp_path / "found.svg")
+    assert found.verdict in repr(found)
+    assert found.sentence.split(".")[0] in str(found).replace("\n", " ")
+    assert "<table>" in found._repr_html_()
+
+
+@pytest.mark.parametrize("name", ["fuse", "simulate", "characterise"])
+def test_a_package_is_the_function_of_its_name(name: str) -> None:
+    import imuarray.analysis
+
+    package = getattr(ia, name)
+    assert package is sys.modules[f"imuarray.{name}"]
+    assert inspect.signature(package) == inspect.signature(getattr(imuarray.analysis, name))
+
+
+class TestLabelled:
+    """Against the literals of `write_small`: 512 counts are one g (range 16), axes +Y+X-Z."""
+
+    def test_sensors_say_their_units_and_times(self, tmp_path: Path) -> None:
+        with ia.open_log(write_small(tmp_path / "small.h5")) as log:
+            tree = log.to_xarray()
+        force = tree["Acc"]["specific_force"]
+        # counts 512, -256, 0: one g along the sensor's x, which is the box's Y; minus half a g along its y, the box's X
+        np.testing.assert_allclose(force[0], [-4.903325, 9.80665, 0.0])
+        assert (force.dims, force.attrs["units"]) == (("time", "box_axis"), "m s-2")
+        assert list(force.box_axis.values) == ["X", "Y", "Z"]
+        assert force.time.values[1] == np.datetime64("2013-09-16T08:30:00.010000000")
+        np.testing.assert_array_equal(tree["Acc"]["counts"][0], [512, -256, 0])
+        assert tree["Acc"]["counts"].attrs["units"] == "count"
+        assert tree["Gyro"]["angular_rate"].attrs["units"] == "rad s-1"
+        np.testing.assert_array_equal(tree["Baro"]["pressure"], [69963.0, 69970.0])
+        assert tree["Baro"]["pressure"].attrs["units"] == "Pa"
+        assert tree["truth"]["specific_force"].attrs["units"] == "m s-2"
+        assert tree["Gyro"].attrs["range_unit"] == "dps"
+        assert tree["Acc"]["status"].attrs["flag_meanings"].split()[:3] == ["stale", "overrun", "saturated"]
+
+    def test_tables_have_a_column_for_each_number(self, tmp_path: Path) -> None:
+        with ia.open_log(write_small(tmp_path / "small.h5")) as log:
+            table = log["Gyro"].to_pandas()
+        assert list(table.columns) == [
+            *(f"angular_rate_{axis}" for axis in "XYZ"),
+            *(f"counts_{axis}" for axis in "xyz"),
+            "status",
+        ]
+        assert table.attrs["units"]["angular_rate_X"] == "rad s-1"
+        assert table["counts_x"].tolist() == [1000, 32767, 7]
+        assert str(table.index[0]) == "2013-09-16 08:30:00.010000"
+
+    def test_a_calibration_takes_the_bias_out(self, folder: Path) -> None:
+        known = ia.load_calibration(folder / "cal.toml")
+        with ia.open_log(folder / "rest.h5") as log:
+            gyro = log["Gyro1"]
+            raw, calibrated = (gyro.to_xarray(each)["angular_rate"].mean("time").values for each in (None, known))
+            assert np.linalg.norm(calibrated) < 0.2 * np.linalg.norm(raw)
+
+    def test_a_log_whose_epoch_is_no_date_has_durations(self) -> None:
+        from imuarray.log.datasets import times_of
+
+        assert times_of(np.array([5]), "")[0] == np.timedelta64(5, "ns")
+        assert times_of(np.array([0]), "2024-01-01T01:00:00+01:00")[0] == np.datetime64("2024-01-01T00:00:00")
+
+    def test_a_fused_result_has_named_dimensions(self, folder: Path, tmp_path: Path) -> None:
+        import xarray
+
+        fused = ia.fuse(folder / "rest.h5", folder / "cal.toml")
+        fused.save(tmp_path / "fused.h5")
+        with xarray.open_dataset(tmp_path / "fused.h5", engine="h5netcdf", group="fused") as stored:
+            assert stored.specific_force.dims == ("time", "axis")
+            assert list(stored.axis.values) == ["X", "Y", "Z"]
+            assert list(stored.entry.values) == ["xx", "yy", "zz", "xy", "xz", "yz"]
+            assert list(stored.angular_rate_sensor.values) == ["Gyro1", "Gyro2", "Gyro3"]
+            assert stored.specific_force.attrs["units"] == "m s-2"
+            assert stored.time.dtype == np.dtype("datetime64[ns]")
+            labelled = fused.to_xarray()
+            np.testing.assert_array_equal(labelled.specific_force, stored.specific_force)
+            np.testing.assert_array_equal(labelled.time, stored.time)
+        variance = fused.to_pandas()["specific_force_covariance_xx"]
+        np.testing.assert_array_equal(variance, fused.frames.covariances["specific_force"][:, 0])
+
+    def test_without_the_package_it_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "xarray", None)
+        with (
+            ia.open_log(write_small(tmp_path / "small.h5")) as log,
+            pytest.raises(MissingExtraError, match=r"xarray.*imuarray\[analysis\]"),
+        ):
+            log.to_pandas()
