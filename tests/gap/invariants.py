@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-LEAST_CLOSED, EVEN = 0.9, 0.5
+LEAST_CLOSED, PARTLY_CLOSED, EVEN = 0.9, 0.3, 0.5
 """As README.md has them."""
 
 ROUNDING = 1e-12
@@ -30,6 +30,7 @@ def check_agreement(found: Mapping[str, Any]) -> None:
         assert chances[0] >= EVEN > unknown
     elif verdict == "partly explained":
         assert unknown <= EVEN
+        assert gap["closed"] is None or gap["closed"] >= PARTLY_CLOSED
         assert chances if gap["closed"] is not None else chances[0] >= EVEN
     else:
         assert unknown >= EVEN
