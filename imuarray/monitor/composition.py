@@ -229,8 +229,7 @@ _COPIES = 2
 def snapshot_of(
     source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
 ) -> Snapshot:
-    """Return the snapshot of `source`, which has been quiet for `quiet_s`; `result` is the path of its fused output.
-    """
+    """Return the snapshot of `source`, which has been quiet for `quiet_s`; `result` is the path of its fused output."""
     windows, events = source.read_rows.windows, source.read_rows.events
     begins_ns, ends_ns = _extent(windows.values())
     for window in windows.values():
