@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -277,27 +277,41 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     white = float(np.square(seen).sum())
     rates, of_rate = np.unique(np.round(rows_per_s, 2), return_inverse=True)
     best, least = None, white
-    for effect in _filters(header, configured_hz, float(rows_per_s.max())):
-        decays = 2 * math.pi * effect.cutoff_hz / rates / math.sqrt(effect.poles)
-        band = effect.sampled_hz / 2 / effect.cutoff_hz
-        expected = [
-            [correlation(decay * lag, effect.poles, band) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()
-        ]
-        misfit = float(np.square(seen - np.array(expected)[of_rate]).sum())
+    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * float(rows_per_s.max())
+    sampled_hz = header.rate_hz if is_seen else math.inf
+    for effect, expected in _filter_correlations(configured_hz, sampled_hz, tuple(rates.tolist())):
+        misfit = float(np.square(seen - expected[of_rate]).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
 
 
-def _filters(header: SensorHeader, configured_hz: float, rows_per_s: float) -> Iterator[Bandwidth]:
-    """The filters that the chip may have; a digital one whose rows come far more slowly than its samples looks
-    analogue.
+@lru_cache(maxsize=64)
+def _filter_correlations(
+    configured_hz: float, sampled_hz: float, rates: tuple[float, ...]
+) -> tuple[tuple[Bandwidth, Floats], ...]:
+    """The filters that the chip may have, and the correlations (r, k) at the first k lags of rows of these `rates`,
+    which are the same for all replicates.
     """
-    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * rows_per_s
-    for sampled_hz in (math.inf, header.rate_hz) if is_seen else (math.inf,):
+    found = []
+    for effect in _filters(configured_hz, sampled_hz):
+        decays = 2 * math.pi * effect.cutoff_hz / np.array(rates) / math.sqrt(effect.poles)
+        band = effect.sampled_hz / 2 / effect.cutoff_hz
+        expected = [
+            [correlation(decay * lag, effect.poles, band) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()
+        ]
+        found.append((effect, np.array(expected)))
+    return tuple(found)
+
+
+def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
+    """The filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows come
+    far more slowly than its samples looks analogue.
+    """
+    for sampled in dict.fromkeys((math.inf, sampled_hz)):
         for poles in (1.0, 2.0):
             for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
-                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled_hz)
+                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled)
 
 
 def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
