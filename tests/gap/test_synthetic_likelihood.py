@@ -101,6 +101,16 @@ def test_one_wild_replicate_does_little() -> None:
     assert after.location[0] == pytest.approx(before.location[0], abs=0.2)
 
 
+def test_what_scatters_widely_in_half_of_the_replicates_is_not_wild() -> None:
+    """Half are nearly alike, half normal with a standard deviation of 1: a tenth of all is beyond c = 1.282, and counts
+    as c; with 2 c phi(c) = 0.4499 the mean square is (0.8 - 0.4499 + 0.2 c^2) / 2, and its root 0.583.
+    """
+    values = np.random.default_rng(4).normal(0.0, np.repeat([1e-3, 1.0], 4000))[:, None]
+    found = likeness_of(values, np.zeros(1))
+    assert found.scale[0] == pytest.approx(0.583, rel=0.03)
+    assert np.abs(found.scores(values)).max() < 4.5 / 0.583  # of 4000 normal ones, the largest
+
+
 def test_what_is_seldom_said_has_no_scatter() -> None:
     replicates = np.full((10, 4), NAN)
     replicates[:4, 1], replicates[:6, 2], replicates[:, 3] = 1.0, 1.0, 1.0

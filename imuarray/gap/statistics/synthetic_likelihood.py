@@ -22,6 +22,9 @@ FORM = 0.05
 gives it.
 """
 
+OUTLIER_SHARE = 0.1
+"""Share of the replicates that may be outliers without widening the scatter of the others."""
+
 LARGEST_SCORE = 100.0
 """Limit of scores, and the score charged to a hypothesis under which a recorded statistic has no value."""
 
@@ -128,12 +131,23 @@ def independent_share(scores: Floats) -> float:
 
 
 def _scatter(values: Floats, middle: Floats) -> Floats:
-    """Standard deviation (n,) about the median, with deviations limited to five robust standard deviations."""
+    """Standard deviation (n,) about the median, with deviations limited to five robust standard deviations, or to the
+    `1 - OUTLIER_SHARE` quantile if that is larger: a statistic that scatters widely in half of the replicates and hardly
+    in the others, as turn-on biases do, has no outliers.
+    """
     deviations = np.abs(values - middle)
-    limit = 5 * 1.4826 * _median(deviations)
+    robust = 5 * 1.4826 * _median(deviations)
+    limit = np.where(robust > 0, np.maximum(robust, _quantile(deviations, 1 - OUTLIER_SHARE)), 0.0)
     near = np.where(limit > 0, np.minimum(deviations, np.where(limit > 0, limit, 1.0)), deviations)
     count = np.count_nonzero(np.isfinite(values), axis=0)
     return np.asarray(np.sqrt(np.nansum(near**2, axis=0) / np.maximum(count - 1, 1)))
+
+
+def _quantile(values: Floats, share: float) -> Floats:
+    """Quantile (n,) of the known values of (b, n): the least value that the `share` does not exceed."""
+    count = np.count_nonzero(np.isfinite(values), axis=0)
+    places = np.maximum(np.ceil(share * count).astype(int) - 1, 0)
+    return np.asarray(np.sort(values, axis=0)[places, np.arange(values.shape[1])])  # what is not known comes last
 
 
 def _median(values: Floats) -> Floats:
