@@ -24,7 +24,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate.active_spans import acting
 from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.own_clock import AT_ITS_RATE
+from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
@@ -38,7 +38,8 @@ OVERSAMPLING = 3
 """Of the barometer: the driver's setting, the quietest (BMP-44)."""
 
 _PRESSURE_RMS_PA = 3.0  # BMP-44
-_NO_READY_BIT = ("hmc5883", "hmc5883l")  # their driver can't see it: an identical triad is all it knows of
+NO_READY_BIT = ("hmc5883", "hmc5883l")
+"""Chips whose ready bit no driver sees: an identical triad is all it knows of."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
@@ -83,7 +84,10 @@ class SimulatedSensor:
         within = [(acting(effect, streams.boot), at) for effect, at in places]
         self._acting = tuple((effect, at) for effect, at in within if effect is not None)
         self._is_late = any(effect.name == "jitter" for effect in self.effects)
-        self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
+        self._is_polled = any(isinstance(effect, OwnClock) and effect.polled for effect in self.effects)
+        self._lookback = (
+            1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
+        )
         self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
         self._chunk = lru_cache(maxsize=4)(self._evaluated)
 
@@ -224,14 +228,17 @@ class SimulatedSensor:
         temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
         counts = converted(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
+        if self._is_polled:
+            return held(codes, analog.rate_hz, phase) if analog.rate_hz > 0 else codes
         rows_per_s = self.timeline.rows_per_s
         is_asked_twice = self._is_late and analog.rate_hz > (1 + AT_ITS_RATE) * rows_per_s
-        return held(codes, analog.rate_hz, phase) if is_asked_twice or 0 < analog.rate_hz < rows_per_s else codes
+        is_slow = 0 < (1 + AT_ITS_RATE) * analog.rate_hz < rows_per_s
+        return held(codes, analog.rate_hz, phase) if is_asked_twice or is_slow else codes
 
     def _status(self, counts: npt.NDArray[np.int16], fresh: Booleans) -> npt.NDArray[np.uint16]:
         """Flags as the logger would set them: stale, saturated."""
         span = self._span
-        if self.header.chip in _NO_READY_BIT:
+        if self.header.chip in NO_READY_BIT:
             fresh = np.concatenate([[True], (counts[1:] != counts[:-1]).any(axis=1)])
         status = np.zeros(len(counts), np.uint16)
         if not fresh.all():

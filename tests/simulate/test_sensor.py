@@ -15,6 +15,7 @@ from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.simulate.model import parse_model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
@@ -255,3 +256,18 @@ def test_a_sensor_in_the_place_of_another(constant: Any) -> None:
     assert places == {"A": (0.0, -30.0, 0.0), "B": (0.0, -30.0, 0.0)}
     with pytest.raises(ValueError, match=r"^channel_swap of A: C: not in this array; it has A, B$"):
         Simulation(plan, motion, {"A": (ChannelSwap("C", "place"),)})
+
+
+def test_rows_that_come_a_little_faster_than_the_nominal_rate_are_readings_unless_they_are_polled(
+    constant: Any,
+) -> None:
+    """401 rows a second for 20 s: whose clock made them is not known, but for a host's. That host asks a chip of
+    400 Hz 8020 times for 8000 readings.
+    """
+    asked = {"rate_hz": 401.0, "seconds": 20.0}
+    own, polled = (
+        sensor(constant(), "adxl345", (OwnClock(phase_deg=90.0, polled=polled),), **asked).block(0, 8020).status
+        for polled in (0.0, 1.0)
+    )
+    assert not (own & STALE).any()
+    assert np.count_nonzero(polled & STALE) == pytest.approx(20, abs=1)
