@@ -15,7 +15,7 @@ from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate
 from imuarray.gap.model.rest import response_of
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key, statistics
-from imuarray.log.format import Phase
+from imuarray.log.format import OVERRUN, STALE, Phase
 from imuarray.simulate import parse_model
 from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.own_clock import OwnClock
@@ -260,6 +260,35 @@ def test_a_slow_data_clock_is_told_by_the_readings_that_come_again(slow: float, 
     assert found.clock_error == pytest.approx(-slow, abs=2e-4)
 
 
+def test_rows_that_the_recorder_flags_tell_a_slow_clock_where_most_readings_are_equal() -> None:
+    """Of 2000 polls 24 find no new reading: 1.2 % slow. Coarse counts are equal by chance in one of ten rows, which
+    hides 24 repeats; the flags don't.
+    """
+    coarse = np.random.default_rng(5).normal(size=(2000, 3))
+    latest = np.floor(np.arange(2000) * (1 - 0.012)).astype(int)
+    is_stale = np.append(False, np.diff(latest) == 0)
+    assert np.count_nonzero(is_stale) == 24
+    unflagged, flagged = (
+        fitted_to_rows(coarse[latest], data_rate_hz=200.0, bandwidth_hz=50.0, counts_rms=0.6, stale=stale)
+        for stale in (None, is_stale)
+    )
+    assert math.isnan(unflagged.clock_error)
+    assert flagged.clock_error == pytest.approx(-0.012, abs=1e-3)
+
+
+def test_polls_that_are_early_and_late_by_turns_tell_the_nominal_rate() -> None:
+    """Polls 1 ms early and late by turns, of readings made 0.5 ms after each of the nominal moments: every other poll
+    finds nothing new, and every other one finds that it missed a reading. As many overruns as repeats: no clock is off.
+    """
+    polls = np.arange(2000) + 0.2 * (-1.0) ** np.arange(2000)
+    latest = np.floor(polls - 0.1).astype(int) + 1
+    fewer = np.append(1, np.diff(latest))
+    assert set(fewer.tolist()[1:]) == {0, 2}
+    noise = np.random.default_rng(5).normal(size=(2001, 3))
+    found = fitted_to_rows(noise[latest], 200.0, 50.0, stale=fewer == 0, overrun=fewer == 2)
+    assert found.clock_error == pytest.approx(0.0, abs=1e-3)
+
+
 def test_repeats_at_random_are_no_slow_clock() -> None:
     """Of 20,000 rows of which each repeats the one before with a chance of 3 %, some 18 do so twice in a row."""
     generator = np.random.default_rng(6)
@@ -280,10 +309,22 @@ def fitted_to_noise(over: Sequence[float], under: Sequence[float], every: int = 
     return fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=35.0)
 
 
-def fitted_to_rows(noise: npt.NDArray[np.float64], data_rate_hz: float, bandwidth_hz: float) -> FittedParameters:
-    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3)."""
+def fitted_to_rows(
+    noise: npt.NDArray[np.float64],
+    data_rate_hz: float,
+    bandwidth_hz: float,
+    counts_rms: float = 20.0,
+    stale: npt.NDArray[np.bool_] | None = None,
+    overrun: npt.NDArray[np.bool_] | None = None,
+) -> FittedParameters:
+    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3) of so many counts; the recorder
+    flags the rows that are `stale` and `overrun` (n,), or none.
+    """
     gyro = header("G", chip="l3g4200d", rate_hz=data_rate_hz, bandwidth_hz=bandwidth_hz)
-    rows = block(np.rint(20 * noise / noise.std()), 5_000_000)
+    rows = block(np.rint(counts_rms * noise / noise.std()), 5_000_000)
+    for flag, flagged in ((STALE, stale), (OVERRUN, overrun)):
+        if flagged is not None:
+            rows = rows._replace(status=rows.status | np.where(flagged, np.uint16(flag), np.uint16(0)))
     whole = Phase(0, 100 * 10**9, "static", "+Z")
     log = summarise_log("static", {"G": OneBlock(gyro, rows)}, [whole], lambda time_ns: np.full(len(time_ns), 25.0))
     return fit(Campaign((log,)), [Still()]).fitted["G"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -100,3 +101,51 @@ def test_the_same_seed_is_the_same_and_another_is_not() -> None:
     np.testing.assert_array_equal(first.values, again.values)
     assert first.keys == other.keys
     assert not np.array_equal(first.values, other.values, equal_nan=True)
+
+
+def test_who_flags_equal_rows_of_a_magnetometer_recorded_the_same(tmp_path: Path) -> None:
+    """Nothing tells a recorder whether a reading of an HMC5883L is new (no driver sees its ready bit): some flag a row
+    that equals the one before, others none.
+    """
+    array = parse_array(
+        '[array]\nname = "one"\nbus = "i2c:/dev/i2c-1"\n[[sensor]]\nname = "M"\nchip = "hmc5883l"\n'
+        "address = 0x1E\nrange = 1.3\n"
+    )
+    made = Simulation(plan_of(array, 20.0, 5.0), Still(seconds=5), {})  # without noise all rows are equal
+    paths = [tmp_path / "flagged.h5", tmp_path / "unflagged.h5"]
+    for path in paths:
+        write_log(made, path)
+    with h5py.File(paths[1], "r+") as file:
+        status = file["sensors/M/status"]
+        assert np.count_nonzero(status[:] & 1) == len(status) - 1
+        status[:] &= ~np.uint16(1)
+    span = (0, 5 * 10**9)
+    with open_log(paths[0]) as flagged, open_log(paths[1]) as unflagged:
+        sources = (RecordedSource(flagged["M"]), RecordedSource(unflagged["M"]), simulated_sources(made)["M"])
+        for source in sources:
+            blocks = list(source.blocks(*span))
+            counts = np.concatenate([block.counts for block in blocks])
+            assert len(counts) > 90
+            assert (counts == counts[0]).all()
+            assert not np.concatenate([block.status for block in blocks]).any()
+
+
+def test_a_flagged_row_that_differs_from_the_one_before_is_a_new_reading(tmp_path: Path) -> None:
+    """Of rows 5, 6 and 7, all flagged as no new reading, row 6 alone equals the one before."""
+    path = tmp_path / "log.h5"
+    write_log(simulation(Still(seconds=2), {}, seed=1), path)
+    with h5py.File(path, "r+") as file:
+        rows = file["sensors/A1"]
+        counts, status = rows["counts"][:], rows["status"][:]
+        counts[:10] = np.arange(10)[:, None]
+        counts[6] = counts[5]
+        status[:] = 0
+        status[5:8] = 1
+        rows["counts"][:], rows["status"][:] = counts, status
+    with open_log(path) as log:
+        source = RecordedSource(log["A1"])
+        for start_ns in (0, int(log["A1"].time[6])):  # the row before the first that is asked for counts too
+            blocks = list(source.blocks(start_ns, 2 * 10**9))
+            times = np.concatenate([block.time for block in blocks])
+            is_stale = np.concatenate([block.status for block in blocks]) & 1 != 0
+            np.testing.assert_array_equal(times[is_stale], [log["A1"].time[6]])

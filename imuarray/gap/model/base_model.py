@@ -123,7 +123,7 @@ class Base:
         if header.quantity == "specific_force":
             effects = with_position(effects, header.position_mm)
         clock_error = self.fitted[header.name].clock_error
-        if math.isfinite(clock_error):
+        if math.isfinite(clock_error) and header.name not in self.queued:
             clock = OwnClock(clock_error, math.nan, 1.0)
             effects = tuple(clock if isinstance(effect, OwnClock) else effect for effect in effects)
         if header.name in self.queued:
@@ -267,7 +267,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     if configured_hz <= 0 or not rests:
         return None
     rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
-    repeated = np.array([_repeated_share(phase) for phase in rests])[:, None]
+    repeated = np.array([_repeated_share(phase, _is_flagged(rests)) for phase in rests])[:, None]
     lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
     passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1) / max(float(passed), 0.1)
@@ -320,13 +320,16 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
 
     A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
     any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
-    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance.
+    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. Rows
+    that the recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as
+    overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
+    none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate.
     """
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if header.rate_hz <= 0 or not rests:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
-    tolerance = clock_tolerance(header)
+    tolerance, is_flagged = clock_tolerance(header), _is_flagged(rests)
     for phase in rests:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
@@ -337,8 +340,9 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
             continue
         if repeats.longest > longest:
             return math.nan
-        slips += excess >= _SLIPS
-        readings_per_s.append((1 - _repeated_share(phase)) * rows_per_s)
+        slips += phase.flags["stale"] > 0 or excess >= _SLIPS
+        readings = 1 - _repeated_share(phase, is_flagged) + is_flagged * phase.flags["overrun"] / phase.rows
+        readings_per_s.append(readings * rows_per_s)
         weight.append(phase.rows)
     if not slips:
         return math.nan
@@ -346,7 +350,9 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     apart = np.abs(np.array(readings_per_s) / header.rate_hz - 1 - error)
     unsure = _SLIPS * np.sqrt(np.abs(error) / np.array(weight))
     is_one_clock = bool((apart <= np.maximum(_SAME_CLOCK * abs(error), unsure)).all())
-    return error if is_one_clock and abs(error) <= tolerance else math.nan
+    if is_one_clock and abs(error) <= tolerance:
+        return error
+    return 0.0 if is_flagged and abs(error) <= tolerance else math.nan
 
 
 def _equal_in_a_row(by_chance: float, rows: int) -> int:
@@ -356,14 +362,19 @@ def _equal_in_a_row(by_chance: float, rows: int) -> int:
     return math.ceil(math.log(rows) / -math.log(by_chance)) if by_chance > 1 / rows else 0
 
 
-def _repeated_share(phase: Summary) -> float:
-    """Share of the rows that are no new reading: by the recorder's flags, otherwise by equality."""
-    if phase.flags["stale"]:
+def _repeated_share(phase: Summary, is_flagged: bool) -> float:
+    """Share of the rows that are no new reading: by the recorder's flags if it sets any, otherwise by equality."""
+    if is_flagged:
         return phase.flags["stale"] / phase.rows
     by_chance = _equal_neighbours(phase)
     if by_chance >= 1:
         return 0.0  # a sensor without noise
     return float(np.nan_to_num((phase.repeats.repeat_share - by_chance) / (1 - by_chance)))
+
+
+def _is_flagged(phases: Iterable[Summary]) -> bool:
+    """Whether the recorder flags rows that are no new reading."""
+    return any(phase.flags["stale"] for phase in phases)
 
 
 def _equal_neighbours(phase: Summary) -> float:

@@ -16,10 +16,10 @@ import numpy as np
 
 from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import STALE, SensorHeader
 from imuarray.log.sensor_log import first_at, recorded_header
 from imuarray.log.writer import Block
-from imuarray.simulate.sensor import SimulatedSensor
+from imuarray.simulate.sensor import NO_READY_BIT, SimulatedSensor
 from imuarray.simulate.simulation import EVERY_FLAG, Simulation
 from imuarray.simulate.streams import CHUNK
 from imuarray.simulate.timeline import Timeline
@@ -44,11 +44,14 @@ class Source(Protocol):
 
 
 class RecordedSource:
-    """A sensor of an open log."""
+    """A sensor of an open log. A row that is flagged as no new reading and differs from the one before is one: the
+    chip made it after its flag was read and before its data were. Its flag is left out.
+    """
 
     def __init__(self, sensor: SensorLog) -> None:
         self.header = _header_in(sensor)
         self.cache: dict[Hashable, Any] = {}
+        self._flags = np.uint16(flags_of_chip(sensor.chip))
         self._columns = (sensor.time, sensor.counts, sensor.status, sensor.temperature_counts)
         self._row_at = lru_cache(maxsize=64)(partial(first_at, sensor.time))
 
@@ -64,10 +67,15 @@ class RecordedSource:
         """Rows begin ... end - 1, in the same slices."""
         time, counts, status, temperature = self._columns
         for first, stop in _parts(begin, end):
+            rows = np.asarray(counts[max(first - 1, 0) : stop], np.int16)
+            is_new = (rows[1:] != rows[:-1]).any(axis=1)
+            if first == 0:
+                is_new = np.append(True, is_new)
+            flags = np.asarray(status[first:stop], np.uint16) & self._flags
             yield Block(
                 np.asarray(time[first:stop], np.int64),
-                np.asarray(counts[first:stop], np.int16),
-                np.asarray(status[first:stop], np.uint16),
+                rows[-(stop - first) :],
+                np.where(is_new, flags & ~np.uint16(STALE), flags),
                 None if temperature is None else np.asarray(temperature[first:stop], np.int16),
             )
 
@@ -100,7 +108,7 @@ class SimulatedSource:
     def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, *, alone: bool = False) -> None:
         """`flags` are those that the recorder sets."""
         self.header, self._alone = sensor.header, alone
-        self._flags = flags
+        self._flags = flags & flags_of_chip(sensor.header.chip)
         self.cache: dict[Hashable, Any] = {}
         self._sensor = sensor
         self._row_at = lru_cache(maxsize=64)(self._find_row)
@@ -120,6 +128,14 @@ class SimulatedSource:
         """The first row stamped `at_ns` or later."""
         stamps = self._sensor.timeline.stamps
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
+
+
+def flags_of_chip(chip: str) -> int:
+    """The flags that tell something of a chip's rows. Nothing tells a recorder whether a reading of a chip without a
+    ready bit is new: some flag a row that equals the one before, others no row. How many are equal is counted without
+    the flag.
+    """
+    return EVERY_FLAG & ~STALE if chip in NO_READY_BIT else EVERY_FLAG
 
 
 def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenSource:

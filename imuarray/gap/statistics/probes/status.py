@@ -34,7 +34,7 @@ def _probe(about: str, moved_by: tuple[str, ...], *flags: str) -> PhaseProbe:
 
 STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), "stale")
 SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), "saturated")
-LOST = _probe("before which some were lost", ("dropped_samples",), "lost_before", "overrun")
+LOST = _probe("before which some were lost", ("dropped_samples",), "lost_before")
 DOUBT = _probe("of a chip in doubt or just set up again", (), "suspect", "reconfigured")
 WORDS = PhaseProbe(
     "status",
