@@ -106,7 +106,7 @@ def test_what_scatters_widely_in_half_of_the_replicates_is_not_wild() -> None:
     as c; with 2 c phi(c) = 0.4499 the mean square is (0.8 - 0.4499 + 0.2 c^2) / 2, and its root 0.583.
     """
     values = np.random.default_rng(4).normal(0.0, np.repeat([1e-3, 1.0], 4000))[:, None]
-    found = likeness_of(values, np.zeros(1))
+    found = likelihood_of(values, np.zeros(1))
     assert found.scale[0] == pytest.approx(0.583, rel=0.03)
     assert np.abs(found.scores(values)).max() < 4.5 / 0.583  # of 4000 normal ones, the largest
 

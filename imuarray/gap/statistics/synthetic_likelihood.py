@@ -132,8 +132,8 @@ def independent_share(scores: Floats) -> float:
 
 def _scatter(values: Floats, middle: Floats) -> Floats:
     """Standard deviation (n,) about the median, with deviations limited to five robust standard deviations, or to the
-    `1 - OUTLIER_SHARE` quantile if that is larger: a statistic that scatters widely in half of the replicates and hardly
-    in the others, as turn-on biases do, has no outliers.
+    `1 - OUTLIER_SHARE` quantile if that is larger: a statistic that scatters widely in half of the replicates and
+    hardly in the others, as turn-on biases do, has no outliers.
     """
     deviations = np.abs(values - middle)
     robust = 5 * 1.4826 * _median(deviations)
