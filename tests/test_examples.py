@@ -38,6 +38,6 @@ def test_the_simulators_missing_tone_is_diagnosed(tmp_path: Path) -> None:
     (cause,) = results["diagnosis"].causes
     assert (cause.effect, cause.sensors) == ("tone", ("Gyro2",))
     assert cause.parameters["frequency_hz"] == pytest.approx(11.0, abs=0.05)
-    assert cause.parameters["amplitude_dps"] == pytest.approx(0.6, rel=0.1)
+    assert cause.parameters["amplitude_dps"] == pytest.approx([0.6, 0.6, 0.6], rel=0.1)
     assert np.linalg.norm(results["fused"].specific_force.mean(axis=0)) == pytest.approx(9.80665, abs=0.03)
     assert {path.name for path in tmp_path.glob("*.svg")} == {"allan.svg", "diagnosis.svg"}

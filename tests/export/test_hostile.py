@@ -67,9 +67,9 @@ BAD: dict[str, tuple[Callable[[Members], Members], str]] = {
     "no array at all": (lambda m: {COUNTS: b"MZ"}, "array Acc_counts"),
     "a header that is code": (lambda m: {COUNTS: _npy(b"__import__('os').abort()")}, "array Acc_counts"),
     "no header": (lambda m: {"header.npy": b""}, "array header"),
-    "a header of numbers": (lambda m: {"header.npy": array(np.arange(3))}, "no header that"),
-    "a header of a list": (lambda m: {"header.npy": array(np.array(b"[1]"))}, "no header that"),
-    "a header of brackets": (lambda m: {"header.npy": array(np.array(b"[" * 100_000))}, "no header that"),
+    "a header of numbers": (lambda m: {"header.npy": array(np.arange(3))}, "no header written by"),
+    "a header of a list": (lambda m: {"header.npy": array(np.array(b"[1]"))}, "no header written by"),
+    "a header of brackets": (lambda m: {"header.npy": array(np.array(b"[" * 100_000))}, "no header written by"),
     "times that go back": (
         lambda m: {"Acc_time.npy": array(np.array([5, 4, 3, 2, 1]))},
         "Acc: time is not strictly increasing",
@@ -143,7 +143,7 @@ def test_archives_that_numpy_does_not_write(tmp_path: Path, members: Members) ->
     with pytest.raises(SourceError, match="packed in a way that numpy does not"):
         back(packed(tmp_path / "a.npz", members, zipfile.ZIP_BZIP2))
     (tmp_path / "b.npz").write_bytes(packed(tmp_path / "a.npz", members).read_bytes()[:-100])
-    with pytest.raises(SourceError, match=r"b\.npz: damaged, or no npz file"):
+    with pytest.raises(SourceError, match=r"b\.npz: damaged, or not an npz file"):
         back(tmp_path / "b.npz")
     data = packed(tmp_path / "a.npz", members, zipfile.ZIP_STORED).read_bytes()
     (tmp_path / "c.npz").write_bytes(data.replace(members[COUNTS][-8:], b"\1" * 8))
