@@ -156,9 +156,11 @@ def _line(power: Floats) -> Floats:
 
 def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
     """Kinds of stretches of windows whose statistics (w, f) differ from the rest, the clearest first; `least` (f,) is
-    the least scatter that is meaningful.
+    the least scatter that is meaningful. A statistic that does not scatter, as of a sensor that is stuck for most of
+    the time, has no score.
     """
     scatter = np.maximum(_scatter(statistics), least)
+    scatter[scatter == 0] = np.inf
     scores = (statistics - np.median(statistics, axis=0)) / scatter
     inside, first, nats = np.zeros(len(scores), bool), np.zeros(scores.shape[1]), 0.0
     for _ in range(_MOST_STRETCHES):

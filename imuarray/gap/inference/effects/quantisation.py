@@ -34,6 +34,11 @@ _FURTHEST_CARRY = 64
 noise spans has gaps by itself.
 """
 
+_LEAST_EXPECTED = 14.0
+"""Readings that missing codes would hold if they were as frequent as their neighbours. Chance leaves out so many at one
+of 64 places of 12 carries in one recording of a thousand: exp(-14) 64 12 < 0.001.
+"""
+
 _FEWEST = 3
 """Fewer different codes have a common divisor by chance."""
 
@@ -140,7 +145,9 @@ def _missing(carry: int, counts: Floats, spans: Integers) -> int:
     missing = int(np.argmin(few)) if few[0] else 0
     there = counts[1 : carry - missing]
     edges = np.concatenate([there[:2], there[-2:]])
-    if not missing or not len(there) or counts[0] < (1 + missing / 2) * edges.mean():
+    if not missing or not len(there) or missing * edges.mean() < _LEAST_EXPECTED:
+        return 0
+    if counts[0] < (1 + missing / 2) * edges.mean():
         return 0
     return missing if ((spans[:, 0] - 1) // carry < (spans[:, 1] - 1) // carry).any() else 0
 

@@ -1,0 +1,18 @@
+"""Stretches of windows whose statistics differ from those of the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imuarray.gap.recording.course import changes
+
+
+def test_a_sensor_that_is_stuck_for_most_windows_has_no_stretch() -> None:
+    """Without scatter nothing tells how clear a difference is; the other statistic still does."""
+    statistics = np.zeros((40, 2))
+    statistics[:5, 0] = 0.1
+    assert not list(changes(statistics, np.zeros(2)))
+    statistics[:, 1] = np.random.default_rng(3).normal(0, 1, 40)
+    statistics[10:20, 1] += 30
+    (change,) = changes(statistics, np.zeros(2))
+    assert np.flatnonzero(change.inside).tolist() == list(range(10, 20))
