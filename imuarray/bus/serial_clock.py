@@ -66,7 +66,7 @@ class ClockFit:
         self._given_ns: int | None = None
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
-        """Add a frame that was sent at `sent_ns` of the microcontroller's time and had arrived by `arrived_ns` of ours."""
+        """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of ours."""
         if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
             self._block_ns = sent_ns
             self._sent_ns.append(sent_ns)

@@ -91,7 +91,7 @@ class Frame(NamedTuple):
 
 
 class Capacity(NamedTuple):
-    """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that there is room for."""
+    """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that fit."""
 
     version: int
     lists: int

@@ -223,7 +223,7 @@ class Salvage:
         return True
 
     def has_hole(self, start: int, end: int) -> bool:
-        """Return whether a page between two positions is nothing but zeros: a power cut may have kept it from the disk."""
+        """Return whether a page between two positions is all zeros: a power cut may have kept it from the disk."""
         data = self._read(min(end - start, SEARCH_BYTES), start)
         ends = range(_PAGE - start % _PAGE, len(data) + 1, _PAGE)
         return any(not any(data[max(0, stop - _PAGE) : stop]) for stop in ends)
