@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imuarray.errors import ExportError
-from imuarray.export.formats import UNITS, WRITERS, Exported, Progress, Wanted
+from imuarray.export.formats import UNITS, WRITERS, ExportRequest, ExportSummary, Progress
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.log import Log
 
-__all__ = ["UNITS", "WRITERS", "Exported", "export"]
+__all__ = ["UNITS", "WRITERS", "ExportSummary", "export"]
 
 
 def export(
@@ -38,7 +38,7 @@ def export(
     units: str | None = None,
     force: bool = False,
     progress: Progress = lambda share: None,
-) -> Exported:
+) -> ExportSummary:
     """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`); whole or not at all.
 
     `sensors`: only these. `units`: one of `UNITS`; by default raw counts with all that is needed to convert them (MCAP
@@ -48,7 +48,9 @@ def export(
     target = Path(path)
     write = _writer(target)
     log_path = source if isinstance(source, str | PathLike) else source.path
-    exported: Exported = write(Wanted(Path(log_path), tuple(sensors), calibration, units), target, force, progress)
+    exported: ExportSummary = write(
+        ExportRequest(Path(log_path), tuple(sensors), calibration, units), target, force, progress
+    )
     return exported
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ExportError
-from imuarray.export.formats import UNITS, Wanted
+from imuarray.export.formats import UNITS, ExportRequest
 from imuarray.export.fused import fused_content
 from imuarray.export.physical import compensated_columns, physical_columns, warmth
 from imuarray.export.tables import Column, Content, Table
@@ -27,26 +27,26 @@ _KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientatio
 
 
 @contextmanager
-def open_content(wanted: Wanted, usual: str = "counts") -> Iterator[Content]:
-    """The tables of a log, in `wanted.units`, else physical with a calibration, else in the `usual` ones; or those of a
-    fused file, which is in SI. ExportError for units that can't be, LogError, CalibrationError.
+def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Content]:
+    """Open the tables of a log in `request.units`, else physical with a calibration, else in the `usual` ones; or those
+    of a fused file, which is in SI. ExportError for units that are not allowed, LogError, CalibrationError.
     """
-    if wanted.units not in (None, *UNITS):
-        raise ExportError(f"units {wanted.units!r}: allowed are {', '.join(UNITS)}")
-    if wanted.units == "counts" and wanted.calibration is not None:
+    if request.units not in (None, *UNITS):
+        raise ExportError(f"units {request.units!r}: allowed are {', '.join(UNITS)}")
+    if request.units == "counts" and request.calibration is not None:
         raise ExportError("raw counts need no calibration; leave it out, or say units si or sensor")
-    if wanted.source.is_file() and is_fused(wanted.source):
-        with fused_content(wanted) as content:
+    if request.source.is_file() and is_fused(request.source):
+        with fused_content(request) as content:
             yield content
         return
-    with open_log(wanted.source) as log:
-        yield _content(log, wanted, wanted.units or ("si" if wanted.calibration else usual))
+    with open_log(request.source) as log:
+        yield _content(log, request, request.units or ("si" if request.calibration else usual))
 
 
-def _content(log: Log, wanted: Wanted, units: str) -> Content:
-    sensors = [log[name] for name in wanted.sensors] or list(log.sensors.values())
-    calibration = wanted.calibration or Calibration()
-    uncalibrated = () if wanted.calibration is None else _uncalibrated(log, sensors, calibration)
+def _content(log: Log, request: ExportRequest, units: str) -> Content:
+    sensors = [log[name] for name in request.sensors] or list(log.sensors.values())
+    calibration = request.calibration or Calibration()
+    uncalibrated = () if request.calibration is None else _uncalibrated(log, sensors, calibration)
     warm = warmth(log, calibration) if units != "counts" else {}
     tables = []
     for sensor in sensors:
@@ -63,7 +63,7 @@ def _content(log: Log, wanted: Wanted, units: str) -> Content:
         "software": log.software,
         "frame_rate_hz": log.frame_rate_hz,
     }
-    beside = [] if wanted.sensors else list(_tracks(log))
+    beside = [] if request.sensors else list(_tracks(log))
     return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events, uncalibrated)
 
 

@@ -29,20 +29,20 @@ from imuarray.export.formats import (
     CSV_INDEX,
     CSV_MAGIC,
     CSV_PHASES,
-    Exported,
+    ExportRequest,
+    ExportSummary,
     Progress,
-    Wanted,
     csv_names,
 )
 from imuarray.export.tables import Column, Content, Meter, Table, numbered
 from imuarray.printable import printable
 
 
-def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write one table to `path`, or a file for each table beside it and what they hold to `path`."""
-    with open_content(wanted) as content:
+    with open_content(request) as content:
         meter = Meter(content, progress)
-        if len(content.tables) == 1 and (wanted.sensors or content.head["format"] != "imuarray-log"):
+        if len(content.tables) == 1 and (request.sensors or content.head["format"] != "imuarray-log"):
             (table,) = content.tables
             with whole_file(path, force=force) as draft:
                 _write_table(draft, content, table, head_with(content, table=table.name), meter)

@@ -19,7 +19,7 @@ WRITERS: Mapping[str, str] = MappingProxyType(
         ".yaml": "imuarray.export.kalibr_yaml",
     }
 )
-"""Suffix and the module (loaded when it is asked for) that writes it: `write(wanted, path, force, progress)`."""
+"""Suffix and the module (loaded when it is asked for) that writes it: `write(request, path, force, progress)`."""
 
 UNITS = ("counts", "si", "sensor")
 """Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
@@ -62,7 +62,7 @@ Progress = Callable[[float], None]
 """Told from time to time what share of the work is done, 0 ... 1."""
 
 
-class Wanted(NamedTuple):
+class ExportRequest(NamedTuple):
     """What is asked for: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None: what
     suits the format), and a calibration to convert with (None: the data sheets' figures).
     """
@@ -73,7 +73,7 @@ class Wanted(NamedTuple):
     units: str | None = None
 
 
-class Exported(NamedTuple):
+class ExportSummary(NamedTuple):
     """What was written: files, rows by table, one of `UNITS`, in which they are, and the sensors whose physical values
     are the data sheets' though there was a calibration.
     """

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from imuarray.errors import ExportError
-from imuarray.export.formats import Wanted
+from imuarray.export.formats import ExportRequest
 from imuarray.export.tables import Column, Content, Table
 from imuarray.fuse.fused_file import FORMAT, FORMAT_VERSION, UNITS, fused_columns, rows_of, texts_of
 from imuarray.log.columns import NamedColumn
 
 
 @contextmanager
-def fused_content(wanted: Wanted) -> Iterator[Content]:
+def fused_content(request: ExportRequest) -> Iterator[Content]:
     """The one table of a fused file; ExportError for what only a log can be asked for, LogError for a file that is
     damaged or built to do harm.
     """
-    path = wanted.source
-    if wanted.sensors or wanted.calibration is not None or wanted.units not in (None, "si"):
+    path = request.source
+    if request.sensors or request.calibration is not None or request.units not in (None, "si"):
         raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert, and is in SI")
     with fused_columns(path) as (said, columns):
         head: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, "units": "si"}

@@ -17,7 +17,7 @@ from imuarray.calibrate.motion import longest_rest
 from imuarray.characterise import characterise_log
 from imuarray.characterise.kalibr import imu_files, imu_text
 from imuarray.errors import ExportError, OutputExistsError
-from imuarray.export.formats import Exported, Progress, Wanted
+from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.log import Log, open_log
 from imuarray.spelling import guess
 from imuarray.units import INERTIAL
@@ -26,69 +26,69 @@ _LARGEST = 1 << 28
 """Bytes of a characterisation; one of an array takes a hundredth."""
 
 
-def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write one file or several; ExportError where there is no noise to tell."""
-    if wanted.units not in (None, "si"):
+    if request.units not in (None, "si"):
         raise ExportError(f"{path}: Kalibr's figures are in SI")
-    result = _stored(wanted) if wanted.source.suffix == ".json" else _characterised(wanted, progress)
-    files = _files(result, wanted, path)
+    result = _stored(request) if request.source.suffix == ".json" else _characterised(request, progress)
+    files = _files(result, request, path)
     for file in files:
         if file.exists() and not force:
             raise OutputExistsError(file)
     for file, text in files.items():
         write_text(file, text, force=force)
     progress(1.0)
-    return Exported(tuple(files), {sensor["name"]: int(sensor["rows"]) for sensor in result["sensors"]}, "si")
+    return ExportSummary(tuple(files), {sensor["name"]: int(sensor["rows"]) for sensor in result["sensors"]}, "si")
 
 
-def _files(result: Mapping[str, Any], wanted: Wanted, path: Path) -> dict[Path, str]:
+def _files(result: Mapping[str, Any], request: ExportRequest, path: Path) -> dict[Path, str]:
     """Path to text."""
     try:
         text = imu_text(result)
         several = {} if text else imu_files(result)
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise ExportError(f"{wanted.source}: no result of `imuarray characterise`") from None
+        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
     if text:
         return {path: text}
     if not several:
-        raise ExportError(f"{wanted.source}: no inertial sensor whose noise could be fitted")
+        raise ExportError(f"{request.source}: no inertial sensor whose noise could be fitted")
     return {path.with_name(f"{path.stem}_{name.removeprefix('imu_')}"): text for name, text in several.items()}
 
 
-def _stored(wanted: Wanted) -> Mapping[str, Any]:
-    """What `characterise` wrote, of the sensors wanted."""
-    if wanted.calibration is not None:
-        raise ExportError(f"{wanted.source}: was made with its calibration; give `characterise` another")
+def _stored(request: ExportRequest) -> Mapping[str, Any]:
+    """What `characterise` wrote, of the requested sensors."""
+    if request.calibration is not None:
+        raise ExportError(f"{request.source}: was made with its calibration; give `characterise` another")
     try:
-        if wanted.source.stat().st_size > _LARGEST:
+        if request.source.stat().st_size > _LARGEST:
             raise ValueError("too long")
-        result = json.loads(wanted.source.read_text(encoding="utf-8"))
+        result = json.loads(request.source.read_text(encoding="utf-8"))
         names = [str(sensor["name"]) for sensor in result["sensors"]]
     except OSError as error:
-        raise ExportError(f"{wanted.source}: {error.strerror}") from None
+        raise ExportError(f"{request.source}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise ExportError(f"{wanted.source}: no result of `imuarray characterise`") from None
-    if unknown := sorted(set(wanted.sensors) - set(names)):
+        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
+    if unknown := sorted(set(request.sensors) - set(names)):
         raise ExportError(
-            f"{wanted.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
+            f"{request.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
         )
-    chosen = [one for one in result["sensors"] if not wanted.sensors or one["name"] in wanted.sensors]
+    chosen = [one for one in result["sensors"] if not request.sensors or one["name"] in request.sensors]
     return {**result, "sensors": chosen}
 
 
-def _characterised(wanted: Wanted, progress: Progress) -> Mapping[str, Any]:
+def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
     """The noise of the inertial sensors of a log at rest."""
-    with open_log(wanted.source) as log:
+    with open_log(request.source) as log:
         inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
-        names = [log[name].name for name in wanted.sensors] or inertial
+        names = [log[name].name for name in request.sensors] or inertial
         if not names:
-            raise ExportError(f"{wanted.source}: no accelerometer and no gyroscope in it")
+            raise ExportError(f"{request.source}: no accelerometer and no gyroscope in it")
         done = iter(range(1, 3 * len(names) + 1))
         return characterise_log(
             log,
             sensors=names,
             progress=lambda: progress(next(done, 0) / (3 * len(names))),
-            scales=_scales(log, names, wanted.calibration or Calibration()),
+            scales=_scales(log, names, request.calibration or Calibration()),
             stretch=longest_rest(log),
         )
 

@@ -18,7 +18,7 @@ from scipy.io import savemat
 from imuarray.atomic import whole_file
 from imuarray.errors import ExportError
 from imuarray.export.content import head_with, open_content
-from imuarray.export.formats import Exported, Progress, Wanted
+from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, Meter, Table, numbered
 
 MOST_BYTES = (1 << 31) - 1
@@ -28,9 +28,9 @@ _LONGEST_NAME = 63
 _HEAD = "imuarray"
 
 
-def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write all tables, phases and events to `path`; ExportError for more than `MOST_BYTES` of an array."""
-    with open_content(wanted) as content:
+    with open_content(request) as content:
         for table in content.tables:
             for column in table.columns:
                 if table.rows * column.row_bytes > MOST_BYTES:

@@ -25,7 +25,7 @@ from imuarray.atomic import whole_file
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import mcap_schemas as schemas
 from imuarray.export.content import open_content
-from imuarray.export.formats import Exported, Progress, Wanted
+from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Column, Content, Meter, Table
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class _Stream:
         return _Rows(time_ns[:count], messages[:count])
 
 
-def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write all tables, phases and events to `path`, in SI unless other units are asked for; MissingExtraError,
     ExportError for an epoch that is no date.
     """
@@ -97,12 +97,12 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
         from imuarray.export.mcap_container import Container
     except ImportError:
         raise MissingExtraError("mcap", "export") from None
-    with open_content(wanted, "si") as content:
+    with open_content(request, "si") as content:
         zero_ns = epoch_ns(content.epoch, path)
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
             container = Container(file, f"imuarray {__version__}")
             _say(container, content)
-            _merge(container, _streams(container, content, zero_ns, Meter(content, progress)), str(wanted.source))
+            _merge(container, _streams(container, content, zero_ns, Meter(content, progress)), str(request.source))
             container.finish()
         return content.exported(path)
 

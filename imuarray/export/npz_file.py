@@ -19,14 +19,14 @@ from numpy.lib import format as npy
 
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
-from imuarray.export.formats import NPZ_HEADER, Exported, Progress, Wanted
+from imuarray.export.formats import NPZ_HEADER, ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Column, Content, Meter, Table, numbered
 
 
-def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write all tables, phases and events to `path`."""
     with (
-        open_content(wanted) as content,
+        open_content(request) as content,
         whole_file(path, force=force) as draft,
         zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
     ):

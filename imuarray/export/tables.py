@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.export.formats import Exported, Progress
+from imuarray.export.formats import ExportSummary, Progress
 from imuarray.log.format import Event, Phase
 
 ROWS = 1 << 14
@@ -75,10 +75,10 @@ class Content:
     events: tuple[Event, ...] = ()
     uncalibrated: tuple[str, ...] = ()
 
-    def exported(self, *files: Path) -> Exported:
+    def exported(self, *files: Path) -> ExportSummary:
         """What there is to say once all of it is in `files`."""
         rows = {table.name: table.rows for table in self.tables}
-        return Exported(files, rows, self.units, self.uncalibrated)
+        return ExportSummary(files, rows, self.units, self.uncalibrated)
 
 
 def numbered(wish: str) -> Iterator[str]:

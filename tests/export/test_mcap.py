@@ -15,7 +15,7 @@ import pytest
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import export
 from imuarray.export.content import open_content
-from imuarray.export.formats import Wanted
+from imuarray.export.formats import ExportRequest
 from imuarray.export.mcap_file import epoch_ns
 from imuarray.export.mcap_schemas import table_message
 from imuarray.log import Block, LogWriter
@@ -132,7 +132,7 @@ def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: s
     source = log_of(tmp_path / "long.h5", 6000)
     export(source, tmp_path / "long.mcap", units=units)
     wanted: list[tuple[int, str, int, str]] = []
-    with open_content(Wanted(source, units=units)) as content:
+    with open_content(ExportRequest(source, units=units)) as content:
         zero_ns = epoch_ns(content.epoch, source)
         for table in content.tables:
             columns = [column.read(slice(None)).tolist() for column in table.columns]

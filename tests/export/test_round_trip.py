@@ -1,4 +1,4 @@
-"""Exported and imported again: the same log, whatever is in it."""
+"""ExportSummary and imported again: the same log, whatever is in it."""
 
 from __future__ import annotations
 

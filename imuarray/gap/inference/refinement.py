@@ -131,7 +131,7 @@ def _adapted(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialSta
     return best
 
 
-class _Replicated(NamedTuple):
+class _TrialStatistics(NamedTuple):
     """Replicates of models: values (r, n), likelihood and shift, their fits, the models with ordinary parameters
     corrected by these, and the misfit in nats.
     """
@@ -148,14 +148,14 @@ class _TrialState(NamedTuple):
     """A trial with the simulated models, and their replicates."""
 
     tried: FittedHypothesis
-    seen: _Replicated
+    seen: _TrialStatistics
 
 
 def _gained(state: _TrialState) -> float:
     return state.tried.gain
 
 
-def _widens(standing: UnitState, seen: _Replicated) -> bool:
+def _widens(standing: UnitState, seen: _TrialStatistics) -> bool:
     """True if the change adds much scatter: then two draws of it say little."""
     return bool(np.mean(seen.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
@@ -169,7 +169,7 @@ def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Mode
     return _TrialState(FittedHypothesis(trial, models, gain, _counts(standing, seen)), seen)
 
 
-def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, count: int) -> _Replicated | None:
+def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, count: int) -> _TrialStatistics | None:
     """Replicates of the training part, or of both (`whole`); None for parameters that an effect refuses."""
     (replicated,) = _replicate_each(bench, standing, [models], whole, count)
     return replicated
@@ -177,7 +177,7 @@ def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, c
 
 def _replicate_each(
     bench: Bench, standing: UnitState, several: Sequence[Models], whole: bool, count: int
-) -> list[_Replicated | None]:
+) -> list[_TrialStatistics | None]:
     """`_replicate` for several models of the same sensors, with so many replicates of each."""
     if not several:
         return []
@@ -195,7 +195,7 @@ def _replicate_each(
 
 def _replicated_from(
     bench: Bench, standing: UnitState, models: Models, replicates: Sequence[StatisticValues], whole: bool
-) -> _Replicated:
+) -> _TrialStatistics:
     """Likelihood, shift and fits from replicates of models."""
     kept = bench.among(standing.unit, standing.unit)
     values = np.array([replicate.values[kept] for replicate in replicates])
@@ -205,10 +205,10 @@ def _replicated_from(
     likelihood, moved = compared(standing, values)
     fits = [replicate.fitted for replicate in replicates]
     settled, misfit = standing.settled(models, fits), standing.misfit_of(bench.base.headers, fits)
-    return _Replicated(values, likelihood, moved, fits, settled, misfit)
+    return _TrialStatistics(values, likelihood, moved, fits, settled, misfit)
 
 
-def _gain(standing: UnitState, seen: _Replicated, trial: Hypothesis) -> float:
+def _gain(standing: UnitState, seen: _TrialStatistics, trial: Hypothesis) -> float:
     """Gain on the training part; for a trial that needs both parts the mean of both gains, unless it is brief and seen
     in one.
     """
@@ -216,18 +216,18 @@ def _gain(standing: UnitState, seen: _Replicated, trial: Hypothesis) -> float:
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
-def _by_log(bench: Bench, standing: UnitState, seen: _Replicated) -> dict[int, float]:
+def _by_log(bench: Bench, standing: UnitState, seen: _TrialStatistics) -> dict[int, float]:
     """Gains of statistics of single logs."""
     gains, logs = gains_of(standing, seen.likelihood, seen.moved), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
-def _counts(standing: UnitState, seen: _Replicated) -> float:
+def _counts(standing: UnitState, seen: _TrialStatistics) -> float:
     return counts_of(standing, seen.likelihood, seen.moved)
 
 
 def _slopes(
-    bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], seen: _Replicated
+    bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], seen: _TrialStatistics
 ) -> Floats:
     """Change (n, k) of each statistic with the log of each factor.
 
@@ -256,7 +256,7 @@ def _nudged(
     standing: UnitState,
     trial: Hypothesis,
     factors: Sequence[Factor],
-    seen: _Replicated,
+    seen: _TrialStatistics,
     groups: Sequence[list[int]],
 ) -> list[tuple[float, Floats]]:
     """For each group of factors the step in their logs, upwards or where that can't be simulated downwards, and the
@@ -281,7 +281,7 @@ def _nudged(
     return outcomes
 
 
-def _step(standing: UnitState, seen: _Replicated, slopes: Floats) -> Floats:
+def _step(standing: UnitState, seen: _TrialStatistics, slopes: Floats) -> Floats:
     """Best changes (k,) of the logs of the factors."""
     likelihood = seen.likelihood
     known = np.isfinite(likelihood.location) & np.isfinite(standing.real) & np.isfinite(likelihood.scale)
