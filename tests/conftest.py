@@ -20,6 +20,7 @@ settings.load_profile("quick")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """Keep thousands of collected tests out of every later garbage collection: none of them is freed before the end."""
-    gc.collect()
-    gc.freeze()
+    """Collect garbage seldom: thousands of collected tests, none of which is freed before the end, are looked at each
+    time. They are not frozen, since Hypothesis looks for referrers of its random numbers, which would hide them.
+    """
+    gc.set_threshold(100_000, 20, 50)
