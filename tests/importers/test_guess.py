@@ -25,7 +25,7 @@ def text_of(header: str | None, values: np.ndarray, time_s: np.ndarray | None = 
 CASES: dict[str, tuple[str, list[str]]] = {
     "short names": (
         text_of("t,ax,ay,az,gx,gy,gz", COUNTS, form="{:d}"),
-        ['unit = "s"', "sensitivity = 4096   # ? by gravity", "sensitivity = 131"],
+        ['unit = "s"', "sensitivity = 4096   # ? from gravity", "sensitivity = 131"],
     ),
     "long names with units": (
         text_of(
@@ -33,7 +33,10 @@ CASES: dict[str, tuple[str, list[str]]] = {
         ),
         ['unit = "m/s2"', 'unit = "rad/s"', 'columns = ["Accel_X [m/s^2]", "Accel_Y [m/s^2]", "Accel_Z [m/s^2]"]'],
     ),
-    "no header": (text_of(None, SI), ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? by its size', "rad/s"]),
+    "no header": (
+        text_of(None, SI),
+        ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? from the size of the values', "rad/s"],
+    ),
     "no header, the rate before the force": (
         text_of(None, np.hstack([SI[:, 3:], SI[:, :3]])),
         ['columns = [4, 5, 6]\nunit = "m/s2"', 'columns = [1, 2, 3]\nunit = "rad/s"'],
@@ -70,7 +73,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     ),
     "a temperature in degrees": (
         text_of("t,ax,ay,az,gx,gy,gz,Temp", np.hstack([COUNTS, 20 + np.arange(2000)[:, None] / 997])),
-        ["[[thermometer]]", 'unit = "degC"   # ? by its size'],
+        ["[[thermometer]]", 'unit = "degC"   # ? from the size of the values'],
     ),
 }
 

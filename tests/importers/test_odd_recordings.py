@@ -206,7 +206,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) / [4.096, 4.096, 4.096, 1, 1, 1])]),
         MAP.replace('unit = "g"\nrange = 8\nsensitivity = 4096', 'unit = "g"'),
         0,
-        ["g at rest, where 1 g is there: the columns may be in mg, not g"],
+        ["g at rest instead of 1 g: the columns may be in mg, not g"],
     ),
     "another range's sensitivity": (
         joined(plain()),
