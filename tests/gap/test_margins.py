@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm, pearson3, t
 
-from imuarray.gap.findings.deviations import MARGINS, margin, needed, record_words, share, sized, sizes
+from imuarray.gap.findings.deviations import MARGINS, length_words, margin, needed, share, sized, sizes
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
 from tests.gap.made import header
@@ -139,22 +139,22 @@ def test_a_log_as_long_as_needed_tells(seconds: float, scale: float, limit: floa
 
 def test_no_log_tells_nothing() -> None:
     assert needed(60.0, 1.0, 0.0) == math.inf
-    assert record_words(math.inf) == "no log is long enough"
+    assert length_words(math.inf) == "no log is long enough"
 
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [
-        (0.01, "record 1 second"),
-        (41.2, "record 42 seconds"),
-        (1500.0, "record 25 minutes"),
-        (1501.0, "record 26 minutes"),
-        (5400.0, "record 90 minutes"),
-        (5401.0, "record 2 hours"),
-        (172_800.0, "record 48 hours"),
-        (172_801.0, "record 3 days"),
-        (86_400.0 * 123, "record 130 days"),
+        (0.01, "1 second"),
+        (41.2, "42 seconds"),
+        (1500.0, "25 minutes"),
+        (1501.0, "26 minutes"),
+        (5400.0, "90 minutes"),
+        (5401.0, "2 hours"),
+        (172_800.0, "48 hours"),
+        (172_801.0, "3 days"),
+        (86_400.0 * 123, "130 days"),
     ],
 )
 def test_words(seconds: float, words: str) -> None:
-    assert record_words(seconds) == words
+    assert length_words(seconds) == words

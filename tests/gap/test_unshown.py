@@ -172,8 +172,8 @@ def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
     keys = [key("band_1"), key("band_2", "A2"), key("band_3"), key("band_1", "G1"), key("noise"), key("line")]
     told = doubts([2.0, 3.0, 0.9, 2.0, 0.99, math.nan], keys, 60.0)
     assert told == (
-        Unobservable("differences of spectrum", ("A1", "A2"), "record 7 minutes"),
-        Unobservable("differences of spectrum", ("G1",), "record 4 minutes"),
+        Unobservable("differences of spectrum", ("A1", "A2"), "7 minutes"),
+        Unobservable("differences of spectrum", ("G1",), "4 minutes"),
     )
 
 
@@ -182,7 +182,7 @@ def test_lengths_are_those_of_each_log() -> None:
     told = uncertain_domains(
         scales, margins, [key("noise", axis=axis) for axis in "xyz"], np.array([10.0, 60.0, 900.0]), SENSORS
     )
-    assert [one.record for one in told] == ["record 4 minutes"]
+    assert [one.record for one in told] == ["4 minutes"]
 
 
 def test_where_longer_logs_will_not_do() -> None:

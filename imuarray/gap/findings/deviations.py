@@ -245,15 +245,15 @@ def needed(seconds: float, scale: float, margin: float) -> float:
     return seconds * (TWO_SIDED_95 * scale / margin) ** 2 if margin > 0 else math.inf
 
 
-def record_words(seconds: float) -> str:
-    """The length to record in words with two digits, rounded up: "record 25 minutes"."""
+def length_words(seconds: float) -> str:
+    """The length to record in words with two digits, rounded up: "25 minutes"."""
     if not math.isfinite(seconds):
         return "no log is long enough"
     unit, size = next((name, size) for name, size, limit in _UNITS if seconds <= limit)
     count = max(seconds / size, 1.0)
     step = 10 ** max(math.floor(math.log10(count)) - 1, 0)
     rounded = math.ceil(count / step - 1e-9) * step
-    return f"record {rounded} {unit}{'' if rounded == 1 else 's'}"
+    return f"{rounded} {unit}{'' if rounded == 1 else 's'}"
 
 
 def where_of(

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.findings.deviations import TWO_SIDED_95, needed, record_words
+from imuarray.gap.findings.deviations import TWO_SIDED_95, length_words, needed
 from imuarray.gap.findings.diagnosis import Cause, Unobservable
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.model.downstream import attitude_of
@@ -305,5 +305,5 @@ def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
         times = wanted_s / float(np.median([seconds for seconds, _, _ in known]))
         return f"turn-on: {times:.1f} times as many runs" if times < MOST_RUNS else "no series is long enough"
     if wanted_s <= LONGEST_S:
-        return record_words(wanted_s)
+        return length_words(wanted_s)
     return "; ".join(["a longer log is not enough", *filter(None, [_INSTEAD.get(domain)])])
