@@ -149,8 +149,8 @@ def test_a_page_beside_a_real_recording(tmp_path: Path) -> None:
 def test_a_page_ends_with_a_logger_that_is_killed(tmp_path: Path) -> None:
     program = (
         "import sys, pathlib\n"
-        "from imuarray.commands.log_page import page_beside\n"
-        "with page_beside(pathlib.Path('run.h5'), port=0):\n"
+        "from imuarray.commands.log_page import serve_page\n"
+        "with serve_page(pathlib.Path('run.h5'), {'--port': 0}):\n"
         "    sys.stdin.readline()\n"
     )
     process = subprocess.Popen(
