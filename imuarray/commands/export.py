@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
-from imuarray.export import UNITS, WRITERS
+from imuarray.export import TOOLS, UNITS, WRITERS
 from imuarray.printable import counted
 
 _STEPS = 1000
@@ -37,6 +37,12 @@ _STEPS = 1000
     help="counts; si (m/s2, rad/s) or sensor (g, dps), by the calibration or else the data sheets"
     " (default: counts, or si with a calibration and in .mcap)",
 )
+@click.option(
+    "--tool",
+    type=click.Choice([tool for tools in TOOLS.values() for tool in tools]),
+    help=f"for which tool ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
+    " default: the first)",
+)
 @force_option
 @json_option
 def command(
@@ -45,6 +51,7 @@ def command(
     sensors: str,
     calibration_file: Path | None,
     units: str | None,
+    tool: str | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -53,7 +60,7 @@ def command(
     \b
     .csv   a table for each sensor: spreadsheets, pandas; run.csv says which
     .npz   numpy, an array a column
-    .mcap  Foxglove
+    .mcap  Foxglove; with --tool ros2 a bag of sensor_msgs
     .mat   MATLAB (which also reads RUN.h5 itself: h5read)
     .yaml  Kalibr's imu.yaml, from a log at rest or characterise.json
 
@@ -75,6 +82,7 @@ def command(
             sensors=names,
             calibration=calibration,
             units=units,
+            tool=tool,
             force=force,
             progress=lambda share: done(int(share * _STEPS)),
         )

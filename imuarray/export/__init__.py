@@ -4,7 +4,8 @@
 
     .csv   a table for each sensor, readable by everything that reads text; comes back by `imuarray import`
     .npz   numpy's archive, an array a column, a header in JSON; comes back too
-    .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events
+    .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events;
+           or ROS 2: sensor_msgs in CDR
     .mat   MATLAB, version 5: a struct for each sensor
     .yaml  Kalibr's imu.yaml: noise figures of each IMU, from a log at rest or from characterise.json
 """
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imuarray.errors import ExportError
-from imuarray.export.formats import UNITS, WRITERS, ExportRequest, ExportSummary, Progress
+from imuarray.export.formats import TOOLS, UNITS, WRITERS, ExportRequest, ExportSummary, Progress
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.log import Log
 
-__all__ = ["UNITS", "WRITERS", "ExportSummary", "export"]
+__all__ = ["TOOLS", "UNITS", "WRITERS", "ExportSummary", "export"]
 
 
 def export(
@@ -36,20 +37,26 @@ def export(
     sensors: Sequence[str] = (),
     calibration: Calibration | None = None,
     units: str | None = None,
+    tool: str | None = None,
     force: bool = False,
     progress: Progress = lambda share: None,
 ) -> ExportSummary:
     """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`); whole or not at all.
 
     `sensors`: only these. `units`: one of `UNITS`; by default raw counts with all that is needed to convert them (MCAP
-    and whatever has a `calibration`: SI in the box frame). ExportError for a suffix or units that there are none of,
-    LogError, CalibrationError, OutputExistsError, OutputError, MissingExtraError.
+    and whatever has a `calibration`: SI in the box frame). `tool`: one of the `TOOLS` of the suffix. ExportError for a
+    suffix, units or a tool that there are none of, LogError, CalibrationError, OutputExistsError, OutputError,
+    MissingExtraError.
     """
     target = Path(path)
     write = _writer(target)
+    tools = TOOLS.get(target.suffix.lower(), ())
+    if tool is not None and tool not in tools:
+        known = ", ".join(tools) or "none: every tool reads it as it is"
+        raise ExportError(f"{path}: tool {tool!r}: allowed for {target.suffix} are {known}{guess(tool, tools)}")
     log_path = source if isinstance(source, str | PathLike) else source.path
     exported: ExportSummary = write(
-        ExportRequest(Path(log_path), tuple(sensors), calibration, units), target, force, progress
+        ExportRequest(Path(log_path), tuple(sensors), calibration, units, tool), target, force, progress
     )
     return exported
 

@@ -21,6 +21,9 @@ WRITERS: Mapping[str, str] = MappingProxyType(
 )
 """Suffix and the module (loaded when it is asked for) that writes it: `write(request, path, force, progress)`."""
 
+TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType({".mcap": ("foxglove", "ros2")})
+"""The tools for which files of a suffix are written differently; the first is the default."""
+
 UNITS = ("counts", "si", "sensor")
 """Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
 
@@ -64,13 +67,15 @@ Progress = Callable[[float], None]
 
 class ExportRequest(NamedTuple):
     """What is asked for: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None: what
-    suits the format), and a calibration to convert with (None: the data sheets' figures).
+    suits the format), a calibration to convert with (None: the data sheets' figures), and one of `TOOLS` (None: the
+    first of the format).
     """
 
     source: Path
     sensors: tuple[str, ...] = ()
     calibration: Calibration | None = None
     units: str | None = None
+    tool: str | None = None
 
 
 class ExportSummary(NamedTuple):

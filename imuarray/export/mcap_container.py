@@ -53,7 +53,7 @@ def message_heads(channel: int, sequence: Times, time_ns: Times, data_bytes: int
 class Container:
     """Writes an MCAP file: schemas and channels, then chunks, then `finish`; metadata and attachments between them."""
 
-    def __init__(self, file: IO[bytes], library: str) -> None:
+    def __init__(self, file: IO[bytes], library: str, profile: str = "") -> None:
         self._file = file
         self._schemas: list[Any] = []
         self._channels: list[Any] = []
@@ -64,19 +64,21 @@ class Container:
         self._first_ns, self._last_ns = 0, 0
         self._packer = zstandard.ZstdCompressor()
         file.write(_MAGIC)
-        self._put(records.Header(profile="", library=library))
+        self._put(records.Header(profile=profile, library=library))
 
-    def schema(self, name: str, text: bytes) -> int:
-        """The number of a new JSON Schema."""
-        made = records.Schema(id=len(self._schemas) + 1, data=text, encoding="jsonschema", name=name)
+    def schema(self, name: str, text: bytes, encoding: str) -> int:
+        """The number of a new schema; its `encoding` is one of MCAP's registry ("jsonschema", "ros2msg")."""
+        made = records.Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
         self._schemas.append(made)
         self._put(made)
         return len(self._schemas)
 
-    def channel(self, topic: str, schema: int, about: Mapping[str, str]) -> int:
-        """The number of a new channel of JSON messages."""
+    def channel(self, topic: str, schema: int, about: Mapping[str, str], encoding: str) -> int:
+        """The number of a new channel of messages; their `encoding` is "json" or "cdr"."""
         number = len(self._channels) + 1
-        made = records.Channel(id=number, topic=topic, message_encoding="json", schema_id=schema, metadata=dict(about))
+        made = records.Channel(
+            id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=dict(about)
+        )
         self._channels.append(made)
         self._put(made)
         return number

@@ -1,10 +1,11 @@
 """MCAP, which Foxglove opens: a channel for each sensor, events and phases, in the order of their times.
 
 Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages are made and written in blocks of rows, in
-chunks that are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`.
+chunks that are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`
+or, in a file for the tool "ros2", `imuarray.export.ros2_messages`.
 
-A message is a form that all rows share in which the same values are known, and the values' texts: of equal length
-within a block, as JSON lets spaces stand before and after a number, so that numpy puts the rows together.
+A message of JSON is a form that all rows share in which the same values are known, and the values' texts: of equal
+length within a block, as JSON lets spaces stand before and after a number, so that numpy puts the rows together.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from imuarray.arrays import Times
 from imuarray.atomic import whole_file
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import mcap_schemas as schemas
+from imuarray.export import ros2_messages as ros2
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Column, Content, Meter, Table
@@ -89,8 +91,11 @@ class _Stream:
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write all tables, phases and events to `path`, in SI unless other units are asked for; MissingExtraError,
-    ExportError for an epoch that is no date.
+    ExportError for an epoch that is no date, and for other units than those of ROS 2.
     """
+    for_ros2 = request.tool == "ros2"
+    if for_ros2 and request.units not in (None, "si"):
+        raise ExportError(f"{path}: messages of ROS 2 are in SI; leave units out")
     try:
         import mcap.writer  # noqa: F401
 
@@ -100,9 +105,10 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     with open_content(request, "si") as content:
         zero_ns = epoch_ns(content.epoch, path)
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
-            container = Container(file, f"imuarray {__version__}")
+            container = Container(file, f"imuarray {__version__}", "ros2" if for_ros2 else "")
             _say(container, content)
-            _merge(container, _streams(container, content, zero_ns, Meter(content, progress)), str(request.source))
+            streams = _ros2_streams if for_ros2 else _streams
+            _merge(container, streams(container, content, zero_ns, Meter(content, progress)), str(request.source))
             container.finish()
         return content.exported(path)
 
@@ -169,8 +175,38 @@ def _streams(container: Container, content: Content, zero_ns: int, meter: Meter)
         kind = schemas.log_schema()
         for topic, said in (("/events", _events(content)), ("/phases", _phases(content))):
             channel = _channel(container, topic, kind, {})
-            streams.append(_Stream(channel, _entries(said, channel, zero_ns)))
+            streams.append(_Stream(channel, _entries(said, channel, zero_ns, _json_entry)))
     return streams
+
+
+def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
+    """Messages of each topic of ROS 2; those of the same type share its definition."""
+    streams, schemas_of = [], dict.fromkeys(ros2.DEFINITIONS, 0)
+
+    def channel_of(topic: str, kind: str) -> int:
+        schemas_of[kind] = schemas_of[kind] or container.schema(kind, ros2.DEFINITIONS[kind].encode(), "ros2msg")
+        return container.channel(topic, schemas_of[kind], {}, "cdr")
+
+    for topic in ros2.topics(content.tables):
+        channel = channel_of(topic.name, topic.kind)
+        streams.append(_Stream(channel, _ros2_rows(topic.blocks(zero_ns, _BLOCK, meter), channel)))
+    for name, said in (("/events", _events(content)), ("/phases", _phases(content))):
+        if said:
+            channel = channel_of(name, ros2.LOG)
+            streams.append(_Stream(channel, _entries(said, channel, zero_ns, _ros2_entry)))
+    return streams
+
+
+def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[_Rows]:
+    """The messages of a topic with their heads."""
+    first = 0
+    for time_ns, texts in blocks:
+        if (np.diff(time_ns) < 0).any():  # as of JSON: messages are in order
+            order = np.argsort(time_ns, kind="stable")
+            time_ns, texts = time_ns[order], texts[order]
+        sequence = np.arange(first, first + len(time_ns)) & 0xFFFF_FFFF
+        first += len(time_ns)
+        yield _Rows(time_ns, _with_heads(texts, channel, sequence, time_ns))
 
 
 def _frame(content: Content) -> str:
@@ -179,8 +215,8 @@ def _frame(content: Content) -> str:
 
 
 def _channel(container: Container, topic: str, schema: Mapping[str, Any], about: dict[str, str]) -> int:
-    kind = container.schema(str(schema["title"]), json.dumps(schema).encode())
-    return container.channel(topic, kind, about)
+    kind = container.schema(str(schema["title"]), json.dumps(schema).encode(), "jsonschema")
+    return container.channel(topic, kind, about, "json")
 
 
 def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
@@ -300,15 +336,25 @@ class _Entry(NamedTuple):
     text: str
 
 
-def _entries(said: Sequence[_Entry], channel: int, zero_ns: int) -> Iterator[_Rows]:
+def _json_entry(nanoseconds: int, entry: _Entry) -> bytes:
+    value = schemas.log_message(nanoseconds, entry.level, entry.name, entry.text)
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
+    return ros2.log_message(nanoseconds, entry.level, entry.name, entry.text)
+
+
+def _entries(
+    said: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
+) -> Iterator[_Rows]:
     """Lines in the order of their times, each message by itself; no rows where there are no lines."""
     if not said:
         return
     time_ns = np.array([entry.time_ns + zero_ns for entry in said], np.int64)
     messages: list[bytes] = []
     for number, entry in enumerate(said):
-        value = schemas.log_message(int(time_ns[number]), entry.level, entry.name, entry.text)
-        text = np.frombuffer(json.dumps(value, allow_nan=False, separators=(",", ":")).encode(), np.uint8)
+        text = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8)
         messages += _with_heads(text[None], channel, np.array([number]), time_ns[number : number + 1])
     yield _Rows(time_ns, messages)
 

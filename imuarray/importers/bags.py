@@ -1,7 +1,9 @@
-"""ROS bags, 1 and 2, and MCAP files of either: Imu, MagneticField and Temperature of `sensor_msgs`, by rosbags.
+"""ROS bags, 1 and 2, and MCAP files of either: messages of `sensor_msgs`, by rosbags. Those are Imu, MagneticField,
+FluidPressure and Temperature.
 
 A topic is a kind of rows. The columns of an Imu are `stamp` (the header's, ns), `received` (ns), `angular_velocity.x`,
-..., `linear_acceleration.z`; those of a MagneticField `magnetic_field.x`, ...; that of a Temperature `temperature`.
+..., `linear_acceleration.z`; those of a MagneticField `magnetic_field.x`, ...; that of a Temperature `temperature`, of
+a FluidPressure `fluid_pressure`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ VALUES: Mapping[str, tuple[str, ...]] = {
         f"{field}.{axis}" for field in ("angular_velocity", "linear_acceleration") for axis in "xyz"
     ),
     "sensor_msgs/msg/MagneticField": tuple(f"magnetic_field.{axis}" for axis in "xyz"),
+    "sensor_msgs/msg/FluidPressure": ("fluid_pressure",),
     "sensor_msgs/msg/Temperature": ("temperature",),
 }
 """The columns of each type of message, besides `TIMES`."""

@@ -33,6 +33,7 @@ LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
 
 INT16 = (-32768, 32767)
+INT32 = (-(2**31), 2**31 - 1)
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 """Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""

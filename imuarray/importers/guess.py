@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +60,9 @@ _NEAR_GRAVITY = 0.15
 _NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
 _TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
 _TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
+_PRESSURE = re.compile(r"press|baro|^p$", re.IGNORECASE)
+_PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
+"""Air pressure at sea level in each unit."""
 _COUNTS_OF_MAGNETOMETER = 1090.0
 """Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
 _COUNTS_OF_GYROSCOPE = 131.0
@@ -97,12 +101,13 @@ class _Layout:
 
 @dataclass
 class _Proposal:
-    """A map under construction: its lines and its doubts."""
+    """A map under construction: its lines, its doubts, and the units of columns that are known."""
 
     layout: _Layout
     time: list[str] = field(default_factory=list)
     items: list[list[str]] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def text(self, head: Sequence[str]) -> str:
         """Return the map as TOML."""
@@ -188,9 +193,15 @@ def _propose_map(path: Path) -> _Proposal:
                 (block.column(at[0], name) for block, at in source.blocks([name], kind or None, LOOKED_AT_ROWS)), None
             )
             columns.append(np.zeros(0) if block is None else _finite(block.values))
-        partial = _propose(_Layout(), list(listed), columns, set())
+        if reader_of(path) == "bags":
+            listed, columns = _with_values(listed, columns)
+            partial = _propose(_Layout(), list(listed), columns, set(), units=_ROS_UNITS)
+        else:
+            partial = _propose(_Layout(), list(listed), columns, set())
         for item in partial.items:
             if kind:
+                if len(partial.items) == 1:
+                    _name_by_topic(item, kind)
                 item.insert(2, f"kind = {_quoted(kind)}")
                 if any(item[1] == other[1] for other in proposal.items):
                     item[1] = item[1][:-1] + f'{len(proposal.items) + 1}"'
@@ -199,6 +210,28 @@ def _propose_map(path: Path) -> _Proposal:
         proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
     return proposal
 
+
+def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
+    """Return the columns that hold a number: an Imu of a gyroscope alone has no acceleration."""
+    kept = [(name, values) for name, values in zip(names, columns, strict=True) if np.isfinite(values).any()]
+    return [name for name, _ in kept], [values for _, values in kept]
+
+
+def _name_by_topic(item: list[str], topic: str) -> None:
+    """Enter the name that the topic of one sensor of an array says."""
+    name = topic.removeprefix(_SENSOR_TOPICS).replace("/", "_")
+    if topic.startswith(_SENSOR_TOPICS) and _NAME.fullmatch(name):
+        item[1] = f'name = "{name}"'
+
+
+_SENSOR_TOPICS = "/sensors/"
+"""Beginning of the topics that `imuarray export --tool ros2` writes."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+_ROS_UNITS: Mapping[str, str] = {
+    "linear_acceleration.x": "m/s2", "angular_velocity.x": "rad/s", "magnetic_field.x": "T",
+    "fluid_pressure": "Pa", "temperature": "degC",
+}  # fmt: skip
+"""Units of the columns of `sensor_msgs` (REP 103), of triads that of their first."""
 
 _PROBE = """
 time = { rate_hz = 1 }
@@ -313,10 +346,15 @@ def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
 
 
 def _propose(
-    layout: _Layout, names: list[str], columns: Sequence[Floats], dates: set[int], stem: str = ""
+    layout: _Layout,
+    names: list[str],
+    columns: Sequence[Floats],
+    dates: set[int],
+    stem: str = "",
+    units: Mapping[str, str] = MappingProxyType({}),
 ) -> _Proposal:
-    """Propose a map of a table whose columns may have names."""
-    proposal = _Proposal(layout)
+    """Propose a map of a table whose columns may have names; `units` of those whose unit is known."""
+    proposal = _Proposal(layout, units=units)
     if names and any(names.count(name) > 1 for name in names):
         proposal.doubts.append("some columns have the same name and cannot be distinguished by it")
     columns = _without_padding(columns)
@@ -333,13 +371,18 @@ def _propose(
         force_unit = unit if quantity == "specific_force" else force_unit
         proposal.items.append(item)
         taken |= set(indices)
-    if not triads:
+    others = any(_TEMPERATURE.search(name) or _PRESSURE.search(name) for name in names)
+    if not triads and not others:
         proposal.doubts.append(
             "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
         )
     for index, name in enumerate(names):
-        if index not in taken and index < len(columns) and _TEMPERATURE.search(name):
+        if index in taken or index >= len(columns):
+            continue
+        if _TEMPERATURE.search(name):
             _propose_thermometer(proposal, name, columns[index])
+        elif _PRESSURE.search(name):
+            _propose_barometer(proposal, name, columns[index])
     return proposal
 
 
@@ -466,7 +509,7 @@ def _sensor(
     values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
-    said = _unit_in(names[indices[0]]) if names else ""
+    said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
     listed = ", ".join(_quoted(names[index]) if names else str(index) for index in indices)
     name = _NAMES[quantity]
@@ -525,7 +568,8 @@ def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return
-    if known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any():
+    unit = proposal.units.get(name)
+    if unit or (known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any()):
         number = sum(item[0] == "[[thermometer]]" for item in proposal.items)
         called = f"Thermometer{number + 1 if number else ''}"
         proposal.items.append(
@@ -533,7 +577,7 @@ def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None
                 "[[thermometer]]",
                 f'name = "{called}"',
                 f"column = {_quoted(name)}",
-                'unit = "degC"   # ? from the size of the values',
+                f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values',
             ]
         )
         return
@@ -541,4 +585,27 @@ def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None
     proposal.doubts.append(
         f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
         f" {_quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
+    )
+
+
+def _propose_barometer(proposal: _Proposal, name: str, values: Floats) -> None:
+    """Propose a column of air pressures, if they are such in some unit."""
+    known = values[np.isfinite(values)]
+    middle = float(np.median(known)) if len(known) else 0.0
+    near = next((unit for unit, sea_level in _PRESSURES.items() if 0.2 < middle / sea_level < 1.2), None)
+    unit = proposal.units.get(name, near)
+    if unit is None:
+        proposal.doubts.append(
+            f"column {name!r}: no air pressure in {', '.join(_PRESSURES)} has its size, {middle:.4g}"
+        )
+        return
+    number = sum(item[0] == "[[barometer]]" for item in proposal.items)
+    proposal.items.append(
+        [
+            "[[barometer]]",
+            f'name = "Barometer{number + 1 if number else ""}"',
+            f"column = {_quoted(name)}",
+            f'unit = "{unit}"'
+            + ("" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"),
+        ]
     )

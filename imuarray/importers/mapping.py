@@ -46,6 +46,8 @@ finer than any of these thermometers, and 16 bits then hold -327 to 327 degC.
 ZERO_OF_UNIT = {"degC": 0.0, "K": -273.15}
 """Degrees Celsius at 0 of each unit of temperature."""
 
+PA_PER_UNIT = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "mbar": 1e2, "bar": 1e5}
+
 
 def _column(value: Any) -> str | int:
     """Validate a column's name or index; ValueError."""
@@ -156,6 +158,14 @@ class OwnThermometer(LogColumn, ThermometerTable):
 
     chip: str = "thermometer"
     column: Column
+
+
+class Barometer(LogColumn):
+    """`[[barometer]]`: a column of air pressures."""
+
+    chip: str = "barometer"
+    column: Column
+    unit: Literal["Pa", "hPa", "kPa", "mbar", "bar"] = "Pa"
 
 
 class SensorTable(LogColumn):
@@ -293,25 +303,30 @@ class TableMap(BaseModel):
     time: TimeTable | None = None
     sensor: list[SensorTable] = []
     thermometer: list[OwnThermometer] = []
+    barometer: list[Barometer] = []
     reference: ReferenceTable | None = None
     phase: list[PhaseTable] = []
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if self.file.format is not None:
-            if self.time is not None or self.sensor or self.thermometer or self.reference is not None:
+            if self.time is not None or self.recorded or self.reference is not None:
                 raise ValueError("file: format knows its time and its sensors: leave them out")
             return self
         if self.time is None:
             raise ValueError("time: is missing")
         if not self.sensor:
             raise ValueError("sensor: is missing")
-        recorded: list[LogColumn] = [*self.sensor, *self.thermometer]
-        names = [item.name for item in recorded]
+        names = [item.name for item in self.recorded]
         for name, count in Counter(names).items():
             if count > 1:
                 raise ValueError(f"{count} sensors are called {name!r}; names are unique")
         return self
+
+    @property
+    def recorded(self) -> list[LogColumn]:
+        """The items that become sensors of the log."""
+        return [*self.sensor, *self.thermometer, *self.barometer]
 
     @property
     def clock(self) -> TimeTable:
@@ -323,20 +338,20 @@ class TableMap(BaseModel):
         """Every column in the map; some occur more than once."""
         if self.time is not None and self.time.column is not None:
             yield self.time.column
-        streamed: list[RowSource] = [*self.sensor, *self.thermometer, *([self.reference] if self.reference else [])]
+        streamed: list[RowSource] = [*self.recorded, *([self.reference] if self.reference else [])]
         for item in streamed:
             yield from columns_of(item)
 
 
 def columns_of(item: RowSource) -> Iterator[str | int]:
-    """Return the columns of one sensor, thermometer or reference."""
+    """Return the columns of one sensor, thermometer, barometer or reference."""
     if item.time_column is not None:
         yield item.time_column
     if isinstance(item, SensorTable):
         yield from item.columns
         if item.temperature_column is not None:
             yield item.temperature_column
-    elif isinstance(item, OwnThermometer):
+    elif isinstance(item, OwnThermometer | Barometer):
         yield item.column
     elif isinstance(item, ReferenceTable):
         for triad in (item.specific_force, item.angular_rate):

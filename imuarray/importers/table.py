@@ -16,11 +16,13 @@ from imuarray.arrays import Booleans, Times
 from imuarray.errors import ConfigError, SourceError
 from imuarray.importers import NO_WALL_TIME, Summary, importer
 from imuarray.importers.arrival import count_out
-from imuarray.importers.cells import INT16, ROWS, Block, Clock, Codes, Column, counts, numbers
+from imuarray.importers.cells import INT16, INT32, ROWS, Block, Clock, Codes, Column, counts, numbers
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
     ISO,
+    PA_PER_UNIT,
     ZERO_OF_UNIT,
+    Barometer,
     LogColumn,
     OwnThermometer,
     PhaseTable,
@@ -79,6 +81,7 @@ def import_table(
     }
     headers = [_header(sensor, table_map, learnt.get(sensor.name)) for sensor in table_map.sensor]
     headers += [_thermometer_header(item) for item in table_map.thermometer]
+    headers += [_barometer_header(item) for item in table_map.barometer]
     with LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log:
         recording = _Recording(log, table_map, {header.name: header for header in headers}, streams)
         for stream in recording.streams:
@@ -118,7 +121,7 @@ def _import_format(
 
 
 class Plan(NamedTuple):
-    """The sensors, thermometers and the reference that share rows: a time column (None: a rate) and a kind."""
+    """The items of the map that share rows: a time column (None: a rate) and a kind."""
 
     time_column: Reference | None
     kind: str | None
@@ -133,7 +136,7 @@ class Plan(NamedTuple):
 
 def _streams(table_map: TableMap) -> list[Plan]:
     """Group the items that share their rows."""
-    items: list[RowSource] = [*table_map.sensor, *table_map.thermometer]
+    items: list[RowSource] = list(table_map.recorded)
     items += [table_map.reference] if table_map.reference is not None else []
     together: dict[tuple[Reference | None, str | None], list[RowSource]] = {}
     for item in items:
@@ -202,6 +205,19 @@ def _thermometer_header(item: OwnThermometer) -> SensorHeader:
         has_temperature=True,
         compensated=("temperature",),
         extra=scale.attributes,
+    )
+
+
+def _barometer_header(item: Barometer) -> SensorHeader:
+    return SensorHeader(
+        name=item.name,
+        chip=item.chip,
+        quantity="pressure",
+        unit="Pa",
+        range=0.0,
+        sensitivity=0.0,
+        columns=("pa",),
+        compensated=("pressure",),
     )
 
 
@@ -286,6 +302,8 @@ class _Stream:
                 self._add_triad(item, cells, time)
             elif isinstance(item, OwnThermometer):
                 self._add_degrees(item, cells, time)
+            elif isinstance(item, Barometer):
+                self._add_pressures(item, cells, time)
             elif isinstance(item, ReferenceTable):
                 self._add_reference(item, cells, time)
 
@@ -355,6 +373,15 @@ class _Stream:
         warm = {"temperature": zero_degc + degrees / lsb_per_degc}
         self.log.append(item.name, LogBlock(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
         self.rows_of[item.name] += len(degrees)
+
+    def _add_pressures(self, item: Barometer, cells: dict[Reference, Column], time: Times) -> None:
+        """Write pressures, and as counts the same in whole pascals."""
+        kept = ~cells[item.column].blank()
+        pressure = numbers(cells[item.column].where(kept)) * PA_PER_UNIT[item.unit]
+        whole = np.clip(np.rint(pressure), INT32[0], INT32[1]).astype(np.int32)
+        status = np.zeros(len(pressure), np.uint16)
+        self.log.append(item.name, LogBlock(time[kept], whole[:, None], status, None, {"pressure": pressure}))
+        self.rows_of[item.name] += len(pressure)
 
     def _add_reference(self, item: ReferenceTable, cells: dict[Reference, Column], time: Times) -> None:
         kept = ~_blank([cells[column] for column in columns_of(item)])

@@ -55,7 +55,8 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
     for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
-        columns[name] = sensor.compensated(name)
+        if sensor.has_compensated(name) or sensor.counts.shape[1:] == (2,):  # one that was imported has no words
+            columns[name] = sensor.compensated(name)
     place = f"sensor {sensor.name}"
     yield 0, [problem for name, column in columns.items() for problem in _holes(place, name, column)]
     last_ns = None

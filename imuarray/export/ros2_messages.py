@@ -1,0 +1,238 @@
+"""Messages of a ROS 2 bag: `sensor_msgs` and `rcl_interfaces` in CDR, in SI in the box frame, a topic for each sensor.
+
+::
+
+    /sensors/NAME              Imu of an accelerometer or gyroscope, MagneticField, FluidPressure
+    /sensors/NAME/temperature  Temperature of the chip's thermometer
+    /fused, /truth, /reference Imu, with covariances where they are known
+    /events, /phases           rcl_interfaces/msg/Log
+
+The two halves of a six-axis chip (NAME_acc, NAME_gyro) whose rows have equal times are one Imu, /sensors/NAME.
+
+A message of `sensor_msgs` is a header and then numbers of 64 bits. Its frame is the same in all messages, so that all
+are equally long and numpy writes a block of them at once (CDR: OMG "DDS-RTPS" 2.2, chapter 10, little endian). ROS
+marks an estimate that does not exist with -1 as the first covariance, and leaves a covariance that is not known zero.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.arrays import Floats, Times
+from imuarray.errors import ExportError
+from imuarray.export.tables import Column, Meter, Table, numbered
+
+LOG = "rcl_interfaces/msg/Log"
+LEVELS = {"INFO": 20, "WARNING": 30}
+"""Of rcl_interfaces/msg/Log; it has more."""
+
+FRAME = "box"
+"""`frame_id` of every message: the frame of the array's box."""
+
+_LAST_SECOND = 2**31 - 1
+"""builtin_interfaces/Time counts seconds in an int32."""
+
+_RULE = "=" * 80
+_TIME = "int32 sec\nuint32 nanosec"
+_HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
+_VECTOR = "float64 x\nfloat64 y\nfloat64 z"
+
+
+def _definition(own: str, **parts: str) -> str:
+    """Return a message's definition, followed by those of its parts, as rosbag2 stores it."""
+    texts = [own, *(f"MSG: {name.replace('__', '/')}\n{text}" for name, text in parts.items())]
+    return f"\n{_RULE}\n".join(texts) + "\n"
+
+
+_STAMPED = {"std_msgs__Header": _HEADER, "builtin_interfaces__Time": _TIME}
+DEFINITIONS: Mapping[str, str] = {
+    "sensor_msgs/msg/Imu": _definition(
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance",
+        **_STAMPED,
+        geometry_msgs__Quaternion=f"{_VECTOR}\nfloat64 w",
+        geometry_msgs__Vector3=_VECTOR,
+    ),
+    "sensor_msgs/msg/MagneticField": _definition(
+        "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\nfloat64[9] magnetic_field_covariance",
+        **_STAMPED,
+        geometry_msgs__Vector3=_VECTOR,
+    ),
+    "sensor_msgs/msg/FluidPressure": _definition(
+        "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance", **_STAMPED
+    ),
+    "sensor_msgs/msg/Temperature": _definition(
+        "std_msgs/Header header\nfloat64 temperature\nfloat64 variance", **_STAMPED
+    ),
+    LOG: _definition(
+        "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
+        "string file\nstring function\nuint32 line",
+        builtin_interfaces__Time=_TIME,
+    ),
+}
+"""Type of message to the definition that stands in the bag, with which any reader decodes it."""
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_ENTRIES = (0, 3, 4, 3, 1, 5, 4, 5, 2)
+"""Places of the nine entries of a covariance among the six that are kept (xx yy zz xy xz yz)."""
+_IMU_NUMBERS = 37
+_ORIENTATION_W, _ORIENTATION_COVARIANCE = 3, 4
+_IMU = {"angular_rate": 13, "specific_force": 25}
+"""Place of each triad among the numbers of an Imu; its covariance stands behind it."""
+
+Cells = Mapping[str, npt.NDArray[np.float64]]
+"""The columns of some rows by name, (n, cells) each."""
+
+
+class Topic(NamedTuple):
+    """A topic of a bag: its name and type, the time of its rows, the columns it needs, and what makes numbers of them:
+    (n, k), a row with nan is no message.
+    """
+
+    name: str
+    kind: str
+    table: Table
+    columns: tuple[Column, ...]
+    numbers: Callable[[Cells], Floats]
+
+    def blocks(self, zero_ns: int, rows: int, meter: Meter) -> Iterator[tuple[Times, npt.NDArray[np.uint8]]]:
+        """Yield times (n,) in ns since 1970 and messages (n, bytes); ExportError for a time that ROS does not have."""
+        for part in self.table.blocks(rows):
+            time_ns = np.asarray(self.table.columns[0].read(part) + zero_ns, np.int64)
+            cells = {column.name: np.asarray(column.read(part), float) for column in self.columns}
+            numbers = self.numbers({name: values.reshape(len(time_ns), -1) for name, values in cells.items()})
+            kept = ~np.isnan(numbers[:, 0])
+            yield time_ns[kept], _stamped(time_ns[kept], numbers[kept])
+            meter.add(part.stop - part.start, len(self.columns))
+
+
+def topics(tables: Sequence[Table]) -> Iterator[Topic]:
+    """Yield the topics of the tables of a log or a fused file; a table without physical values has none."""
+    taken: set[str] = set()
+    twins = _twins(tables)
+    for table in tables:
+        if table.name == "clocks" or table.name in twins.values():
+            continue
+        columns = {column.name: column for column in table.columns[1:]}
+        name = table.name
+        if table.name in twins:
+            twin = next(other for other in tables if other.name == twins[table.name])
+            columns = {column.name: column for column in twin.columns[1:]} | columns
+            name = table.name.removesuffix("_acc")
+        free = next(wish for wish in numbered(_topic_name(name)) if wish not in taken)
+        taken.add(free)
+        yield from _topics_of(free, table, columns)
+
+
+def _topics_of(name: str, table: Table, columns: Mapping[str, Column]) -> Iterator[Topic]:
+    """Yield the topics of one table."""
+    inertial = [column for quantity, column in columns.items() if quantity.removesuffix("_covariance") in _IMU]
+    if inertial:
+        yield Topic(name, "sensor_msgs/msg/Imu", table, tuple(inertial), _imu)
+    if (field := columns.get("magnetic_field")) is not None:
+        yield Topic(name, "sensor_msgs/msg/MagneticField", table, (field,), _field)
+    if (pressure := columns.get("pressure")) is not None:
+        yield Topic(name, "sensor_msgs/msg/FluidPressure", table, (pressure,), _scalar)
+    if (degrees := columns.get("temperature")) is not None:
+        yield Topic(f"{name}/temperature", "sensor_msgs/msg/Temperature", table, (degrees,), _scalar)
+
+
+def _topic_name(name: str) -> str:
+    """Return the name of a topic: letters, digits and single underscores, none of its parts beginning with a digit
+    (design.ros2.org/articles/topic_and_service_names.html).
+    """
+    parts = [re.sub(r"[^A-Za-z0-9]+", "_", part) for part in name.split("/", 1)]
+    return "".join(f"/{part if part[:1].isalpha() else f's{part}'}" for part in parts)
+
+
+def _twins(tables: Sequence[Table]) -> dict[str, str]:
+    """Return the accelerometers and the gyroscopes of the six-axis chips whose rows have equal times, by name."""
+    by_name = {table.name: table for table in tables}
+    pairs = {name: f"{name.removesuffix('_acc')}_gyro" for name in by_name if name.endswith("_acc")}
+    stems = {name.removesuffix("_acc") for name in pairs}
+    return {
+        one: other
+        for one, other in pairs.items()
+        if other in by_name and not stems & set(by_name) and _equal_times(by_name[one], by_name[other])
+    }
+
+
+def _equal_times(one: Table, other: Table) -> bool:
+    return one.rows == other.rows and all(
+        np.array_equal(one.columns[0].read(rows), other.columns[0].read(rows)) for rows in one.blocks()
+    )
+
+
+def _imu(cells: Cells) -> Floats:
+    """Return the numbers of an Imu (n, 37): no orientation, and what there is of rate and force."""
+    count = len(next(iter(cells.values())))
+    numbers = np.zeros((count, _IMU_NUMBERS))
+    numbers[:, _ORIENTATION_W], numbers[:, _ORIENTATION_COVARIANCE] = 1.0, -1.0
+    for quantity, place in _IMU.items():
+        triad = cells.get(quantity, np.full((count, 3), np.nan))
+        six = cells.get(f"{quantity}_covariance", np.full((count, 6), np.nan))
+        there = np.isfinite(triad).all(axis=1)
+        known = there & np.isfinite(six).all(axis=1)
+        numbers[there, place : place + 3] = triad[there]
+        numbers[known, place + 3 : place + 12] = six[known][:, _ENTRIES]
+        numbers[~there, place + 3] = -1.0
+    return numbers
+
+
+def _field(cells: Cells) -> Floats:
+    """Return the numbers of a MagneticField (n, 12): flux density, covariance not known."""
+    (field,) = cells.values()
+    return np.hstack([field, np.zeros((len(field), 9))])
+
+
+def _scalar(cells: Cells) -> Floats:
+    """Return the numbers of a FluidPressure or a Temperature (n, 2): the value, variance not known."""
+    (values,) = cells.values()
+    return np.hstack([values, np.zeros((len(values), 1))])
+
+
+def _check(time_ns: int) -> None:
+    """Raise ExportError for a time in ns since 1970 that builtin_interfaces/Time does not have."""
+    if not 0 <= time_ns // 10**9 <= _LAST_SECOND:
+        raise ExportError(f"a row of {time_ns} ns since 1970; ROS 2 has times from 1970 to 2038-01-19")
+
+
+def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
+    """Return messages (n, bytes) with a std_msgs/Header: times (n,) ns since 1970, numbers (n, k) behind it."""
+    for extreme in (time_ns.min(initial=0), time_ns.max(initial=0)):
+        _check(int(extreme))
+    text = FRAME.encode() + b"\0"
+    fill = -(12 + len(text)) % 8  # numbers begin at multiples of 8, counted from behind the first four bytes
+    layout = np.dtype(
+        [
+            ("encoding", "S4"),
+            ("sec", "<i4"),
+            ("nanosec", "<u4"),
+            ("length", "<u4"),
+            ("frame", "u1", (len(text),)),
+            ("fill", "u1", (fill,)),
+            ("numbers", "<f8", (numbers.shape[1],)),
+        ]
+    )
+    made = np.zeros(len(time_ns), layout)
+    made["encoding"], made["length"], made["frame"] = _LITTLE_ENDIAN, len(text), np.frombuffer(text, np.uint8)
+    made["sec"], made["nanosec"], made["numbers"] = time_ns // 10**9, time_ns % 10**9, numbers
+    return made.view(np.uint8).reshape(len(made), -1)
+
+
+def log_message(time_ns: int, level: str, name: str, text: str) -> bytes:
+    """Return a rcl_interfaces/msg/Log, as on the topic /rosout."""
+    _check(time_ns)
+    data = struct.pack("<iIB", time_ns // 10**9, time_ns % 10**9, LEVELS[level])
+    for part in (name, text, "", ""):
+        letters = part.encode("utf-8", "replace") + b"\0"
+        data += bytes(-len(data) % 4) + struct.pack("<I", len(letters)) + letters
+    return _LITTLE_ENDIAN + data + bytes(-len(data) % 4) + struct.pack("<I", 0)
