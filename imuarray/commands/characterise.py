@@ -159,7 +159,7 @@ def json_text(value: Any, depth: int = 0) -> str:
 
 def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:
     """The noise figures for Kalibr, a file an IMU."""
-    from imuarray.characterise.kalibr import imu_files
+    from imuarray.characterise.imu_noise import imu_files
 
     paths = []
     for name, text in imu_files(result).items():

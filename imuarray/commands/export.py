@@ -62,7 +62,8 @@ def command(
     .npz   numpy, an array a column
     .mcap  Foxglove; with --tool ros2 a bag of sensor_msgs
     .mat   MATLAB (which also reads RUN.h5 itself: h5read)
-    .yaml  Kalibr's imu.yaml, from a log at rest or characterise.json
+    .yaml  noise for Kalibr, OpenVINS, VINS-Fusion, from rest (log, fused result)
+    .sdf   noise for Gazebo, PX4
 
     .csv and .npz of raw counts come back by `imuarray import`, equal.
 
@@ -89,12 +90,16 @@ def command(
     if as_json:
         files = [str(file) for file in written.files]
         said = {"files": files, "units": written.units, "rows": dict(written.rows)}
-        print_json({"source": str(source), **said, "uncalibrated": list(written.uncalibrated)})
+        print_json(
+            {"source": str(source), **said, "uncalibrated": list(written.uncalibrated), "notes": list(written.notes)}
+        )
         return
     rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
     click.echo(f"{output}: {rows} rows of {tables}, units: {written.units}")
     if written.uncalibrated:
         click.echo(f"  not calibrated, data-sheet values used: {', '.join(written.uncalibrated)}")
+    for note in written.notes:
+        click.echo(f"  {note}")
     for file in written.files:
         if file != output:
             click.echo(f"  {file}")

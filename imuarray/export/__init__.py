@@ -7,7 +7,9 @@
     .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events;
            or ROS 2: sensor_msgs in CDR
     .mat   MATLAB, version 5: a struct for each sensor
-    .yaml  Kalibr's imu.yaml: noise figures of each IMU, from a log at rest or from characterise.json
+    .yaml  noise figures of an IMU for Kalibr, OpenVINS or VINS-Fusion, from a log at rest, a fused result at rest
+           or characterise.json
+    .sdf   the same for Gazebo or PX4
 """
 
 from __future__ import annotations

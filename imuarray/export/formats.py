@@ -16,12 +16,15 @@ WRITERS: Mapping[str, str] = MappingProxyType(
         ".npz": "imuarray.export.npz_file",
         ".mcap": "imuarray.export.mcap_file",
         ".mat": "imuarray.export.mat_file",
-        ".yaml": "imuarray.export.kalibr_yaml",
+        ".yaml": "imuarray.export.noise_files",
+        ".sdf": "imuarray.export.noise_files",
     }
 )
 """Suffix and the module (loaded when it is asked for) that writes it: `write(request, path, force, progress)`."""
 
-TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType({".mcap": ("foxglove", "ros2")})
+TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {".mcap": ("foxglove", "ros2"), ".yaml": ("kalibr", "openvins", "vins-fusion"), ".sdf": ("gazebo", "px4")}
+)
 """The tools for which files of a suffix are written differently; the first is the default."""
 
 UNITS = ("counts", "si", "sensor")
@@ -79,11 +82,12 @@ class ExportRequest(NamedTuple):
 
 
 class ExportSummary(NamedTuple):
-    """What was written: files, rows by table, one of `UNITS`, in which they are, and the sensors whose physical values
-    are the data sheets' though there was a calibration.
+    """What was written: files, rows by table, one of `UNITS`, in which they are, the sensors whose physical values
+    are the data sheets' though there was a calibration, and what is missing in them, as sentences.
     """
 
     files: tuple[Path, ...]
     rows: Mapping[str, int]
     units: str
     uncalibrated: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ import pytest
 from imuarray.array import parse_array
 from imuarray.characterise import characterise_log
 from imuarray.characterise.findings import findings
-from imuarray.characterise.kalibr import imu_files
+from imuarray.characterise.imu_noise import imu_files
 from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.motion import Still
@@ -73,7 +73,10 @@ def test_kalibrs_file_has_the_planted_figures_in_si(characterised: Characterise)
     result = characterised(NOISE, ("random_walk", {"density": 0.002}), seconds=1500.0)
     (name, text), = imu_files(result).items()  # fmt: skip
     assert name == "imu_G.yaml"
-    values = {line.split(":")[0]: float(line.split(":")[1].split("#")[0]) for line in text.splitlines()[1:]}
+    lines = [line.split("#")[0] for line in text.splitlines() if not line.startswith("#")]
+    texts = dict(line.split(": ") for line in lines)
+    assert texts.pop("rostopic") == "/sensors/G"
+    values = {name: float(value) for name, value in texts.items()}
     assert values["gyroscope_noise_density"] == pytest.approx(0.18 * 3.14159265 / 180 / 350**0.5, rel=0.01)
     assert values["gyroscope_random_walk"] == pytest.approx(0.002 * 3.14159265 / 180, rel=0.5)
     assert values["update_rate"] == pytest.approx(350, rel=1e-3)

@@ -181,7 +181,7 @@ class TestCommand:
             (["run.h5", "-o", "r.csv", "--calibration", "none.toml"], "none.toml: No such file"),
             (["there.csv", "-o", "r.csv"], "no HDF5 file"),
             (["run.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
-            (["fused.h5", "-o", "r.yaml"], "is a fused result, not a log"),
+            (["fused.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
         ],
     )
     def test_bad_input_is_one_line(

@@ -1,0 +1,190 @@
+"""Noise figures for Kalibr, OpenVINS, VINS-Fusion (.yaml), Gazebo and PX4 (.sdf): `imuarray.characterise.imu_noise`.
+
+Figures come from a log at rest, from a fused result at rest, or from what `characterise` wrote of one (JSON). One
+accelerometer, one gyroscope, one of each, or a fused result are one IMU and one file. Of more sensors there is a file
+for each beside it, run_BMA1.yaml, ...: an array has no figures of its own before it is fused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imuarray.arrays import Booleans, Floats, Times
+from imuarray.atomic import write_text
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.motion import STILL, longest_rest
+from imuarray.characterise import allan_deviation, characterise_log, fit_noise
+from imuarray.characterise.imu_noise import TEXTS, ImuNoise, TriadNoise, imus_of, triad_noise
+from imuarray.characterise.survey import EXACT_ROWS
+from imuarray.errors import ExportError, OutputExistsError
+from imuarray.export.formats import TOOLS, ExportRequest, ExportSummary, Progress
+from imuarray.fuse.fused_file import fused_columns, is_fused
+from imuarray.log import Log, open_log
+from imuarray.spelling import guess
+from imuarray.units import INERTIAL, SI_PER_UNIT, UNITS_OF, Quantity
+
+_LARGEST = 1 << 28
+"""Bytes of a characterisation; one of an array takes a hundredth."""
+
+_FUSED_TOPIC = "/fused"
+_REGULAR = 0.5
+"""Share of the usual interval by which one may differ within a run."""
+
+
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
+    """Write one file or several; ExportError where there is no noise to tell."""
+    tool = request.tool or TOOLS[path.suffix.lower()][0]
+    if request.units not in (None, "si"):
+        raise ExportError(f"{path}: noise figures are in SI; leave units out")
+    imus, rows = _imus(request, progress)
+    if not imus:
+        raise ExportError(f"{request.source}: no inertial sensor whose noise could be fitted")
+    files = {path: imus[0]} if len(imus) == 1 else {_beside(path, imu.name): imu for imu in imus}
+    for file in files:
+        if file.exists() and not force:
+            raise OutputExistsError(file)
+    for file, imu in files.items():
+        write_text(file, TEXTS[tool](imu), force=force)
+    progress(1.0)
+    notes = tuple(f"{file}: without {', '.join(imu.lacks())}" for file, imu in files.items() if imu.lacks())
+    return ExportSummary(tuple(files), rows, "si", notes=notes)
+
+
+def _beside(path: Path, name: str) -> Path:
+    return path.with_name(f"{path.stem}_{name}{path.suffix}")
+
+
+def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
+    """The IMUs of a source, and how many rows they are from."""
+    if request.source.is_file() and is_fused(request.source):
+        return _of_fused(request, progress)
+    result = _stored(request) if request.source.suffix == ".json" else _characterised(request, progress)
+    try:
+        return imus_of(result), {sensor["name"]: int(sensor["rows"]) for sensor in result["sensors"]}
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
+
+
+def _stored(request: ExportRequest) -> Mapping[str, Any]:
+    """What `characterise` wrote, of the requested sensors."""
+    if request.calibration is not None:
+        raise ExportError(f"{request.source}: was made with its calibration; give `characterise` another")
+    try:
+        if request.source.stat().st_size > _LARGEST:
+            raise ValueError("too long")
+        result = json.loads(request.source.read_text(encoding="utf-8"))
+        names = [str(sensor["name"]) for sensor in result["sensors"]]
+    except OSError as error:
+        raise ExportError(f"{request.source}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
+    if unknown := sorted(set(request.sensors) - set(names)):
+        raise ExportError(
+            f"{request.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
+        )
+    chosen = [one for one in result["sensors"] if not request.sensors or one["name"] in request.sensors]
+    return {**result, "sensors": chosen}
+
+
+def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
+    """The noise of the inertial sensors of a log at rest."""
+    with open_log(request.source) as log:
+        inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
+        names = [log[name].name for name in request.sensors] or inertial
+        if not names:
+            raise ExportError(f"{request.source}: no accelerometer and no gyroscope in it")
+        done = iter(range(1, 3 * len(names) + 1))
+        return characterise_log(
+            log,
+            sensors=names,
+            progress=lambda: progress(next(done, 0) / (3 * len(names))),
+            scales=_scales(log, names, request.calibration or Calibration()),
+            stretch=longest_rest(log),
+        )
+
+
+def _scales(log: Log, names: list[str], calibration: Calibration) -> dict[str, list[float]]:
+    """Counts per unit of the sensors that a calibration knows."""
+    known = [name for name in names if name in calibration.sensors]
+    return {name: calibration.of(log[name]).scale_lsb_per_unit.tolist() for name in known}
+
+
+def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
+    """The IMU that a fused result at rest is; ExportError if it moves or is too short."""
+    path = request.source
+    if request.sensors or request.calibration is not None:
+        raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert")
+    triads: dict[str, TriadNoise] = {}
+    with fused_columns(path) as (said, columns):
+        time = np.asarray(columns["time"][:], np.int64)
+        values = {quantity: np.asarray(columns[quantity][:], float) for quantity in INERTIAL if quantity in columns}
+    moving = _moving(time, values)
+    rates, seconds, rows = [0.0], 0.0, 0
+    for number, (quantity, triad) in enumerate(values.items(), start=1):
+        run = _longest_run(time, np.isfinite(triad).all(axis=1) & ~moving)
+        interval_s = _interval_s(time[run])
+        if (noise := _fitted(triad[run], interval_s)) is not None:
+            triads[quantity] = noise
+            count = run.stop - run.start
+            rates.append(1 / interval_s)
+            seconds, rows = max(seconds, count * interval_s), max(rows, count)
+        progress(number / 3)
+    if not triads and moving.any():
+        raise ExportError(f"{path}: moves in {float(moving.mean()):.0%} of its frames; noise is measured at rest")
+    if not triads:
+        return [], {}
+    imu = ImuNoise("fused", _FUSED_TOPIC, max(rates), seconds, said.get("software", "imuarray"), triads)
+    return [imu], {"fused": rows}
+
+
+def _moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
+    """Whether each frame (n,) is in a second of motion: of readings that scatter more than those of a box at rest, or
+    whose mean differs from that of the second before or after.
+    """
+    second = (time - time[:1]) // 1_000_000_000
+    moving = np.zeros(int(second[-1]) + 1 if len(second) else 0, bool)
+    for quantity, triad in values.items():
+        there = np.isfinite(triad).all(axis=1)
+        count = np.maximum(np.bincount(second[there], minlength=len(moving)), 1)
+        allowed = STILL[quantity] * SI_PER_UNIT[next(iter(UNITS_OF[quantity]))]
+        for axis in triad[there].T:
+            mean = np.bincount(second[there], axis, len(moving)) / count
+            spread = np.sqrt(np.bincount(second[there], (axis - mean[second[there]]) ** 2, len(moving)) / count)
+            steps = np.abs(np.diff(mean)) > allowed
+            moving |= spread > allowed
+            moving[1:] |= steps
+            moving[:-1] |= steps
+    return np.asarray(moving[second], bool)
+
+
+def _longest_run(time: Times, there: Booleans) -> slice:
+    """The longest stretch of regular frames that are all there."""
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    joined = there[1:] & there[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], joined.astype(np.int8), [0]])))
+    if not len(edges):
+        return slice(0, 0)
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    return slice(int(begins[longest]), int(ends[longest]) + 1)
+
+
+def _interval_s(time: Times) -> float:
+    return (int(time[-1]) - int(time[0])) * 1e-9 / (len(time) - 1) if len(time) > 1 else float("nan")
+
+
+def _fitted(values: Floats, interval_s: float) -> TriadNoise | None:
+    """The noise of (n, 3) values in SI; None of fewer than tell anything."""
+    if len(values) < 9:
+        return None
+    curve = allan_deviation(values, interval_s, estimator="overlapping" if len(values) <= EXACT_ROWS else "decimated")
+    fits = [fit for column in range(3) if (fit := fit_noise(curve, column)) is not None]
+    axes = [{"terms": {item.term: asdict(item) for item in fit.coefficients}, "verdict": fit.verdict} for fit in fits]
+    return triad_noise(axes, 1.0)
