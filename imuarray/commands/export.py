@@ -58,14 +58,16 @@ def command(
     """Write a log or a fused result as a file that other tools open.
 
     \b
-    .csv   a table for each sensor: spreadsheets, pandas; run.csv says which
+    .csv   a table for each sensor: spreadsheets, pandas; run.csv says which,
+           run.json the rest
     .npz   numpy, an array a column
+    .parquet  a typed table for each sensor: pandas, Polars, DuckDB
     .mcap  Foxglove; with --tool ros2 a bag of sensor_msgs
     .mat   MATLAB (which also reads RUN.h5 itself: h5read)
     .yaml  noise for Kalibr, OpenVINS, VINS-Fusion, from rest (log, fused result)
     .sdf   noise for Gazebo, PX4
 
-    .csv and .npz of raw counts come back by `imuarray import`, equal.
+    .csv, .npz and .parquet of raw counts come back by `imuarray import`, equal.
 
     \b
     imuarray export run.h5 --calibration cal.toml -o run.mcap

@@ -4,6 +4,7 @@
 
     .csv   a table for each sensor, readable by everything that reads text; comes back by `imuarray import`
     .npz   numpy's archive, an array a column, a header in JSON; comes back too
+    .parquet  a table for each sensor with types, times and units; comes back too
     .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events;
            or ROS 2: sensor_msgs in CDR
     .mat   MATLAB, version 5: a struct for each sensor

@@ -1,10 +1,9 @@
-"""CSV: one table a file, two comment lines, a row of names, numbers.
+"""CSV: one table a file, a row of names and rows of numbers, as spreadsheets and `pandas.read_csv` take it.
 
 ::
 
-    # imuarray-csv 1: sensors/Acc of run.h5, units counts; time_s since 2013-09-16T08:30:00.000000Z
-    # {"format": "imuarray-log", ...}                   everything else that is known, one line of JSON
-    time_s,counts_x,counts_y,counts_z,status            seconds, exact to the nanosecond; units end the names
+    time_s,counts_x,counts_y,counts_z,status        run_Acc.csv: seconds, exact to the nanosecond; units end the names
+    {"imuarray_csv": 2, "epoch": "2013-...", ...}   run.json: everything else that is known
 
 One table (a fused result, one chosen sensor) is the file itself. A log of several is a file for each beside it,
 run_Acc.csv, run_events.csv, ..., and run.csv, written last, says which file holds what.
@@ -14,10 +13,10 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,55 +26,56 @@ from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import (
     CSV_EVENTS,
     CSV_INDEX,
-    CSV_MAGIC,
     CSV_PHASES,
+    CSV_VERSION,
     ExportRequest,
     ExportSummary,
     Progress,
     csv_names,
 )
 from imuarray.export.tables import Column, Content, Meter, Table, numbered
-from imuarray.printable import printable
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
     """Write one table to `path`, or a file for each table beside it and what they hold to `path`."""
     with open_content(request) as content:
         meter = Meter(content, progress)
+        described = path.with_suffix(".json")
         if len(content.tables) == 1 and (request.sensors or content.head["format"] != "imuarray-log"):
             (table,) = content.tables
-            with whole_file(path, force=force) as draft:
-                _write_table(draft, content, table, head_with(content, table=table.name), meter)
-            return content.exported(path)
-        return content.exported(*_write_set(path, content, force, meter), path)
+            with whole_file(path, force=force) as draft, whole_file(described, force=force) as about:
+                _write_head(about, content, table=table.name)
+                _write_table(draft, table, meter)
+            return content.exported(path, described)
+        return content.exported(*_write_set(path, content, force, meter), described, path)
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
     """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
     names = [*(table.short for table in content.tables), "phases", "events"]
-    files = [path.with_name(name) for name in _file_names(path, names)]
+    files = [path.with_name(name) for name in file_names(path, names)]
     phases = [(seconds(one.start_ns), seconds(one.end_ns), one.name, one.up) for one in content.phases]
     events = [(seconds(one.time_ns), one.sensor, one.kind, one.message) for one in content.events]
     with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
-        listed, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in (path, *files))
+        wanted = (path, path.with_suffix(".json"), *files)
+        listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in wanted)
         for table, draft in zip(content.tables, drafts, strict=False):
-            about = {"table": table.name, "epoch": content.epoch, "units": content.units, "about": dict(table.about)}
-            _write_table(draft, content, table, about, meter)
-        _write_texts(drafts[-2], "phases", content, CSV_PHASES, phases)
-        _write_texts(drafts[-1], "events", content, CSV_EVENTS, events)
+            _write_table(draft, table, meter)
+        _write_texts(drafts[-2], CSV_PHASES, phases)
+        _write_texts(drafts[-1], CSV_EVENTS, events)
         held = [
             *((table.name, table.rows) for table in content.tables),
             ("phases", len(phases)),
             ("events", len(events)),
         ]
         index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
+        _write_head(described, content, files={name: table for name, table, _ in index})
         with listed.open("w", encoding="utf-8", newline="") as text:
-            _begin(text, "what each file holds", content, head_with(content))
             csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])
     return files
 
 
-def _file_names(path: Path, names: Sequence[str]) -> list[str]:
+def file_names(path: Path, names: Sequence[str]) -> list[str]:
     """run_Acc.csv and so on; where names differ in case only, which not every disk tells apart, or a sensor is called
     as a group is, with a number.
     """
@@ -86,27 +86,32 @@ def _file_names(path: Path, names: Sequence[str]) -> list[str]:
     return list(taken.values())
 
 
-def _begin(file: IO[str], what: str, content: Content, head: Mapping[str, Any]) -> None:
-    """The two lines of comment."""
-    source = content.head.get("log", "")
-    zero = f"time_s since {content.epoch}"
-    file.write(f"{CSV_MAGIC}{printable(f'{what} of {source}, units {content.units}; {zero}')}\n# {json.dumps(head)}\n")
+def _write_head(path: Path, content: Content, **more: Any) -> None:
+    """Write everything that is no column, a line for each entry: its first says what it is."""
+    units = {table.name: dict(_columns(table)) for table in content.tables}
+    head = {CSV_VERSION: 2, **head_with(content, **more, column_units=units)}
+    entries = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items())
+    path.write_text("{" + ",\n ".join(entries) + "}\n", encoding="utf-8")
 
 
-def _write_table(path: Path, content: Content, table: Table, head: Mapping[str, Any], meter: Meter) -> None:
+def _columns(table: Table) -> Iterator[tuple[str, str]]:
+    """Yield name and unit of each column of a file."""
+    for column in table.columns:
+        unit = "s" if column.name == "time" else column.unit
+        yield from ((name, unit) for name in csv_names(column.name, column.cells, column.unit))
+
+
+def _write_table(path: Path, table: Table, meter: Meter) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        _begin(file, table.name, content, head)
-        names = [name for one in table.columns for name in csv_names(one.name, one.cells, one.unit)]
-        csv.writer(file, lineterminator="\n").writerow(names)
+        csv.writer(file, lineterminator="\n").writerow([name for name, _ in _columns(table)])
         for rows in table.blocks():
             cells = [texts for column in table.columns for texts in _texts(column, rows)]
             file.writelines(f"{line}\n" for line in map(",".join, zip(*cells, strict=True)))
             meter.add(rows.stop - rows.start, len(table.columns))
 
 
-def _write_texts(path: Path, table: str, content: Content, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        _begin(file, table, content, {"table": table, "epoch": content.epoch})
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerows([names, *rows])
 
 

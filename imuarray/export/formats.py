@@ -14,6 +14,7 @@ WRITERS: Mapping[str, str] = MappingProxyType(
     {
         ".csv": "imuarray.export.csv_files",
         ".npz": "imuarray.export.npz_file",
+        ".parquet": "imuarray.export.parquet_files",
         ".mcap": "imuarray.export.mcap_file",
         ".mat": "imuarray.export.mat_file",
         ".yaml": "imuarray.export.noise_files",
@@ -30,8 +31,10 @@ TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 UNITS = ("counts", "si", "sensor")
 """Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
 
+CSV_VERSION = "imuarray_csv"
+"""First entry of the JSON file beside CSV files."""
 CSV_MAGIC = "# imuarray-csv 1: "
-"""With which every CSV file of ours begins."""
+"""With which every CSV file began that earlier versions exported: two lines of comment in place of that file."""
 CSV_INDEX = ("file", "table", "rows")
 CSV_PHASES = ("start_s", "end_s", "name", "up")
 CSV_EVENTS = ("time_s", "sensor", "kind", "message")
@@ -60,6 +63,9 @@ def csv_names(column: str, cells: Sequence[str], unit: str) -> list[str]:
     suffix = CSV_SUFFIX.get(unit, "")
     return [f"{column}{cell}{suffix}" for cell in [f"_{cell}" for cell in cells] or [""]]
 
+
+PARQUET_HEAD = "imuarray"
+"""The entry of a Parquet file's metadata that holds everything but columns, as JSON."""
 
 NPZ_HEADER = "header"
 """The array of an npz file that holds everything but columns: the bytes of a JSON object."""

@@ -1,5 +1,5 @@
 """Read back CSV files of `imuarray export`: the list (run.csv) with the files that it names, or the table of one
-sensor.
+sensor. What is no column is in run.json beside it; earlier versions wrote it in two lines of comment of every file.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def import_file(
 ) -> Summary:
     """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     path = Path(source)
+    path = path.with_suffix(".csv") if path.suffix.lower() == ".json" else path
     with open_source(path, output) as file:
         size = file.seek(0, 2)
         file.seek(0)
@@ -55,6 +56,25 @@ Files = dict[str, tuple[Path, int | None]]
 
 
 def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
+    """Return what is said of the tables, and leave the file at the row of names; SourceError."""
+    if not _has_comments(file):
+        described = path.with_suffix(".json")
+        with open_source(described, path) as beside:
+            data = beside.read(MAX_HEADER_BYTES + 1)
+        if len(data) > MAX_HEADER_BYTES:
+            raise SourceError(f"{described}: a header of more than {MAX_HEADER_BYTES} bytes")
+        return parse_header(data, str(described))
+    return _commented_header(file, path)
+
+
+def _has_comments(file: BinaryIO) -> bool:
+    """Return whether a file begins as those of earlier versions; it is left at its beginning."""
+    begin = file.read(len(CSV_MAGIC))
+    file.seek(0)
+    return begin == CSV_MAGIC.encode()
+
+
+def _commented_header(file: BinaryIO, path: Path) -> dict[str, Any]:
     """Return the JSON of the second line and leave the file at the third; SourceError."""
     first, second = file.readline(1 << 12), file.readline(MAX_HEADER_BYTES + 1)
     if not first.startswith(CSV_MAGIC.encode()) or not first.endswith(b"\n") or not second.startswith(b"# {"):
@@ -107,21 +127,26 @@ class _Tables:
         if table not in self._files:
             return []
         path, _ = self._files[table]
-        with self._open(path) as file:
+        file, _ = self._open(path)
+        with file:
             rows = _texts(file, path, names)
         return [[*(_time(text, path) for text in row[:numbers]), *row[numbers:]] for row in rows]
 
-    def _open(self, path: Path) -> BinaryIO:
-        """Open a file after its two comment lines; SourceError, also if it is not a regular file."""
+    def _open(self, path: Path) -> tuple[BinaryIO, int]:
+        """Open a file at its row of names, with the number of lines before that; SourceError, also if it is not a
+        regular file.
+        """
         if not path.is_file():
             raise SourceError(f"{path}: no such file, though {self._path.name} says so")
         file = open_source(path, self._output)
+        if not _has_comments(file):
+            return file, 0
         try:
-            _header(file, path)
+            _commented_header(file, path)
         except SourceError:
             file.close()
             raise
-        return file
+        return file, 2
 
     def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
         """Yield the rows of a group in blocks; SourceError."""
@@ -130,9 +155,10 @@ class _Tables:
         path, wanted = self._files[group.path]
         count, last_ns = 0, None
         with ExitStack() as stack:
-            file = stack.enter_context(self._open(path))
+            file, before = self._open(path)
+            stack.enter_context(file)
             table = Table(file, str(path), FileTable(), named=True)
-            table.line += 2
+            table.line += before
             where = {name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns}
             for block in table.blocks():
                 columns = _columns(group, block, where, table.names, last_ns)

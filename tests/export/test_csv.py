@@ -1,4 +1,4 @@
-"""CSV as other programs read it: two lines of comment, names, numbers."""
+"""CSV as other programs read it: names and numbers, and a JSON file beside them with everything else."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError, ExportError, LogError, OutputExistsError
 from imuarray.export import export
-from tests.export.conftest import ACC_COUNTS, EPOCH, MESSAGE
+from imuarray.importers.exported import importer_of
+from imuarray.log import open_log
+from tests.export.conftest import ACC_COUNTS, EPOCH, MESSAGE, back
 
 
 def read(path: Path) -> tuple[list[str], list[list[str]]]:
     """Names and rows, by the standard library."""
     with path.open(encoding="utf-8", newline="") as file:
-        assert file.readline().startswith("# imuarray-csv 1: ")
-        assert isinstance(json.loads(file.readline().removeprefix("# ")), dict)
         names, *rows = csv.reader(file)
     return names, rows
 
@@ -30,7 +30,7 @@ def test_a_file_for_each_table_and_a_list_of_them(run: Path) -> None:
     written = export(run, run.with_name("r.csv"))
     names = [file.name for file in written.files]
     tables = ["r_Acc.csv", "r_Baro.csv", "r_Gyro.csv", "r_truth.csv", "r_clocks.csv", "r_phases.csv", "r_events.csv"]
-    assert names == [*tables, "r.csv"]
+    assert names == [*tables, "r.json", "r.csv"]
     assert written.rows == {"sensors/Acc": 5, "sensors/Baro": 2, "sensors/Gyro": 3, "truth": 5, "clocks": 1}
     assert written.units == "counts"
     rows = [["r_Acc.csv", "sensors/Acc", "5"], ["r_Baro.csv", "sensors/Baro", "2"], ["r_Gyro.csv", "sensors/Gyro", "3"]]
@@ -57,15 +57,62 @@ def test_counts(run: Path) -> None:
 
 def test_numpy_reads_a_table(run: Path) -> None:
     export(run, run.with_name("one.csv"), sensors=["Acc"])
-    table = np.genfromtxt(run.with_name("one.csv"), delimiter=",", skip_header=2, names=True)
+    table = np.genfromtxt(run.with_name("one.csv"), delimiter=",", names=True)
     assert table["counts_y"].tolist() == [row[1] for row in ACC_COUNTS]
     assert table["time_s"].tolist() == [0, 0.01, 0.02, 0.03, 0.04]
-    assert sorted(path.name for path in run.parent.iterdir()) == ["one.csv", "run.h5"]
+    assert sorted(path.name for path in run.parent.iterdir()) == ["one.csv", "one.json", "run.h5"]
+
+
+def test_pandas_reads_every_table_without_arguments(run: Path, fused: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    files = export(run, run.with_name("r.csv")).files
+    tables = {file.stem: pandas.read_csv(file) for file in files if file.suffix == ".csv"}
+    assert list(tables["r_Acc"].columns) == [
+        "time_s", "counts_x", "counts_y", "counts_z", "status", "temperature_counts",
+    ]  # fmt: skip
+    assert tables["r_Acc"][["counts_x", "counts_y", "counts_z"]].to_numpy().tolist() == ACC_COUNTS
+    assert tables["r_Acc"].dtypes.astype(str).tolist() == ["float64", *["int64"] * 5]
+    assert tables["r_truth"]["angular_rate_y_radps"].tolist() == [1 / 3] * 5
+    assert tables["r_events"]["message"].tolist()[0] == MESSAGE
+    assert tables["r_phases"]["name"].tolist() == ["z_up", "motion"]
+    assert tables["r"]["file"].tolist() == [file.name for file in files if file.suffix == ".csv"][:-1]
+    export(fused, fused.with_name("f.csv"))
+    table = pandas.read_csv(fused.with_name("f.csv"))
+    assert table["specific_force_z_mps2"].isna().tolist() == [False, False, True, False]
+
+
+def test_the_file_beside_it_says_the_unit_of_every_column(run: Path) -> None:
+    export(run, run.with_name("r.csv"), units="si")
+    head = json.loads(run.with_name("r.json").read_text())
+    assert head["imuarray_csv"] == 2
+    assert head["files"]["r_Acc.csv"] == "sensors/Acc"
+    names, _ = read(run.with_name("r_Acc.csv"))
+    assert head["column_units"]["sensors/Acc"] == dict(zip(names, ["s", *["m s-2"] * 3, "1", "degC"], strict=True))
+
+
+def test_a_file_of_an_earlier_version_comes_back(run: Path) -> None:
+    """Version 1 had two lines of comment, of which the second held the header; the list's was that of the log."""
+    export(run, run.with_name("r.csv"))
+    head = json.loads(run.with_name("r.json").read_text())
+    for name, table in [*head["files"].items(), ("r.csv", "")]:
+        path = run.with_name(name)
+        about = {"table": table} if table else head
+        path.write_text(f"# imuarray-csv 1: {table} of run.h5\n# {json.dumps(about)}\n{path.read_text()}")
+    run.with_name("r.json").unlink()
+    with open_log(back(run.with_name("r.csv"))) as log:
+        assert log["Acc"].counts[:].tolist() == ACC_COUNTS
+        assert [event.message for event in log.events] == [MESSAGE, ""]
+
+
+def test_a_table_beside_which_somebody_else_has_a_json_file_is_none_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_text("t,x,y,z\n0,1,2,3\n")
+    (tmp_path / "data.json").write_text('{"rate": 100}')
+    assert importer_of(tmp_path / "data.csv") is None
 
 
 def test_the_header_says_how_to_convert(run: Path) -> None:
     export(run, run.with_name("one.csv"), sensors=["Acc"])
-    head = json.loads(run.with_name("one.csv").read_text().splitlines()[1].removeprefix("# "))
+    head = json.loads(run.with_name("one.json").read_text())
     assert (head["epoch"], head["source"], head["units"]) == (EPOCH, "simulated", "counts")
     about = head["tables"]["sensors/Acc"]
     force = np.array(about["orientation"]) @ [0, 0, 512] * about["si_per_count"]
@@ -100,7 +147,7 @@ def test_calibrated(run: Path) -> None:
 
 
 def test_a_fused_result_is_one_table(fused: Path) -> None:
-    assert export(fused, fused.with_name("f.csv")).files == (fused.with_name("f.csv"),)
+    assert export(fused, fused.with_name("f.csv")).files == (fused.with_name("f.csv"), fused.with_name("f.json"))
     names, rows = read(fused.with_name("f.csv"))
     row = dict(zip(names, rows[1], strict=True))
     assert row["time_s"] == "0.010000000"
@@ -112,7 +159,7 @@ def test_a_fused_result_is_one_table(fused: Path) -> None:
 def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
     to = run.with_name("x.csv")
     known = Calibration()
-    with pytest.raises(ExportError, match=r"'.xlsx'; allowed are .csv, .npz, .mcap, .mat, .yaml"):
+    with pytest.raises(ExportError, match=r"'.xlsx'; allowed are .csv, .npz, .parquet, .mcap, .mat, .yaml, .sdf"):
         export(run, run.with_name("x.xlsx"))
     with pytest.raises(ExportError, match="units 'feet': allowed are counts, si, sensor"):
         export(run, to, units="feet")
@@ -137,7 +184,7 @@ def test_nothing_is_overwritten_unless_told(run: Path) -> None:
         export(run, run.with_name("r.csv"))
     assert sorted(path.name for path in run.parent.iterdir()) == ["r_Gyro.csv", "run.h5"]
     export(run, run.with_name("r.csv"), force=True)
-    assert mine.read_text().startswith("# imuarray-csv 1: ")
+    assert mine.read_text().startswith("time_s,counts_x,")
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), LogError("damaged")])
@@ -172,7 +219,7 @@ def test_a_fused_file_built_to_do_harm(fused: Path, spoil: Callable[[h5py.File],
 
 
 def test_progress_ends_at_one(run: Path) -> None:
-    for suffix in ("csv", "npz", "mat", "mcap"):
+    for suffix in ("csv", "npz", "parquet", "mat", "mcap"):
         told: list[float] = []
         export(run, run.with_name(f"p.{suffix}"), progress=told.append, force=True)
         assert told == sorted(told)

@@ -172,12 +172,12 @@ CSV_BAD = {
     "a path": ("r.csv", "r_Acc.csv,", "../r_Acc.csv,", "its files are beside it"),
     "a whole path": ("r.csv", "r_Acc.csv,", "/etc/passwd,", "its files are beside it"),
     "a file that is not there": ("r.csv", "r_Acc.csv,", "r_Bcc.csv,", "no such file"),
-    "another file": ("r.csv", "r_Acc.csv,", "run.h5,", "not begun as"),
+    "another file": ("r.csv", "r_Acc.csv,", "run.h5,", "no column 'time_s'"),
     "a row less": ("r.csv", "sensors/Acc,5", "sensors/Acc,6", "5 rows, where r.csv says 6"),
     "no rows": ("r.csv", "sensors/Acc,5", "sensors/Acc,many", "its files are beside it"),
     "no such table": ("r.csv", "sensors/Acc,5", "sensors/Bcc,5", "its list and its header differ"),
-    "a cell of text": ("r_Acc.csv", "8191", "lots", "line 5, column counts_y: 'lots' is no number of type int16"),
-    "too large a count": ("r_Acc.csv", "8191", "81910", "line 5, column counts_y: '81910' is no number of type int16"),
+    "a cell of text": ("r_Acc.csv", "8191", "lots", "line 3, column counts_y: 'lots' is no number of type int16"),
+    "too large a count": ("r_Acc.csv", "8191", "81910", "line 3, column counts_y: '81910' is no number of type int16"),
     "a cell of a megabyte": ("r_Acc.csv", "8191", "8" * 1_000_000, "longer than 65536 characters"),
     "a number of many digits": ("r_Acc.csv", "8191", "8" * 9000, "is no number of type int16"),
     "a column less": ("r_Acc.csv", "counts_y", "counts", "no column 'counts_y'"),
@@ -208,12 +208,12 @@ def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> 
     """Some bytes of one of the files changed: SourceError, or no harm done."""
     if not (tmp_path / "r.csv").exists():
         export(write_run(tmp_path / "run.h5"), tmp_path / "r.csv")
-        for file in sorted(tmp_path.glob("*.csv")):
-            file.with_suffix(".good").write_bytes(file.read_bytes())
-    path = data.draw(st.sampled_from(sorted(tmp_path.glob("*.csv"))))
-    good = path.with_suffix(".good").read_bytes()
+        for file in [*tmp_path.glob("*.csv"), tmp_path / "r.json"]:
+            file.with_name(f"{file.name}.good").write_bytes(file.read_bytes())
+    path = data.draw(st.sampled_from(sorted([*tmp_path.glob("*.csv"), tmp_path / "r.json"])))
+    good = path.with_name(f"{path.name}.good").read_bytes()
     spoilt = bytearray(good)
-    first = len(b"# imuarray-csv 1: ")
+    first = len(b'{"imuarray_csv": ') if path.suffix == ".json" else 0
     for _ in range(data.draw(st.integers(1, 3))):
         spoilt[data.draw(st.integers(first, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(spoilt)
@@ -229,6 +229,10 @@ def test_a_csv_header_without_end(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_bytes(b"# imuarray-csv 1: x\n# {" + b" " * (1 << 26))
     with pytest.raises(SourceError, match="a header of more than 67108864 bytes"):
         back(tmp_path / "h.csv")
+    (tmp_path / "j.csv").write_bytes(b"file,table,rows\n")
+    (tmp_path / "j.json").write_bytes(b'{"imuarray_csv": 2' + b" " * (1 << 26))
+    with pytest.raises(SourceError, match=r"j\.json: a header of more than 67108864 bytes"):
+        back(tmp_path / "j.csv")
     (tmp_path / "h.csv").write_bytes(b"# imuarray-csv 1: x")
     with pytest.raises(SourceError, match="two lines of comment"):
         back(tmp_path / "h.csv")

@@ -21,7 +21,7 @@ from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from tests.export.conftest import EPOCH, back, write_fused_run, write_run
 
-FORMATS = ("npz", "csv")
+FORMATS = ("npz", "csv", "parquet")
 
 
 def everything(path: Path) -> dict[str, Any]:

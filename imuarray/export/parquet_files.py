@@ -1,0 +1,130 @@
+"""Parquet: one table a file, which `pandas.read_parquet`, Polars, DuckDB and others open with types, times and units.
+
+The column `time` has dates in UTC, to the nanosecond (`time_ns`, counted from the epoch, where that is no date); a
+triad is three columns, named as in CSV. The unit of a column is in its metadata; the file's own metadata have, under
+"imuarray", everything else that is known, as JSON. As in CSV, one table is the file itself, and a log of several is a
+file for each beside it, run_Acc.parquet, ..., and run.parquet says which holds what. Rows are written in groups: memory
+doesn't grow with the log.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imuarray.atomic import whole_file
+from imuarray.errors import ExportError, MissingExtraError
+from imuarray.export.content import head_with, open_content
+from imuarray.export.csv_files import file_names
+from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, ExportRequest, ExportSummary, Progress, csv_names
+from imuarray.export.mcap_file import epoch_ns
+from imuarray.export.tables import Column, Content, Meter, Table
+
+if TYPE_CHECKING:
+    import pyarrow
+
+_GROUP_ROWS = 1 << 16
+"""Rows of a group: what a reader loads at once."""
+
+
+def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
+    """Write one table to `path`, or a file for each table beside it and their list to `path`; MissingExtraError."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("pyarrow", "parquet") from None
+    with open_content(request) as content:
+        meter = Meter(content, progress)
+        if len(content.tables) == 1 and (request.sensors or content.head["format"] != "imuarray-log"):
+            (table,) = content.tables
+            with whole_file(path, force=force) as draft:
+                _write_table(draft, table, content, head_with(content, table=table.name), meter)
+            return content.exported(path)
+        return content.exported(*_write_set(path, content, force, meter), path)
+
+
+def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
+    """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
+    names = [*(table.short for table in content.tables), "phases", "events"]
+    files = [path.with_name(name) for name in file_names(path, names)]
+    with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
+        listed, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in (path, *files))
+        for table, draft in zip(content.tables, drafts, strict=False):
+            _write_table(draft, table, content, {"table": table.name, "about": dict(table.about)}, meter)
+        _write_texts(drafts[-2], ("start", "end", "name", "up"), content.phases, {"table": "phases"})
+        _write_texts(drafts[-1], ("time", "sensor", "kind", "message"), content.events, {"table": "events"})
+        held = [*((table.name, table.rows) for table in content.tables)]
+        held += [("phases", len(content.phases)), ("events", len(content.events))]
+        index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
+        _write_texts(listed, CSV_INDEX, index, head_with(content))
+    return files
+
+
+def _write_table(path: Path, table: Table, content: Content, head: Mapping[str, Any], meter: Meter) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    zero_ns = _zero_ns(content.epoch)
+    fields = [field for column in table.columns for field in _fields(column, zero_ns)]
+    schema = pyarrow.schema(fields, metadata=_metadata(head))
+    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for rows in table.blocks(_GROUP_ROWS):
+            arrays = [array for column in table.columns for array in _arrays(column, rows, zero_ns)]
+            writer.write_table(pyarrow.Table.from_arrays(arrays, schema=schema))
+            meter.add(rows.stop - rows.start, len(table.columns))
+
+
+def _zero_ns(epoch: str) -> int | None:
+    """Nanoseconds from 1970 to the epoch; None if it is no date."""
+    try:
+        return epoch_ns(epoch, Path())
+    except ExportError:
+        return None
+
+
+def _fields(column: Column, zero_ns: int | None) -> Iterator[pyarrow.Field]:
+    import pyarrow
+
+    if column.name == "time":
+        kind = pyarrow.int64() if zero_ns is None else pyarrow.timestamp("ns", tz="UTC")
+        yield pyarrow.field("time_ns" if zero_ns is None else "time", kind, nullable=False)
+        return
+    kind = pyarrow.from_numpy_dtype(np.dtype(column.kind))
+    for name in csv_names(column.name, column.cells, column.unit):
+        yield pyarrow.field(name, kind, nullable=False, metadata={"unit": column.unit})
+
+
+def _arrays(column: Column, rows: slice, zero_ns: int | None) -> Iterator[pyarrow.Array]:
+    import pyarrow
+
+    values = np.asarray(column.read(rows), column.kind)
+    if column.name == "time" and zero_ns is not None:
+        yield pyarrow.array(values + zero_ns, pyarrow.timestamp("ns", tz="UTC"))
+        return
+    for cell in values.reshape(len(values), -1).T:
+        yield pyarrow.array(np.ascontiguousarray(cell))
+
+
+def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]], head: Mapping[str, Any]) -> None:
+    """A short table of texts and of integers, ns since the epoch where they are times."""
+    import pyarrow
+    from pyarrow import parquet
+
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)
+    kinds = {"start": pyarrow.int64(), "end": pyarrow.int64(), "time": pyarrow.int64(), "rows": pyarrow.int64()}
+    arrays = [
+        pyarrow.array(list(column), kinds.get(name, pyarrow.string()))
+        for name, column in zip(names, columns, strict=True)
+    ]
+    called = [f"{name}_ns" if name in ("start", "end", "time") else name for name in names]
+    table = pyarrow.Table.from_arrays(arrays, names=called).replace_schema_metadata(_metadata(head))
+    parquet.write_table(table, path)
+
+
+def _metadata(head: Mapping[str, Any]) -> dict[str, str]:
+    return {PARQUET_HEAD: json.dumps(head)}

@@ -1,0 +1,54 @@
+"""The reader for MATLAB (docs/matlab/read_imuarray.m), run by GNU Octave where it is installed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.export import export
+from tests.export.conftest import ACC_COUNTS, EPOCH
+
+SCRIPT = Path(__file__).parents[2] / "docs" / "matlab" / "read_imuarray.m"
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="GNU Octave is not installed")
+def test_octave_reads_counts_and_values(run: Path) -> None:
+    export(run, run.with_name("r.mat"))
+    ask = f"addpath('{SCRIPT.parent}'); r = read_imuarray('{run.with_name('r.mat')}'); printf('%s\\n', r.epoch);"
+    ask += "printf('%d ', r.Acc.counts.'); printf('\\n'); printf('%.17g ', r.Acc.values.'); printf('\\n');"
+    done = subprocess.run(["octave-cli", "--eval", ask], capture_output=True, text=True, check=True)
+    epoch, counts, values = done.stdout.splitlines()
+    assert epoch == EPOCH
+    assert np.array(counts.split(), int).reshape(-1, 3).tolist() == ACC_COUNTS
+    x, y, z = np.array(ACC_COUNTS, float).T * 9.80665 / 512
+    np.testing.assert_allclose(np.array(values.split(), float).reshape(-1, 3), np.stack([y, x, -z], axis=1))
+
+
+def test_every_block_of_the_script_is_closed() -> None:
+    """All that is checked of its syntax without MATLAB or Octave."""
+    lines = [line.split("%")[0] for line in SCRIPT.read_text().splitlines()]
+    begun = sum(len(re.findall(r"^\s*(?:function|if|for|switch)\b", line)) for line in lines)
+    assert begun == sum(len(re.findall(r"^\s*end\s*$", line)) for line in lines)
+
+
+def test_the_script_names_what_files_have(run: Path) -> None:
+    """Groups, columns and attributes that it asks for are in a log and in a .mat file."""
+    import h5py
+    from scipy.io import loadmat
+
+    text = SCRIPT.read_text()
+    with h5py.File(run) as file:
+        assert "epoch" in file.attrs
+        group = file["sensors/Acc"]
+        assert {"time", "counts", "status"} <= set(group)
+        asked = set(re.findall(r"h5readatt\(file, path, '(\w+)'\)", text))
+        assert asked == {"unit", "sensitivity", "orientation"} <= set(group.attrs)
+    export(run, run.with_name("r.mat"))
+    saved = loadmat(run.with_name("r.mat"), simplify_cells=True)
+    assert set(re.findall(r"saved\.imuarray\.(\w+)", text)) <= set(saved["imuarray"])
+    assert set(re.findall(r"table\.(\w+)", text)) <= set(saved["Acc"])
