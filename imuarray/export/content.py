@@ -23,7 +23,7 @@ from imuarray.log.layout import TRACK_UNITS
 from imuarray.log.sensor_log import recorded_header
 from imuarray.units import SI_PER_UNIT
 
-_KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal"})
+_KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal", "comment"})
 
 
 @contextmanager

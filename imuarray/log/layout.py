@@ -240,6 +240,10 @@ def create_sensor(
         counts["units"] = SI_NAME[header.unit]
         counts["scale_factor"] = SI_PER_UNIT[header.unit] / header.sensitivity
         counts["add_offset"] = 0.0
+        group.attrs["comment"] = (
+            f"counts are raw; readers that apply scale_factor (xarray) show {SI_NAME[header.unit]}."
+            f" unit, {header.unit}, is that of range and sensitivity only."
+        )
     for name in header.compensated:
         group[name].attrs["units"] = {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s"}.get(name, "1")
     return group
