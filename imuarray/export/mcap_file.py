@@ -29,6 +29,7 @@ from imuarray.export import ros2_messages as ros2
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Column, Content, Meter, Table
+from imuarray.log.health import is_trouble
 
 if TYPE_CHECKING:
     from imuarray.export.mcap_container import Container
@@ -37,8 +38,6 @@ _BLOCK = 1 << 12
 """Rows of each table that are held at once."""
 _CHUNK_BYTES = 1 << 20
 """Messages that are packed together: what must be read to see one of them."""
-_HARMLESS = frozenset({"imported", "simulated", "back", "recovered"})
-"""Kinds of events that are no warnings."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_NS = 2**63
 
@@ -364,7 +363,7 @@ def _events(content: Content) -> list[_Entry]:
     return [
         _Entry(
             event.time_ns,
-            "INFO" if event.kind in _HARMLESS else "WARNING",
+            "WARNING" if is_trouble(event) else "INFO",
             event.sensor or "array",
             f"{event.kind}: {event.message}",
         )

@@ -25,10 +25,11 @@ from imuarray.fuse.fused_file import fused_columns, rows_of
 from imuarray.log import Log, SensorLog, first_at
 from imuarray.log.disk_space import WATERMARK, free_bytes
 from imuarray.log.format import FLAGS
+from imuarray.log.health import Observations, health_of
 from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
 from imuarray.monitor.log_source import Source
 from imuarray.monitor.memory_log import MemoryLog
-from imuarray.monitor.snapshot import WRITTEN, Disk, FusedView, SensorView, Snapshot
+from imuarray.monitor.snapshot import INTERRUPTED, WRITTEN, Disk, FusedView, SensorView, Snapshot
 from imuarray.monitor.window import Gaps, Rows, Window
 from imuarray.units import INERTIAL
 
@@ -245,6 +246,8 @@ def snapshot_of(
     )
     frames = _frames(views)
     fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
+    missed, disk = max(events.missed, _missed_frames(frames, period_ns)), _disk(source, views)
+    seen = _observations(source, views, missed, quiet_s, disk)
     return Snapshot(
         source.path,
         source.state,
@@ -258,15 +261,41 @@ def snapshot_of(
         rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
         frame_rate_hz=source.frame_rate_hz,
         delayed=min((view.delayed for view in frames), default=0),
-        missed=max(events.missed, _missed_frames(frames, period_ns)),
+        missed=missed,
         counted=source.backlog.counted,
         events=events.kinds,
         problems=events.problems,
         recent=events.recent,
-        disk=_disk(source, views),
+        repeated=events.repeated,
+        health=None if begins_ns is None else health_of(seen),
+        disk=disk,
         sensors=views,
         fused=fused,
         not_fused=not_fused,
+    )
+
+
+_QUIET_S = 5.0
+"""Without a row of any sensor, after which a log that is being written has stopped."""
+
+
+def _observations(
+    source: Source, views: Sequence[SensorView], missed: int, quiet_s: float, disk: Disk | None
+) -> Observations:
+    """What counts for the health of the log."""
+    stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
+    if source.state == WRITTEN and quiet_s >= _QUIET_S:
+        stopped = f"nothing came for {quiet_s:.0f} s"
+    heard = [view for view in views if view.silent_s is None]
+    return Observations(
+        sensors=len(views),
+        frames=max((view.rows for view in views if view.framed), default=0),
+        missed=missed,
+        silent={view.name: view.silent_s for view in views if view.silent_s is not None},
+        lost={view.name: max(0, view.missed - missed) for view in heard if view.framed},
+        faults=source.read_rows.events.faults,
+        stopped=stopped,
+        room_s=None if disk is None else disk.left_s,
     )
 
 

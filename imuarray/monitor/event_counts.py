@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log.format import Event
+from imuarray.log.health import is_trouble
 from imuarray.log.layout import Notes
 from imuarray.log.missed_frames import MISSED
 
 KEPT = 50
 """Events that are kept to be shown."""
 
-HARMLESS = frozenset({"back", "reconfigured", "clock", "start_up", "recovered"})
-"""Kinds of events that report no fault, or the end of one."""
-
 _MOST_BYTES = 1 << 20
 """Of earlier notes that are read, the last ones: some ten thousand events."""
+
+
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+class RepeatedEvent(NamedTuple):
+    """The newest of some events that are alike but for numbers, how many times they happened, and when the first of them was."""
+
+    event: Event
+    times: int
+    first_ns: int
 
 
 class EventCounts:
@@ -31,6 +41,8 @@ class EventCounts:
     def __init__(self) -> None:
         self._kinds: Counter[str] = Counter()
         self._last: deque[Event] = deque(maxlen=KEPT)
+        self._alike: dict[tuple[str, str, str], RepeatedEvent] = {}
+        self._faults: Counter[tuple[str, str]] = Counter()
         self._on: dict[tuple[int, str], None] = {}
         self.missed = 0
         """Missed frames as reported by events. A machine that is always too slow misses frames that the times of its
@@ -67,6 +79,9 @@ class EventCounts:
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
+            self._add_alike(event)
+            if is_trouble(event):
+                self._faults[event.sensor, event.kind] += 1
             if event.kind == "late" and not event.sensor and (match := MISSED.match(event.message)):
                 frames = int(match[2])  # "in all" includes the number of the first event
                 self.missed += frames - (self._missed_first if match[1] else 0)
@@ -79,8 +94,27 @@ class EventCounts:
 
     @property
     def problems(self) -> int:
-        """Events that report a fault."""
-        return sum(count for kind, count in self._kinds.items() if kind not in HARMLESS)
+        """Events that report a fault, not its end."""
+        return self._faults.total()
+
+    @property
+    def faults(self) -> Mapping[tuple[str, str], int]:
+        """Events that report a fault by sensor and kind, the most frequent first."""
+        return MappingProxyType(dict(self._faults.most_common()))
+
+    @property
+    def repeated(self) -> tuple[RepeatedEvent, ...]:
+        """The last events that differ in more than numbers, each with how often it happened; the newest first."""
+        return tuple(sorted(self._alike.values(), key=lambda one: one.event.time_ns)[::-1])
+
+    def _add_alike(self, event: Event) -> None:
+        """Count an event with those that differ from it in numbers only."""
+        key = event.sensor, event.kind, _NUMBER.sub("#", event.message)
+        before = self._alike.pop(key, None)
+        first_ns = event.time_ns if before is None else before.first_ns
+        self._alike[key] = RepeatedEvent(event, 1 if before is None else before.times + 1, first_ns)
+        if len(self._alike) > KEPT:
+            del self._alike[next(iter(self._alike))]
 
     @property
     def recent(self) -> tuple[Event, ...]:

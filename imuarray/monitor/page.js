@@ -275,6 +275,7 @@ function sensors(now) {
     node.querySelector(".now").replaceChildren(axes(sensor.columns, values, smalls, uses));
     const [trace, density] = node.querySelectorAll(".figure");
     feed(trace, sensor.trace);
+    if (density) density.hidden = node.querySelector(".label").hidden = !sensor.density; // too few rows for one
     if (density && sensor.density) feed(density, sensor.density);
   });
 }
@@ -289,15 +290,28 @@ function aloud(news) {
 function events(now) {
   const count = Object.values(now.events).reduce((sum, one) => sum + one, 0);
   write(byId("events-hint"), count
-    ? `${whole(count)} in all, ${whole(now.problems)} of them trouble (▲). The last ${now.recent.length}, the newest first.`
+    ? `${whole(count)} in all, ${whole(now.problems)} of them faults (▲). The newest first; events that differ in numbers only are one line with their count.`
     : "Nothing happened so far: no reading lost, no sensor set up again.");
   if (told !== null && count > told) write(byId("events-new"), aloud(now.recent.slice(0, count - told)));
   told = count;
   const table = byId("events");
-  table.hidden = now.recent.length === 0;
-  table.tBodies[0].replaceChildren(...now.recent.map((event) => make("tr", {},
-    make("td", { class: "n" }, `${shown(event.time_s, 1)} s`), make("td", {}, event.sensor || "array"),
+  table.hidden = now.repeated.length === 0;
+  table.tBodies[0].replaceChildren(...now.repeated.map((event) => make("tr", {},
+    make("td", { class: "n" }, `${shown(event.time_s, 1)} s`),
+    make("td", { class: "n" }, event.count > 1 ? `${whole(event.count)} × since ${shown(event.first_s, 1)} s` : ""),
+    make("td", {}, event.sensor || "array"),
     make("td", event.trouble ? { class: "warn" } : {}, `${event.trouble ? "▲ " : ""}${event.kind}`), make("td", {}, event.message))));
+}
+
+const LEVELS = { green: "Healthy:", amber: "Attention:", red: "Trouble:" };
+
+function health(now) {
+  const box = byId("health");
+  box.hidden = !now.health;
+  if (!now.health) return;
+  box.dataset.level = now.health.level;
+  write(byId("health-level"), LEVELS[now.health.level]);
+  write(byId("health-reason"), `${now.health.reason}.`);
 }
 
 const STATES = {
@@ -312,6 +326,7 @@ function show(now) {
   document.title = `${now.log}: ${now.state}`;
   byId("remark").hidden = !now.remark;
   write(byId("remark"), now.remark);
+  health(now);
   const whatIs = now.begins_s !== null;
   byId("main").hidden = !whatIs;
   if (!whatIs) {

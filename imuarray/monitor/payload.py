@@ -14,6 +14,8 @@
 `counted`         share of the log in which `delayed` was counted, 1 at last
 `events`          how many, by kind; `problems`: how many of them tell of trouble
 `recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`, `trouble`
+`repeated`        the last 50 that differ in more than numbers: the newest of each, with `count` and `first_s`
+`health`          `level`, "green", "amber" or "red", and `reason`; null before the first row
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`;
                   `silent_s`: how long nothing came from it before the newest row of the log, null if something did in
@@ -36,7 +38,8 @@ from typing import Any
 import numpy as np
 
 from imuarray.arrays import Floats, Times
-from imuarray.monitor.event_counts import HARMLESS
+from imuarray.log.format import Event
+from imuarray.log.health import is_trouble
 from imuarray.monitor.snapshot import FusedView, SensorView, Snapshot
 from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI
@@ -68,16 +71,16 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
         "counted": round(snapshot.counted, 3),
         "events": {printable(kind): count for kind, count in (snapshot.events or {}).items()},
         "problems": snapshot.problems,
-        "recent": [
-            {
-                "time_s": _seconds(event.time_ns),
-                "sensor": printable(event.sensor),
-                "kind": printable(event.kind),
-                "message": printable(event.message),
-                "trouble": event.kind not in HARMLESS,
-            }
-            for event in snapshot.recent
+        "recent": [_event(event) for event in snapshot.recent],
+        "repeated": [
+            _event(one.event) | {"count": one.times, "first_s": _seconds(one.first_ns)} for one in snapshot.repeated
         ],
+        "health": None
+        if snapshot.health is None
+        else {
+            "level": snapshot.health.level,
+            "reason": snapshot.health.reason,
+        },
         "disk": _disk(snapshot),
         "sensors": [_sensor(view) for view in snapshot.sensors],
         "fused": None if snapshot.fused is None else _fused(snapshot.fused),
@@ -99,6 +102,16 @@ def drawn(snapshot: Snapshot) -> dict[str, Any]:
             factor = READABLE_SI[quantity][0]
             shown["trace"] = _curves(fused.time - end_ns, factor * fused.triads[quantity], ("x", "y", "z"))
     return figures
+
+
+def _event(event: Event) -> dict[str, Any]:
+    return {
+        "time_s": _seconds(event.time_ns),
+        "sensor": printable(event.sensor),
+        "kind": printable(event.kind),
+        "message": printable(event.message),
+        "trouble": is_trouble(event),
+    }
 
 
 def _seconds(time_ns: int | None) -> float | None:

@@ -9,6 +9,8 @@ from pathlib import Path
 from imuarray.arrays import Floats, Times
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.log.format import Event
+from imuarray.log.health import Health
+from imuarray.monitor.event_counts import RepeatedEvent
 
 WAITING, WRITTEN, FINISHED, INTERRUPTED = "waiting", "being written", "finished", "interrupted"
 """The states of a log that is watched."""
@@ -85,7 +87,8 @@ class Snapshot:
     counts them; `delayed` those that were read more than a quarter of a period later than usual, which is fewer than
     the logger calls late: there it is every frame that began behind its time, however little. `counted` is the share of
     the log that was counted so far. `events` by kind, of which `problems` tell of trouble; `recent` are the last ones,
-    the newest first. `took_s` is what it took to look.
+    the newest first, and `repeated` the last ones that differ in more than numbers. `health` is the sign of all of it.
+    `took_s` is what it took to look.
     """
 
     path: Path
@@ -105,6 +108,8 @@ class Snapshot:
     events: Mapping[str, int] | None = None
     problems: int = 0
     recent: tuple[Event, ...] = ()
+    repeated: tuple[RepeatedEvent, ...] = ()
+    health: Health | None = None
     disk: Disk | None = None
     sensors: tuple[SensorView, ...] = ()
     fused: FusedView | None = None

@@ -26,6 +26,8 @@ def lines_of(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
         lines += _wrapped(printable(snapshot.remark), columns)
     if snapshot.begins_ns is None:
         return lines
+    if snapshot.health is not None:
+        lines += _wrapped(f"health {snapshot.health.level}: {snapshot.health.reason}", columns)
     lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
     return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
 
@@ -122,10 +124,11 @@ def _fused(snapshot: Snapshot, columns: int) -> list[str]:
 
 
 def _events(snapshot: Snapshot, columns: int) -> list[str]:
-    if not snapshot.recent:
+    if not snapshot.repeated:
         return []
     lines = ["", "  last events"]
-    for event in snapshot.recent[:EVENTS]:
+    for event, count, first_ns in snapshot.repeated[:EVENTS]:
         about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
-        lines.append(_cut(f"  {event.time_ns * 1e-9:9.1f} s  {printable(about)}", columns))
+        times = f"{count} times since {first_ns * 1e-9:.1f} s, " if count > 1 else ""
+        lines.append(_cut(f"  {event.time_ns * 1e-9:9.1f} s  {times}{printable(about)}", columns))
     return lines

@@ -23,6 +23,7 @@ from imuarray.cli import main
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
 from imuarray.monitor import LogMonitor, payload
+from imuarray.monitor.event_counts import RepeatedEvent
 from imuarray.monitor.payload import DRAWN, described, drawn
 from imuarray.monitor.text import duration, lines_of
 from tests.monitor.conftest import EPOCH, HEADERS, Logger
@@ -53,9 +54,11 @@ def test_the_table(ended: Path) -> None:
     with LogMonitor(ended) as watch:
         lines = lines_of(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
-    assert lines[1] == "  99.5 of 100 Hz, 5 frames missed, 0 delayed"
-    assert lines[2].startswith("  disk: ")
-    assert lines[3] == "  2 events: late 1, back 1"
+    assert lines[1] == "  health amber: 5 frames missed"
+    assert lines[2] == "  99.5 of 100 Hz, 5 frames missed, 0 delayed"
+    assert lines[3].startswith("  disk: ")
+    assert lines[4] == "  2 events: late 1, back 1"
+    del lines[1]
     assert words(lines[5]) == "sensor Hz mean of the last second unit sd range degC missed"
     assert words(lines[6]) == "Acc 99.5 0.250 -0.500 1.000 g 0.0005 25% 28.0 5"
     assert words(lines[8]) == "Gyro 99.5 10.000 -5.000 2.500 dps 0.0100 4% -20.0* 5"
@@ -79,7 +82,11 @@ def test_the_table_fits_into_80_columns(ended: Path) -> None:
     ]
     long = Event(360_000_000_000_000, "Acc", "lost", "no reading: " + "why " * 40)
     full = dataclasses.replace(
-        snapshot, sensors=tuple(views), recent=(long,), events={f"kind_{k}": 10_000 for k in range(9)}, remark="r " * 90
+        snapshot,
+        sensors=tuple(views),
+        repeated=(RepeatedEvent(long, 3, 0),),
+        events={f"kind_{k}": 10_000 for k in range(9)},
+        remark="r " * 90,
     )
     lines = lines_of(full)
     assert max(map(len, lines)) <= 80
@@ -151,7 +158,8 @@ def test_a_sensor_that_died_is_silent_in_the_table(died: Path, capsys: pytest.Ca
     lines = capsys.readouterr().out.splitlines()
     (line,) = (line for line in lines if line.startswith("  Turned"))
     assert words(line) == "Turned 0.0 silent 49 s g 4900"
-    assert lines[1] == "  100.0 of 100 Hz, 0 frames missed, 0 delayed"
+    assert lines[1] == "  health red: Turned silent for 49 s"
+    assert lines[2] == "  100.0 of 100 Hz, 0 frames missed, 0 delayed"
 
 
 def test_a_sensor_that_died_is_silent_in_json(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -182,8 +190,44 @@ def test_json_has_the_keys_that_are_promised(ended: Path) -> None:
         found = described(watch.refresh(0.0))
     promised = set(re.findall(r"`(\w+)`", payload.__doc__ or ""))
     told = set(found) | set(found["disk"]) | set(found["sensors"][0]) | set(found["recent"][0]) | set(found["fused"])
+    told |= set(found["repeated"][0]) | set(found["health"])
     told |= set(found["fused"]["quantities"]["angular_rate"])
     assert told == promised
+
+
+def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
+    """Alike but for numbers; the end of a fault is a line of its own, and no trouble."""
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+        Logger(writer).go_on(10.0)
+        for second in range(1, 6):
+            writer.event(Event(second * 10**9, "Acc", "lost", f"no reading at {second}.5 s"))
+            writer.event(Event(second * 10**9 + 1, "", "bus", f"works again, after {second}.0 s"))
+    with LogMonitor(log_path) as watch:
+        snapshot = watch.refresh(0.0)
+    assert lines_of(snapshot)[-2:] == [
+        "        5.0 s  5 times since 1.0 s, bus: works again, after 5.0 s",
+        "        5.0 s  5 times since 1.0 s, Acc lost: no reading at 5.5 s",
+    ]
+    assert snapshot.problems == 5
+    found = described(snapshot)
+    assert [(one["kind"], one["count"], one["first_s"], one["trouble"]) for one in found["repeated"]] == [
+        ("bus", 5, 1.0, False),
+        ("lost", 5, 1.0, True),
+    ]
+    assert found["health"] == {"level": "amber", "reason": "5 faults of Acc reported (lost)"}
+
+
+def test_a_barometer_that_is_read_four_times_a_second_is_not_silent(log_path: Path) -> None:
+    """However long its newest row is ago within its period, from the first second on."""
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        logger = Logger(writer)
+        with LogMonitor(log_path) as watch:
+            for _ in range(12):
+                logger.go_on(0.25)
+                health = watch.refresh(0.0).health
+                assert health is not None
+                assert (health.level, health.reason.split(",")[0]) == ("green", "all 4 sensors deliver")
 
 
 @pytest.mark.slow

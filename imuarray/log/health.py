@@ -1,0 +1,126 @@
+"""The health of a recording: one sign, green, amber or red, with its reason, from missed frames, silent sensors, lost
+readings and events that report a fault.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from imuarray.log.format import Event
+from imuarray.printable import counted, printable
+
+Level = Literal["green", "amber", "red"]
+
+HARMLESS = frozenset(
+    {"back", "reconfigured", "clock", "start_up", "recovered", "imported", "import", "simulated", "taken"}
+)
+"""Kinds of events that report no fault, or the end of one."""
+
+_ENDS = re.compile(r"works again|in all \d|the adapter is back|answers again|set up again")
+"""Beginning of the message with which an event ends a fault (`imuarray.acquire.fault_episode`); its kind is that of the
+fault, which another event reported when it began."""
+
+MANY_MISSED = 0.05
+"""Share of missed frames from which on a recording is not what was asked for."""
+
+SHORT_ROOM_S, NO_ROOM_S = 3600.0, 600.0
+"""Seconds until the disk is full, below which that is a warning, or urgent."""
+
+_NAMED = 3
+"""Reasons, and sensors of a reason, that are named."""
+
+
+def is_trouble(event: Event) -> bool:
+    """Return whether an event reports a fault, not its end."""
+    return event.kind not in HARMLESS and not _ENDS.match(event.message)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What was seen of a recording: its number of sensors and frames, `missed` frames, seconds for which sensors are
+    `silent` and readings that they `lost` by name, `faults` by sensor ("": the array) and kind of event, `stopped`: why
+    it does not go on ("" it does, or it ended as it should), `room_s`: until the disk is full (None: not known).
+    """
+
+    sensors: int
+    frames: int
+    missed: int = 0
+    silent: Mapping[str, float] = field(default_factory=dict)
+    lost: Mapping[str, int] = field(default_factory=dict)
+    faults: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    stopped: str = ""
+    room_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Health:
+    """Green: as it should be; amber: something was lost or failed; red: it fails now, or much is lost. `reason` says
+    why, in one sentence without a full stop.
+    """
+
+    level: Level
+    reason: str
+
+
+def health_of(seen: Observations) -> Health:
+    """Return the health of a recording of which this was seen."""
+    urgent, minor = list(_urgent(seen)), list(_minor(seen))
+    if urgent:
+        return Health("red", _joined([*urgent, *minor]))
+    if minor:
+        return Health("amber", _joined(minor))
+    return Health("green", f"all {counted(seen.sensors, 'sensor')} deliver, no frame was missed, no fault reported")
+
+
+def _urgent(seen: Observations) -> Iterator[str]:
+    if seen.stopped:
+        yield seen.stopped
+    if seen.silent:
+        longest = max(seen.silent.values())
+        yield f"{_names(seen.silent)} silent for {_duration(longest)}"
+    if _share(seen) >= MANY_MISSED:
+        yield f"{_share(seen):.0%} of the frames missed"
+    if seen.room_s is not None and seen.room_s < NO_ROOM_S:
+        yield f"the disk is full in {_duration(seen.room_s)}"
+
+
+def _minor(seen: Observations) -> Iterator[str]:
+    if 0 < _share(seen) < MANY_MISSED:
+        yield f"{counted(seen.missed, 'frame')} missed"
+    if lost := {name: count for name, count in seen.lost.items() if count}:
+        yield f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost"
+    if faults := {key: count for key, count in seen.faults.items() if not _is_counted(seen, *key)}:
+        kinds = dict.fromkeys(kind.replace("_", " ") for _, kind in faults)
+        total = counted(sum(faults.values()), "fault")
+        of = dict.fromkeys(sensor for sensor, _ in faults if sensor)
+        yield f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})"
+    if seen.room_s is not None and NO_ROOM_S <= seen.room_s < SHORT_ROOM_S:
+        yield f"the disk is full in {_duration(seen.room_s)}"
+
+
+def _is_counted(seen: Observations, sensor: str, kind: str) -> bool:
+    """Return whether what these events report is counted as missed frames, lost readings or silence anyway."""
+    if kind == "late":
+        return seen.missed > 0
+    return kind == "lost" and (seen.lost.get(sensor, 0) > 0 or sensor in seen.silent)
+
+
+def _share(seen: Observations) -> float:
+    return seen.missed / max(1, seen.frames + seen.missed)
+
+
+def _names(names: Mapping[str, object]) -> str:
+    listed = [printable(name) for name in names]
+    more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""
+    return ", ".join(listed[:_NAMED]) + more
+
+
+def _joined(reasons: list[str]) -> str:
+    return "; ".join(reasons[:_NAMED])
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

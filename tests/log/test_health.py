@@ -1,0 +1,58 @@
+"""The sign of a recording's health, and which events are trouble."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.log.format import Event
+from imuarray.log.health import Health, Observations, health_of, is_trouble
+
+
+@pytest.mark.parametrize(
+    ("seen", "health"),
+    [
+        (Observations(4, 100), Health("green", "all 4 sensors deliver, no frame was missed, no fault reported")),
+        (Observations(4, 999, missed=1), Health("amber", "1 frame missed")),
+        (Observations(4, 90, missed=10), Health("red", "10% of the frames missed")),
+        (Observations(4, 99, silent={"Gyro2": 12.0}), Health("red", "Gyro2 silent for 12 s")),
+        (Observations(4, 99, lost={"A": 3, "B": 0}), Health("amber", "3 readings of A lost")),
+        (Observations(4, 99, faults={("A", "stuck_bus"): 2}), Health("amber", "2 faults of A reported (stuck bus)")),
+        (Observations(4, 99, stopped="nothing came for 9 s"), Health("red", "nothing came for 9 s")),
+        (Observations(4, 99, room_s=1800.0), Health("amber", "the disk is full in 30 min")),
+        (Observations(4, 99, room_s=60.0), Health("red", "the disk is full in 60 s")),
+        (
+            Observations(4, 99, room_s=1e6),
+            Health("green", "all 4 sensors deliver, no frame was missed, no fault reported"),
+        ),
+        (
+            Observations(9, 99, silent=dict.fromkeys("ABCDE", 5.0), missed=1, lost={"F": 2}, faults={("", "bus"): 1}),
+            Health("red", "A, B, C and 2 more silent for 5 s; 1 frame missed; 2 readings of F lost"),
+        ),
+    ],
+)
+def test_the_worst_decides_and_is_named_first(seen: Observations, health: Health) -> None:
+    assert health_of(seen) == health
+
+
+def test_what_is_counted_otherwise_is_no_further_fault() -> None:
+    """The logger reports missed frames and lost readings by events too."""
+    seen = Observations(4, 999, missed=2, lost={"A": 1}, faults={("", "late"): 1, ("A", "lost"): 1})
+    assert health_of(seen).reason == "2 frames missed; 1 reading of A lost"
+    assert health_of(Observations(4, 999, faults={("A", "lost"): 1})).reason == "1 fault of A reported (lost)"
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "trouble"),
+    [
+        ("lost", "no reading", True),
+        ("lost", "in all 12 readings lost in 3.0 s", False),
+        ("hang", "SDA is held low", True),
+        ("hang", "works again, after 3.0 s", False),
+        ("adapter", "the adapter is back at /dev/i2c-3, its sensors are configured again", False),
+        ("hang", "still so when the log ended, in all 2 times in 3.0 s", True),
+        ("back", "answers again with its configuration intact, after 0.50 s", False),
+        ("recovered", "the log was cut short", False),
+    ],
+)
+def test_the_end_of_a_fault_is_no_trouble(kind: str, message: str, trouble: bool) -> None:
+    assert is_trouble(Event(0, "A", kind, message)) is trouble
