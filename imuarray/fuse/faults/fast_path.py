@@ -52,6 +52,7 @@ class WindowSeries:
     ) -> None:
         self._rows, self._white, self._frames = rows, white, time.shape[1]
         self.out, self.included, self._all = out, ~out, not out.any()
+        self.observable = white.observable
         self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains
         self._own = values @ self._blind
         triad = values @ white.gain.T

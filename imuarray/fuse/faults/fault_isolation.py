@@ -188,7 +188,11 @@ class FaultIsolation:
         if not self._normal.settled:
             return None
         white = self._spaces(np.where(out, 0.0, 1 / self._normal.variance))
-        if white is None or not white.observable[~out].all():
+        if white is None:
+            return None
+        observable = white.observable[~out]
+        nobody_checks = not observable.any() and (self._blind or not self._out)  # which the long way says once
+        if not (observable.all() or nobody_checks):
             return None
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
@@ -215,7 +219,7 @@ class FaultIsolation:
             if suspect is not None:
                 self._decide(window(), masks, stretch.out, (suspect, drifted))
                 return True
-        whole = seen.sound & (changes > QUIETEST * normal.change)
+        whole = seen.sound & stretch.observable & (changes > QUIETEST * normal.change)
         sound = slice(None) if seen.sound.all() else np.flatnonzero(seen.sound)
         normal.learn_sums(seen.moments[sound], seen.products[sound], seen.sound)
         normal.learn_noise(seen.residual, seen.means, stretch.share, stretch.counts, whole)

@@ -65,6 +65,44 @@ def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
     return {name: getattr(normal, name) for name in ("state", "covariance", "colour", "change", "variance")}
 
 
+@pytest.mark.parametrize(
+    ("kind", "sensors"),
+    [("static", ("Gyro1",)), ("motion", ("Gyro1",)), ("static", ("Gyro1", "Gyro2", "Gyro3"))],
+    ids=["one at rest", "one in motion", "two of three left out"],
+)
+def test_both_ways_learn_the_same_where_nobody_can_check(
+    kind: str, sensors: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One triad alone, and three of which the last steps away and the second stands still, then is off."""
+    run = simulated(kind, 25.0)["angular_rate"].only(*sensors)
+    values = run.frames.values.copy()
+    values[400:, 6:] += 40 * run.noise[6:]
+    values[900:, 3:6] += 40 * run.noise[3:6]
+    values[800:900, 3:6] = values[800, 3:6]
+    fed = replace(run.frames, values=values)
+
+    def judged() -> tuple[FaultMonitor, Frames, list[tuple[int, str, str]], int]:
+        calls: list[int] = []
+        judge = FaultIsolation.__call__
+        with monkeypatch.context() as patch:
+            patch.setattr(FaultIsolation, "__call__", lambda *given: (calls.append(1), judge(*given)))
+            monitor = run.monitor()
+            whole, events = watched(monitor, fed)
+        return monitor, whole, [(event.time_ns, event.sensor, event.state) for event in events], len(calls)
+
+    monitor, whole, events, long_ones = judged()
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultIsolation, "stretch", lambda *_: None)
+        long, wanted, other_events, windows = judged()
+    assert (whole.valid == wanted.valid).all()
+    assert events == other_events
+    assert any(state == "no redundancy" for *_, state in events) == (len(sensors) > 1)
+    assert long_ones < windows / 2
+    ours, theirs = learnt(monitor), learnt(long)
+    for name in ours:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, atol=1e-12, err_msg=name)
+
+
 def test_nearly_every_window_at_rest_takes_the_short_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else it is of no use: of 250 windows those of the first seconds, in which noise is learnt, and few others."""
     run, calls = simulated("static", 25.0)["specific_force"], []
