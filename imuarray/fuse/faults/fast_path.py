@@ -7,6 +7,9 @@ bounds, each of which costs less than what it stands for: no error of an axis or
 of squares of the mean residuals; no energy is more than that over the noise alone; no limit of an energy is less than
 that of white noise; and who is left out does not agree if one of its axes is off. Where a bound does not settle it, the
 window is judged the long way, and nothing was done.
+
+Consecutive windows are passed through by compiled code, where that was built (`_windows.c`). It does the same window by
+window in a small part of the time: NumPy's calls cost more than the few numbers of a window.
 """
 
 from __future__ import annotations
@@ -19,8 +22,22 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
-from imuarray.fuse.faults.normal import STATES, Normal
+from imuarray.fuse.faults.kinds import QUIET
+from imuarray.fuse.faults.normal import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, Normal
 from imuarray.fuse.faults.window import Parity, slopes
+
+try:
+    from imuarray.fuse.faults._windows import advance
+except ImportError:  # installed without a C compiler
+
+    def advance(arrays: tuple[Floats, ...], sizes: tuple[int, ...], limits: tuple[float, ...]) -> int:
+        """No window."""
+        return 0
+
+
+QUIETEST = 0.2
+"""A window with less than this share of the usual changes may hold the begin or the end of a standstill: nothing is
+learnt of noise from it."""
 
 _UNEVEN = 1e-6
 """Least determinant of a normal matrix over the cube of its trace that goes without saying: `spans` asks for 1e-9."""
@@ -50,7 +67,8 @@ class WindowSeries:
     def __init__(
         self, time: Times, values: Floats, out: Booleans, white: Parity, rows: Floats, variance: Floats
     ) -> None:
-        self._rows, self._white, self._frames = rows, white, time.shape[1]
+        self._rows, self._gain = np.ascontiguousarray(rows), np.ascontiguousarray(white.gain)
+        self._frames = time.shape[1]
         self.out, self.included, self._all = out, ~out, not out.any()
         self.observable = white.observable
         self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains
@@ -75,12 +93,37 @@ class WindowSeries:
         normal = rows[self.included].T @ rows[self.included]
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 
+    def advance(self, windows: range, normal: Normal, waiting: Sequence[Sequence[int]]) -> int:
+        """Judge consecutive windows and let `normal` learn from them, up to the first one of which `seen` is to tell;
+        return how many were passed. No sensor stood still before them, and nothing else is asked of them.
+        """
+        groups = np.full(len(self._rows), -1.0)
+        for group, axes in enumerate(waiting):
+            groups[list(axes)] = group
+        learnt = normal.learnt_now
+        passed = advance(
+            (
+                *(self._own, self._courses, self._usual, self._jitter, self._moments, self.changes),
+                *(self._blind, self._rows, self._gain, self._precision, self.share),
+                *(normal.kept, normal.fresh, normal.variance, *learnt),
+                np.array([self.included, self.observable, groups], float),
+            ),
+            (len(self._own), self._frames, len(self._rows), windows.start, windows.stop),
+            (
+                *(self._limit, self._even, _UNEVEN, AXIS_GAIN, AGREES, QUIET, QUIETEST, normal.wander),
+                *(LEAST_SHARE, Q_WINDOWS, KAPPA_WINDOWS, normal.longest_colour),
+            ),
+        )
+        if passed:
+            normal.relearn(learnt)
+        return passed
+
     def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
         """What a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting` to be
         used again may agree with the others, or where this way does not tell.
         """
         frames, rows, state = self._frames, self._rows, normal.state
-        offset = self._white.gain @ state[:, 0]
+        offset = self._gain @ state[:, 0]
         made = np.empty((7, len(rows)))
         made[0] = state[:, 0] - state[:, 1:4] @ offset
         made[1:4] = state[:, 1:4].T

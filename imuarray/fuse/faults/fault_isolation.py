@@ -15,7 +15,7 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
-from imuarray.fuse.faults.fast_path import WindowSeries
+from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, separate_rivals, strongest
 from imuarray.fuse.faults.kinds import QUIET, Kind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
@@ -42,10 +42,10 @@ class Silence:
         """Return whether anybody is silent."""
         return bool(self._reported.any())
 
-    def all_heard(self) -> None:
-        """A window in which every sensor has enough readings, none being silent."""
+    def all_heard(self, windows: int = 1) -> None:
+        """Counts windows in which every sensor has enough readings, none being silent."""
         self._absent[:] = 0
-        self._heard += 1
+        self._heard += windows
 
     def __call__(self, present: Booleans, time_ns: int, report: FaultReport) -> None:
         """Takes the axes (m,) that have enough readings in the next window."""
@@ -70,10 +70,6 @@ less than a count, windows without a change are normal; so are stale ones where 
 _SHORT = 3
 """Runs of no more windows may be what a sensor does by itself."""
 
-QUIETEST = 0.2
-"""A window with less than this share of the usual changes may hold the begin or the end of a standstill: nothing is
-learnt of noise from it."""
-
 
 class Stillness:
     """Which sensors stand still, by two windows in a row; what is normal is learnt of the windows before."""
@@ -95,19 +91,24 @@ class Stillness:
             stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
 
+    @property
+    def anybody(self) -> bool:
+        """Return whether any sensor stood still in the window before."""
+        return self._quiet.any or self._stale.any
+
     def moves(self, changes: Floats, normal: Normal) -> bool:
         """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
         none is stale: its mean squares of `changes` (m,).
         """
-        if self._quiet.any or self._stale.any:
+        if self.anybody:
             return False
         share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
         return bool(share.min() >= 3 * QUIET)
 
-    def moved(self) -> None:
-        """Counts such a window."""
-        self._quiet.pass_by()
-        self._stale.pass_by()
+    def moved(self, windows: int = 1) -> None:
+        """Counts such windows."""
+        self._quiet.pass_by(windows)
+        self._stale.pass_by(windows)
 
 
 class _Runs:
@@ -119,9 +120,9 @@ class _Runs:
         self._windows = np.zeros(sensors)
         self._by_itself = np.zeros(sensors)
 
-    def pass_by(self) -> None:
-        """A window that shows it of no sensor, after one that did not either."""
-        self._windows += 1
+    def pass_by(self, windows: int) -> None:
+        """Counts windows that show it of no sensor, after one that did not either."""
+        self._windows += windows
 
     def __call__(self, shows: Booleans, judged: Booleans) -> Booleans:
         """(s,) the sensors for which this window and the one before show it, though that is unusual."""
@@ -195,6 +196,23 @@ class FaultIsolation:
         if not (observable.all() or nobody_checks):
             return None
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
+
+    def advance(self, stretch: WindowSeries, windows: range) -> int:
+        """Judges the next windows, which have these numbers in `stretch`, up to the first one that is anything but
+        usual, in one go; returns how many were judged: none, if the first is not usual.
+        """
+        if self._silence.anybody or self._still.anybody or not all(exclusion.named for exclusion in self._out):
+            return 0
+        before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS
+        windows = windows[:before_baseline]
+        passed = stretch.advance(windows, self._normal, [exclusion.axes for exclusion in self._out]) if windows else 0
+        if passed:
+            self._count += passed
+            self._silence.all_heard(passed)
+            self._still.moved(passed)
+            for exclusion in self._out:
+                exclusion.agreed = 0
+        return passed
 
     def undisturbed(
         self, stretch: WindowSeries, index: int, window: Callable[[], Window], masks: Sequence[Booleans]

@@ -110,21 +110,29 @@ class FaultMonitor:
         first = len(self._masks) * self.window
         starts = range(first, len(held.time) - self.window + 1, self.window)
         sound = _sound(held, first, len(starts), self.window) if starts else np.zeros(0, bool)
-        stretch, begin, ahead = None, 0, _AT_FIRST
-        for number, start in enumerate(starts):
-            self._masks.append(np.zeros(held.valid.shape[1], bool))
-            masks = self._masks[-2:]
+        disturbed = np.append(np.flatnonzero(~sound), len(sound))
+        stretch, begin, ahead, number = None, 0, _AT_FIRST, 0
+        while number < len(starts):
             if sound[number]:
                 if stretch is None or number - begin >= len(stretch.changes):
                     stretch, begin = self._stretch(held, starts[number : number + ahead]), number
                     ahead = min(2 * ahead, _AT_ONCE)
-                window = partial(self._window_at, held, start)
-                if stretch is not None and self._isolation.undisturbed(stretch, number - begin, window, masks):
-                    continue
-            out = self._isolation.out
-            self._isolation(self._window_at(held, start), masks)
+                if stretch is not None:
+                    last = min(int(disturbed[np.searchsorted(disturbed, number)]), begin + len(stretch.changes))
+                    passed = self._isolation.advance(stretch, range(number - begin, last - begin))
+                    self._masks += [stretch.out.copy() for _ in range(passed)]
+                    number += passed
+                    if number == last:
+                        continue
+            self._masks.append(np.zeros(held.valid.shape[1], bool))
+            masks, out = self._masks[-2:], self._isolation.out
+            window = partial(self._window_at, held, starts[number])
+            short = stretch if sound[number] else None
+            if short is None or not self._isolation.undisturbed(short, number - begin, window, masks):
+                self._isolation(window(), masks)
             if (self._isolation.out != out).any():
                 stretch, ahead = None, _AT_FIRST
+            number += 1
         return self._release(held, max(0, len(self._masks) - 1))
 
     def finish(self) -> Frames | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,8 +49,24 @@ _WANDER = 0.05
 _A_CHANGE = 1e-3
 """An axis with less than this share of the others' mean square of changes does not show its noise."""
 
-_KAPPA_WINDOWS = 100
-_Q_WINDOWS = 50
+LEAST_SHARE = 0.05
+"""Of its own variance in an axis' residual, by which noise is learnt; less is taken for so much."""
+
+KAPPA_WINDOWS = 100
+Q_WINDOWS = 50
+
+
+class Learnt(NamedTuple):
+    """What windows change of a `Normal` whose noise is settled: `state` (m, 5), `covariance` (m, 5, 5), and (m,)
+    `colour`, `change`, the windows `seen` and the means of the window `before`, NaN where it had none.
+    """
+
+    state: Floats
+    covariance: Floats
+    colour: Floats
+    change: Floats
+    seen: Floats
+    before: Floats
 
 
 class Normal:
@@ -71,12 +88,14 @@ class Normal:
         self.colour = np.full(size, max(1.0, window / 2))
         self.change = 2 * self.variance
         self._begun = ~self.learnt
-        self._window = window
+        self.longest_colour = float(window)
         keep = np.exp(-window * period_s / _KEEPS_S)
         self._keep = np.array([1.0, keep, keep, keep, keep])
-        self._kept = np.outer(self._keep, self._keep)
-        self._fresh = self._prior * (1 - np.diag(self._keep) ** 2)
-        self._wander = _WANDER**2 * window * period_s
+        self.kept = np.outer(self._keep, self._keep)
+        """(5, 5) share of a covariance that is left after a window."""
+        self.fresh = self._prior * (1 - np.diag(self._keep) ** 2)
+        """(5, 5) covariance that a window adds."""
+        self.wander = _WANDER**2 * window * period_s
         self._seen = np.zeros(size)
         self._before: Floats | None = None
 
@@ -101,7 +120,18 @@ class Normal:
     @property
     def settled(self) -> bool:
         """Return whether the noise of every axis stays as it is from now on."""
-        return self.begun and not bool((self.learnt & (self._seen < _Q_WINDOWS)).any())
+        return self.begun and not bool((self.learnt & (self._seen < Q_WINDOWS)).any())
+
+    @property
+    def learnt_now(self) -> Learnt:
+        """Return a copy of what windows change."""
+        before = np.full(len(self._seen), np.nan) if self._before is None else self._before
+        every = (self.state, self.covariance, self.colour, self.change, self._seen, before)
+        return Learnt(*(np.array(each, float, order="C") for each in every))
+
+    def relearn(self, learnt: Learnt) -> None:
+        """Take over what windows made of `learnt_now`."""
+        self.state, self.covariance, self.colour, self.change, self._seen, self._before = learnt
 
     def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:
         """(m, n, 5) of a window with triads (n, 3) and their slopes (n, 3)."""
@@ -140,9 +170,9 @@ class Normal:
 
     def aged(self) -> Floats:
         """(m, 5, 5) the covariances a window later."""
-        older = self.covariance * self._kept
-        older += self._fresh
-        older[:, 0, 0] += self._wander * self.variance
+        older = self.covariance * self.kept
+        older += self.fresh
+        older[:, 0, 0] += self.wander * self.variance
         return older
 
     def learn(self, regressors: Floats, residual: Floats, which: Booleans) -> None:
@@ -172,22 +202,22 @@ class Normal:
         """Updates colour, change and, where it is to be learnt, noise, from residuals (n, m) of a window and their
         means (m,); `share` (m,) of its own variance is left in an axis' residual, `counts` (m,) readings are in it.
         """
-        share = np.maximum(share, 0.05)
+        share = np.maximum(share, LEAST_SHARE)
         seen, every = self._seen, bool(which.all())
         steps = own[1:] - own[:-1]
         step = np.einsum("nm,nm->m", steps, steps) / ((len(own) - 1) * share)
-        rate = 1 / np.minimum(seen + 2, _Q_WINDOWS)
+        rate = 1 / np.minimum(seen + 2, Q_WINDOWS)
         change = self.change + rate * (np.minimum(step, 4 * self.change) - self.change)
         self.change = change if every else np.where(which, change, self.change)
         if self.learnt.any():
             within = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
             moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)
-            self.variance = np.where(self.learnt & which & (seen < _Q_WINDOWS), moved, self.variance)
+            self.variance = np.where(self.learnt & which & (seen < Q_WINDOWS), moved, self.variance)
         if self._before is not None:
             spread = counts * (means - self._before) ** 2 / (2 * share * self.variance)
-            rate = 1 / np.minimum(seen + 10, _KAPPA_WINDOWS)
+            rate = 1 / np.minimum(seen + 10, KAPPA_WINDOWS)
             colour = self.colour + rate * (np.minimum(spread, 9 * self.colour) - self.colour)
-            colour = np.minimum(np.maximum(colour, 1.0), self._window)
+            colour = np.minimum(np.maximum(colour, 1.0), self.longest_colour)
             self.colour = np.where(which & np.isfinite(spread), colour, self.colour)
         self._before = means if every else np.where(which, means, np.nan)
         self._seen = seen + which

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,6 +59,52 @@ def test_both_ways_leave_out_the_same_and_learn_the_same(
     ours, theirs = learnt(monitor), learnt(long)
     for name in ours:
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, atol=1e-12, err_msg=name)
+
+
+COMPILED = importlib.util.find_spec("imuarray.fuse.faults._windows") is not None
+
+
+@pytest.mark.skipif(not COMPILED, reason="installed without a C compiler")
+@pytest.mark.parametrize("case", ["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"])
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_compiled_windows_are_those_of_numpy(quantity: str, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, fed = cases(quantity)[case]
+    passed: list[int] = []
+    advance = FaultIsolation.advance
+
+    def counted(*given: Any) -> int:
+        passed.append(advance(*given))
+        return passed[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultIsolation, "advance", counted)
+        monitor = run.monitor()
+        whole, events = watched(monitor, fed)
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultIsolation, "advance", lambda *_: 0)
+        by_numpy = run.monitor()
+        wanted, told = watched(by_numpy, fed)
+    assert sum(passed) > 30
+    assert (whole.valid == wanted.valid).all()
+    assert [(event.time_ns, event.axes, event.state) for event in events] == [
+        (event.time_ns, event.axes, event.state) for event in told
+    ]
+    ours, theirs = learnt(monitor), learnt(by_numpy)
+    for name in ours:
+        scale = np.abs(theirs[name]).max()
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-10, atol=1e-12 * scale, err_msg=name)
+
+
+@pytest.mark.skipif(not COMPILED, reason="installed without a C compiler")
+def test_compiled_windows_refuse_arrays_of_another_size() -> None:
+    from imuarray.fuse.faults._windows import advance
+
+    arrays = tuple(np.zeros(1) for _ in range(21))
+    with pytest.raises(ValueError, match="array 0: 90 numbers of double precision"):
+        advance(arrays, (1, 10, 9, 0, 1), (0.0,) * 12)
+    with pytest.raises(ValueError, match="another number of arrays"):
+        advance(arrays[1:], (1, 10, 9, 0, 1), (0.0,) * 12)
+    assert advance(arrays, (1, 10, 8, 0, 1), (0.0,) * 12) == 0  # 8 axes are no triads: NumPy's way is taken
 
 
 def learnt(monitor: FaultMonitor) -> dict[str, Floats]:

@@ -1,0 +1,3 @@
+from imuarray.arrays import Floats
+
+def advance(arrays: tuple[Floats, ...], sizes: tuple[int, ...], limits: tuple[float, ...]) -> int: ...
