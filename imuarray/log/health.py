@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from imuarray.log.format import Event
 from imuarray.printable import counted, printable
@@ -40,9 +40,10 @@ def is_trouble(event: Event) -> bool:
 
 @dataclass(frozen=True)
 class Observations:
-    """What was seen of a recording: its number of sensors and frames, `missed` frames, seconds for which sensors are
-    `silent` and readings that they `lost` by name, `faults` by sensor ("": the array) and kind of event, `stopped`: why
-    it does not go on ("" it does, or it ended as it should), `room_s`: until the disk is full (None: not known).
+    """What was seen of a recording: its number of sensors and frames, `missed` frames; by name the seconds for which
+    sensors are `silent`, the readings that they `lost`, their `gaps` of unknown length and `clipped` readings; `faults`
+    by sensor ("": the array) and kind of event; `stopped`: why it does not go on ("" it does, or ended as it should);
+    `room_s` until the disk is full (None: not known).
     """
 
     sensors: int
@@ -50,6 +51,8 @@ class Observations:
     missed: int = 0
     silent: Mapping[str, float] = field(default_factory=dict)
     lost: Mapping[str, int] = field(default_factory=dict)
+    gaps: Mapping[str, int] = field(default_factory=dict)
+    clipped: Mapping[str, int] = field(default_factory=dict)
     faults: Mapping[tuple[str, str], int] = field(default_factory=dict)
     stopped: str = ""
     room_s: float | None = None
@@ -58,54 +61,70 @@ class Observations:
 @dataclass(frozen=True)
 class Health:
     """Green: as it should be; amber: something was lost or failed; red: it fails now, or much is lost. `reason` says
-    why, in one sentence without a full stop.
+    why, without a full stop, and `advice` what to do about the first reason ("": nothing).
     """
 
     level: Level
     reason: str
+    advice: str = ""
+
+
+class _Reason(NamedTuple):
+    text: str
+    advice: str
 
 
 def health_of(seen: Observations) -> Health:
     """Return the health of a recording of which this was seen."""
     urgent, minor = list(_urgent(seen)), list(_minor(seen))
-    if urgent:
-        return Health("red", _joined([*urgent, *minor]))
-    if minor:
-        return Health("amber", _joined(minor))
-    return Health("green", f"all {counted(seen.sensors, 'sensor')} deliver, no frame was missed, no fault reported")
+    reasons = [*urgent, *minor]
+    if not reasons:
+        return Health("green", f"all {counted(seen.sensors, 'sensor')} deliver, no frame was missed, no fault reported")
+    text = "; ".join(reason.text for reason in reasons[:_NAMED])
+    return Health("red" if urgent else "amber", text, reasons[0].advice)
 
 
-def _urgent(seen: Observations) -> Iterator[str]:
+def _urgent(seen: Observations) -> Iterator[_Reason]:
     if seen.stopped:
-        yield seen.stopped
+        yield _Reason(seen.stopped, "see whether the logger runs")
     if seen.silent:
         longest = max(seen.silent.values())
-        yield f"{_names(seen.silent)} silent for {_duration(longest)}"
+        yield _Reason(f"{_names(seen.silent)} silent for {_duration(longest)}", "check cable, power and address")
     if _share(seen) >= MANY_MISSED:
-        yield f"{_share(seen):.0%} of the frames missed"
+        yield _Reason(f"{_share(seen):.0%} of the frames missed", _SLOWER)
     if seen.room_s is not None and seen.room_s < NO_ROOM_S:
-        yield f"the disk is full in {_duration(seen.room_s)}"
+        yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
 
 
-def _minor(seen: Observations) -> Iterator[str]:
+def _minor(seen: Observations) -> Iterator[_Reason]:
     if 0 < _share(seen) < MANY_MISSED:
-        yield f"{counted(seen.missed, 'frame')} missed"
+        yield _Reason(f"{counted(seen.missed, 'frame')} missed", _SLOWER)
     if lost := {name: count for name, count in seen.lost.items() if count}:
-        yield f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost"
+        yield _Reason(f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost", _EVENTS)
+    if gaps := {name: count for name, count in seen.gaps.items() if count}:
+        yield _Reason(f"{counted(sum(gaps.values()), 'gap')} in the readings of {_names(gaps)}", _EVENTS)
+    if clipped := {name: count for name, count in seen.clipped.items() if count}:
+        text = f"{counted(sum(clipped.values()), 'reading')} of {_names(clipped)} at the end of the range"
+        yield _Reason(text, "choose a wider range if the motion was meant")
     if faults := {key: count for key, count in seen.faults.items() if not _is_counted(seen, *key)}:
         kinds = dict.fromkeys(kind.replace("_", " ") for _, kind in faults)
         total = counted(sum(faults.values()), "fault")
         of = dict.fromkeys(sensor for sensor, _ in faults if sensor)
-        yield f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})"
+        yield _Reason(f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})", _EVENTS)
     if seen.room_s is not None and NO_ROOM_S <= seen.room_s < SHORT_ROOM_S:
-        yield f"the disk is full in {_duration(seen.room_s)}"
+        yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
+
+
+_SLOWER = "ask for fewer frames a second, or for fewer sensors"
+_EVENTS = "read the events, which say why"
+_ROOM = "free space, or log to another disk"
 
 
 def _is_counted(seen: Observations, sensor: str, kind: str) -> bool:
     """Return whether what these events report is counted as missed frames, lost readings or silence anyway."""
     if kind == "late":
         return seen.missed > 0
-    return kind == "lost" and (seen.lost.get(sensor, 0) > 0 or sensor in seen.silent)
+    return kind == "lost" and (seen.lost.get(sensor, 0) > 0 or seen.gaps.get(sensor, 0) > 0 or sensor in seen.silent)
 
 
 def _share(seen: Observations) -> float:
@@ -116,10 +135,6 @@ def _names(names: Mapping[str, object]) -> str:
     listed = [printable(name) for name in names]
     more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""
     return ", ".join(listed[:_NAMED]) + more
-
-
-def _joined(reasons: list[str]) -> str:
-    return "; ".join(reasons[:_NAMED])
 
 
 def _duration(seconds: float) -> str:

@@ -28,7 +28,7 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 class RepeatedEvent(NamedTuple):
-    """The newest of some events that are alike but for numbers, how many times they happened, and when the first of them was."""
+    """The newest of some events that are alike but for numbers, how many `times` they happened, and when first."""
 
     event: Event
     times: int

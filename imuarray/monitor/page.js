@@ -311,7 +311,7 @@ function health(now) {
   if (!now.health) return;
   box.dataset.level = now.health.level;
   write(byId("health-level"), LEVELS[now.health.level]);
-  write(byId("health-reason"), `${now.health.reason}.`);
+  write(byId("health-reason"), `${now.health.reason}.${now.health.advice ? ` To do: ${now.health.advice}.` : ""}`);
 }
 
 const STATES = {

@@ -15,7 +15,7 @@
 `events`          how many, by kind; `problems`: how many of them tell of trouble
 `recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`, `trouble`
 `repeated`        the last 50 that differ in more than numbers: the newest of each, with `count` and `first_s`
-`health`          `level`, "green", "amber" or "red", and `reason`; null before the first row
+`health`          `level`, "green", "amber" or "red", its `reason`, and `advice`; null before the first row
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`;
                   `silent_s`: how long nothing came from it before the newest row of the log, null if something did in
@@ -80,6 +80,7 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
         else {
             "level": snapshot.health.level,
             "reason": snapshot.health.reason,
+            "advice": snapshot.health.advice,
         },
         "disk": _disk(snapshot),
         "sensors": [_sensor(view) for view in snapshot.sensors],

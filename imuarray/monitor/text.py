@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
+from imuarray.log.health import Health
 from imuarray.monitor.snapshot import SensorView, Snapshot
 from imuarray.printable import counted, printable
 from imuarray.units import READABLE_SI
@@ -27,9 +28,13 @@ def lines_of(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
     if snapshot.begins_ns is None:
         return lines
     if snapshot.health is not None:
-        lines += _wrapped(f"health {snapshot.health.level}: {snapshot.health.reason}", columns)
+        lines += _wrapped(f"health {snapshot.health.level}: {_said(snapshot.health)}", columns)
     lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
     return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
+
+
+def _said(health: Health) -> str:
+    return f"{health.reason}: {health.advice}" if health.advice else health.reason
 
 
 def _wrapped(text: str, columns: int, first: str = "  ") -> list[str]:

@@ -16,6 +16,8 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
         (Observations(4, 90, missed=10), Health("red", "10% of the frames missed")),
         (Observations(4, 99, silent={"Gyro2": 12.0}), Health("red", "Gyro2 silent for 12 s")),
         (Observations(4, 99, lost={"A": 3, "B": 0}), Health("amber", "3 readings of A lost")),
+        (Observations(4, 99, gaps={"A": 1}), Health("amber", "1 gap in the readings of A")),
+        (Observations(4, 99, clipped={"A": 7}), Health("amber", "7 readings of A at the end of the range")),
         (Observations(4, 99, faults={("A", "stuck_bus"): 2}), Health("amber", "2 faults of A reported (stuck bus)")),
         (Observations(4, 99, stopped="nothing came for 9 s"), Health("red", "nothing came for 9 s")),
         (Observations(4, 99, room_s=1800.0), Health("amber", "the disk is full in 30 min")),
@@ -31,7 +33,15 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
     ],
 )
 def test_the_worst_decides_and_is_named_first(seen: Observations, health: Health) -> None:
-    assert health_of(seen) == health
+    found = health_of(seen)
+    assert (found.level, found.reason) == (health.level, health.reason)
+    assert (found.advice == "") == (found.level == "green")
+
+
+def test_what_to_do_is_about_the_first_reason() -> None:
+    assert health_of(Observations(4, 90, missed=10)).advice == "ask for fewer frames a second, or for fewer sensors"
+    seen = Observations(4, 90, silent={"A": 9.0}, missed=10)
+    assert health_of(seen).advice == "check cable, power and address"
 
 
 def test_what_is_counted_otherwise_is_no_further_fault() -> None:

@@ -54,7 +54,8 @@ def test_the_table(ended: Path) -> None:
     with LogMonitor(ended) as watch:
         lines = lines_of(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
-    assert lines[1] == "  health amber: 5 frames missed"
+    assert lines[1] == "  health amber: 5 frames missed: ask for fewer frames a second, or for fewer"
+    assert words(lines.pop(2)) == "sensors"
     assert lines[2] == "  99.5 of 100 Hz, 5 frames missed, 0 delayed"
     assert lines[3].startswith("  disk: ")
     assert lines[4] == "  2 events: late 1, back 1"
@@ -158,7 +159,7 @@ def test_a_sensor_that_died_is_silent_in_the_table(died: Path, capsys: pytest.Ca
     lines = capsys.readouterr().out.splitlines()
     (line,) = (line for line in lines if line.startswith("  Turned"))
     assert words(line) == "Turned 0.0 silent 49 s g 4900"
-    assert lines[1] == "  health red: Turned silent for 49 s"
+    assert lines[1] == "  health red: Turned silent for 49 s: check cable, power and address"
     assert lines[2] == "  100.0 of 100 Hz, 0 frames missed, 0 delayed"
 
 
@@ -214,7 +215,11 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
         ("bus", 5, 1.0, False),
         ("lost", 5, 1.0, True),
     ]
-    assert found["health"] == {"level": "amber", "reason": "5 faults of Acc reported (lost)"}
+    assert found["health"] == {
+        "level": "amber",
+        "reason": "5 faults of Acc reported (lost)",
+        "advice": "read the events, which say why",
+    }
 
 
 def test_a_barometer_that_is_read_four_times_a_second_is_not_silent(log_path: Path) -> None:
