@@ -2,6 +2,6 @@
 see.
 """
 
-from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.report.page import Figure, Section, Table, Verdict, write_page
 
-__all__ = ["Figure", "Section", "Table", "write_page"]
+__all__ = ["Figure", "Section", "Table", "Verdict", "write_page"]

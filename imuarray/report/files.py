@@ -25,8 +25,9 @@ from imuarray.log import Log, open_log
 from imuarray.report.calibration_sheet import calibration_sections, calibration_summary, residual_section
 from imuarray.report.fused_sheet import fused_sections, fused_summary
 from imuarray.report.log_sheet import log_sections, log_summary
-from imuarray.report.page import Section, write_page
+from imuarray.report.page import Section, Verdict, write_page
 from imuarray.report.techniques_sheet import techniques_section
+from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
 from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
@@ -48,8 +49,8 @@ class TechniqueSet:
     """Told what share of a file is done."""
 
 
-Sayings = tuple[list[str], list[Section]]
-"""Lines of the summary, and sections."""
+Sayings = tuple[list[Verdict], list[str], list[Section]]
+"""Verdicts, lines of the summary, and sections."""
 
 
 def _log(path: Path, together: TechniqueSet) -> Sayings:
@@ -65,39 +66,43 @@ def _log(path: Path, together: TechniqueSet) -> Sayings:
         sections = list(log_sections(log, scales, drawn=together.drawn, progress=noise))
         if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
             sections.append(residuals)
+        verdicts = [recording_verdict(log)]
         if gained := techniques_section(log, known, drawn=together.drawn, progress=techniques):
-            sections.append(gained)
-        return list(log_summary(log)), sections
+            sections.append(gained.section)
+            verdicts += [gained.verdict] if gained.verdict else []
+        return verdicts, list(log_summary(log)), sections
 
 
 def _calibration(path: Path, together: TechniqueSet) -> Sayings:
     calibration = load_calibration(path)
-    return list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
+    verdict = calibration_verdict(path, calibration)
+    return [verdict], list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
 
 
 def _fused(path: Path, together: TechniqueSet) -> Sayings:
     head = read_fused_head(path)
-    return list(fused_summary(path, head)), list(fused_sections(path, head, drawn=together.drawn))
+    verdict, section = fused_sections(path, head, drawn=together.drawn)
+    return [verdict], list(fused_summary(path, head)), [section]
 
 
 def _gap(path: Path, together: TechniqueSet) -> Sayings:
     from imuarray.gap.findings.files import diagnosis_of
-    from imuarray.report.gap_page import gap_sections, gap_summary
+    from imuarray.report.gap_page import gap_sections, gap_summary, gap_verdict
 
     diagnosis = diagnosis_of(_json(path), str(path))
-    return list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
+    return [gap_verdict(diagnosis)], list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
 
 
 def _validation(path: Path, together: TechniqueSet) -> Sayings:
     from imuarray.report.validation_figures import plots_of
-    from imuarray.report.validation_page import validation_sections
+    from imuarray.report.validation_page import validation_sections, validation_verdict
     from imuarray.report.validation_words import summary_lines
     from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 
     figures = score_folder(path, hidden=HIDDEN, sensors=CHIPS)
     plots = plots_of(figures) if together.drawn else {}
-    return list(summary_lines(figures)), list(validation_sections(figures, plots))
+    return [validation_verdict(figures)], list(summary_lines(figures)), list(validation_sections(figures, plots))
 
 
 KINDS: Mapping[str, Callable[[Path, TechniqueSet], Sayings]] = MappingProxyType(
@@ -134,17 +139,22 @@ def write_report(
         if kind == "calibration":
             known = known.merged(load_calibration(path))
     drawn = find_spec("matplotlib") is not None
+    verdicts: list[Verdict] = []
     summary: list[str] = []
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         own_progress = partial(_moved, progress, done, len(kinds))
-        lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
+        said, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
+        verdicts += said
         summary += lines
         sections += own
         own_progress(1.0)
+    if len(verdicts) > 1:
+        summary[:0] = [f"{verdict.sign} {verdict.sentence}" for verdict in verdicts]
     if not drawn:
         summary.append(NO_FIGURES)
-    write_page(output, title or ", ".join(path.name for path in kinds), summary, sections, force=force)
+    heading = title or ", ".join(path.name for path in kinds)
+    write_page(output, heading, summary, sections, verdict=joined(verdicts), force=force)
     return {str(path): kind for path, kind in kinds.items()}
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.fuse import FusedBlock, FusedHead, quiet_noise, read_fused, read_fused_events
 from imuarray.report.figures import course_figure
-from imuarray.report.page import Figure, Section, Table
+from imuarray.report.page import Figure, Section, Table, Verdict
+from imuarray.report.verdicts import fused_verdict
 from imuarray.units import READABLE_SI
 
 _POINTS = 2000
@@ -43,8 +44,8 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
         yield f"{path.name}: left out for a time, because they failed: {', '.join(failed)}."
 
 
-def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Section]:
-    """How quiet it is, which sensors were in use, and its course."""
+def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict, Section]:
+    """How quiet it is, which sensors were in use, and its course; the verdict on it."""
     noise = quiet_noise(read_fused(path))
     course = _course(path, head.frames)
     rows = []
@@ -66,7 +67,8 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Sect
         parts.append(events)
     if drawn:
         parts += [_drawn(quantity, course) for quantity in course.triads]
-    yield Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
+    section = Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
+    return fused_verdict(path, head, noise, course.sigma), section
 
 
 def _events(path: Path) -> Table | None:

@@ -21,7 +21,7 @@ from imuarray.report.gap_curves import curves_section
 from imuarray.report.gap_figures import can_compare, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure
 from imuarray.report.gap_sheet import SmallFigure
-from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.report.page import Figure, Level, Section, Table, Verdict, write_page
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 
@@ -46,7 +46,8 @@ def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bo
     summary = list(gap_summary(diagnosis))
     sections = gap_sections(diagnosis, drawn=drawn)
     title = f"Gap between recording and simulation: {diagnosis.verdict}"
-    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
+    lines = summary if drawn else [*summary, NO_FIGURES]
+    write_page(path, title, lines, sections, verdict=gap_verdict(diagnosis), force=force)
 
 
 def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
@@ -67,9 +68,53 @@ def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
     )
 
 
+def gap_verdict(diagnosis: Diagnosis) -> Verdict:
+    """Is the simulator good enough, and what does it lack."""
+    gap = diagnosis.gap
+    effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
+    names = ", ".join(effects[:_NAMED]) + (f" and {len(effects) - _NAMED} more" if len(effects) > _NAMED else "")
+    levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
+    sentence = {
+        "no gap": "The simulator is good enough for what these recordings show: they look like what it makes.",
+        "explained": f"The simulator is not good enough as it is, but with {names} it is.",
+        "partly explained": f"The simulator is not good enough; {names or 'no cause'} explains only a part of it."
+        if len(effects) < 2
+        else f"The simulator is not good enough; {names} explain only a part of it.",
+        "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
+    }[diagnosis.verdict]
+    figures = [(str(len(diagnosis.causes)), "causes"), (share(diagnosis.unknown), "probability of something unknown")]
+    if gap.closed is not None:
+        figures[:0] = [
+            (number(gap.before, 2), f"gap in standard deviations; without one {number(gap.floor, 2)}"),
+            (share(gap.closed), "of the gap closed by the causes"),
+        ]
+    else:
+        figures.insert(0, (number(diagnosis.p, 2), "probability of such a difference by chance alone"))
+    if (worst := _worst_use(diagnosis.uses)) is not None:
+        figures.append((f"{number(worst.before.value / worst.real.value, 2)} ×", _use_words(worst)))
+    return Verdict(sentence, levels.get(diagnosis.verdict, "doubtful"), tuple(figures))
+
+
+_NAMED = 3
+"""Effects of the verdict that are named."""
+
+
+def _worst_use(uses: Sequence[Use]) -> Use | None:
+    """The figure of use that the simulator misjudges most; None if none can be compared."""
+    return max(
+        (use for use in uses if can_compare(use)),
+        key=lambda use: abs(np.log(use.before.value / use.real.value)),
+        default=None,
+    )
+
+
+def _use_words(use: Use) -> str:
+    return f"{use.sensor or 'array'} {use.name}: simulated over recorded, the worst figure of use"
+
+
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
     """What a person would say of it, a line each."""
-    yield tables.strong(diagnosis.sentence)
+    yield diagnosis.sentence
     yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
     gap = gap_text(diagnosis.gap)
     yield f"What differs, on data kept back: {gap}." if diagnosis.gap.closed is not None else f"Over all: {gap}."

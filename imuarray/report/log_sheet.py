@@ -61,7 +61,7 @@ def _recorded(log: Log) -> Section:
         rate = f"{(len(sensor) - 1) / seconds:.2f}" if seconds else "–"
         longest = f"{1e3 * _longest_s(sensor):.1f}"
         rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, listed or "none"])
-    lost = flagged.get("lost before", 0)
+    lost = flagged.get("lost_before", 0)
     words = f"Epoch {log.epoch}, written by {log.software}. "
     words += (
         "No reading is flagged as lost. " if not lost else f"{lost} readings have others missing just before them. "

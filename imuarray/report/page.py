@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from imuarray.atomic import write_text
 from imuarray.errors import MissingExtraError
@@ -55,8 +55,33 @@ class Section:
     parts: Sequence[Table | Figure] = ()
 
 
+Level = Literal["good", "doubtful", "bad", "neutral"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The opening of a page: one plain sentence, how good what it tells of is, and three to five figures, each a value
+    with its unit and what it is.
+    """
+
+    sentence: str
+    level: Level = "neutral"
+    figures: Sequence[tuple[str, str]] = ()
+
+    @property
+    def sign(self) -> str:
+        """The level as a sign, for those who do not see colours."""
+        return {"good": "✓", "doubtful": "▲", "bad": "✕", "neutral": "•"}[self.level]
+
+
 def write_page(
-    path: str | PathLike[str], title: str, summary: Sequence[str], sections: Sequence[Section], *, force: bool = False
+    path: str | PathLike[str],
+    title: str,
+    summary: Sequence[str],
+    sections: Sequence[Section],
+    *,
+    verdict: Verdict | None = None,
+    force: bool = False,
 ) -> None:
     """Write the page; OutputExistsError if it is there, OutputError, MissingExtraError without jinja2."""
     try:
@@ -66,7 +91,7 @@ def write_page(
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
     environment.tests["table"] = lambda part: isinstance(part, Table)
-    page = environment.from_string(template).render(title=title, summary=summary, sections=sections)
+    page = environment.from_string(template).render(title=title, summary=summary, sections=sections, verdict=verdict)
     write_text(path, page, force=force)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,15 +13,23 @@ from imuarray.errors import ImuArrayError
 from imuarray.fuse import Comparison, Score, compare
 from imuarray.log import Log
 from imuarray.report.figures import ratio_figure
-from imuarray.report.page import Figure, Section, Table
+from imuarray.report.page import Figure, Section, Table, Verdict
+from imuarray.report.verdicts import techniques_verdict
 from imuarray.units import READABLE_SI
 
 _Z95 = 1.96
 
 
+class Gained(NamedTuple):
+    """The section, and the verdict on what fusion gains (None: nothing can be said)."""
+
+    section: Section
+    verdict: Verdict | None = None
+
+
 def techniques_section(
     log: Log, calibration: Calibration, *, drawn: bool, progress: Callable[[float], None] = lambda share: None
-) -> Section | None:
+) -> Gained | None:
     """Every technique beside the average; None for a log that knows no truth."""
     if log.truth is None and log.reference is None:
         return None
@@ -28,7 +37,7 @@ def techniques_section(
     try:
         comparison = compare(log, with_noise_of(log, calibration), progress=progress)
     except ImuArrayError as error:
-        return Section(title, f"Nothing can be said of it: {error}.")
+        return Gained(Section(title, f"Nothing can be said of it: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
         "Rms error against the log's truth over that of the simple average of the same sensors. Left of one is better."
@@ -41,7 +50,8 @@ def techniques_section(
         caption = "Blue: better than the average beyond chance; bars are two standard errors of this log alone."
         listed = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
         parts.append(Figure(drawing, caption, f"{caption} {listed}."))
-    return Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
+    section = Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
+    return Gained(section, techniques_verdict(log, comparison))
 
 
 def _ratio(score: Score) -> tuple[float, float]:

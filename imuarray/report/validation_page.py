@@ -11,7 +11,7 @@ from typing import Any
 from imuarray.gap.findings.text import share
 from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import marked
-from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.report.page import Figure, Section, Table, Verdict, write_page
 from imuarray.report.validation_figures import plots_of
 from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines, transfer_rows
 from imuarray.validation.rates import Bin
@@ -44,7 +44,28 @@ def write_validation_page(
     summary = list(summary_lines(figures))
     sections = validation_sections(figures, plots, command)
     title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
-    write_page(path, title, summary if can_draw else [*summary, NO_FIGURES], sections, force=force)
+    lines = summary if can_draw else [*summary, NO_FIGURES]
+    write_page(path, title, lines, sections, verdict=validation_verdict(figures), force=force)
+
+
+def validation_verdict(figures: Figures) -> Verdict:
+    """How many of the bars that were set before the diagnosis meets."""
+    judged = [row for row in figures.rows if row.mark in ("ok", "FAIL")]
+    failed = [row for row in judged if row.mark == "FAIL"]
+    if not judged:
+        sentence = "Too few cases were run to judge the diagnosis by its bars."
+    elif failed:
+        sentence = (
+            f"The diagnosis misses {len(failed)} of {len(judged)} bars: {', '.join(row.name for row in failed[:3])}."
+        )
+    else:
+        sentence = f"The diagnosis meets all {len(judged)} bars that were set before."
+    told = (
+        (str(figures.cases), "cases"),
+        (f"{len(judged) - len(failed)} of {len(judged)}", "bars met"),
+        (str(len(figures.lost)), "cases lost"),
+    )
+    return Verdict(sentence, "neutral" if not judged else "doubtful" if failed else "good", told)
 
 
 def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tuple[Section, ...]:

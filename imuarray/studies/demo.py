@@ -28,7 +28,7 @@ from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.findings.text import parameters_text, places_text
 from imuarray.log import open_log
 from imuarray.log.format import Phase
-from imuarray.report import Figure, Section, Table, write_page
+from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
 from imuarray.report.gap_page import write_gap_page
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
@@ -152,6 +152,22 @@ def summary(rows: Rows) -> list[str]:
         f"{worst.ratio_se:.3f} times the average (length of the error)",
         "all figures: rms error against the emulated world's truth, simple average of the same sensors first",
     ]
+
+
+def demo_verdict(rows: Rows, tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
+    """What the three techniques gain, how good the calibration is, how far the simulator is from the array."""
+    gained = [(case, _best(rows, case)) for case in CASES if case.claim]
+    case, best = min(gained, key=lambda pair: pair[1].ratio)
+    residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
+    figures = [
+        (f"{gain.ratio:.2f} ×", f"{one.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
+        for one, gain in gained
+    ]
+    figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
+    figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
+    what = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
+    sentence = f"Fusion works: {case.technique} leaves {best.ratio:.2f} of the average's {what}."
+    return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
 
 
 def _from_to(gain: Gain) -> str:
@@ -442,7 +458,7 @@ def run_demo(config: Path, folder: Path, *, seconds: float, seed: int, force: bo
         noise_section(noise),
         gap_section(diagnosis),
     ]
-    write_page(folder / "report.html", title, lines, parts, force=True)
+    write_page(folder / "report.html", title, lines, parts, verdict=demo_verdict(rows, tumble, diagnosis), force=True)
     return {
         "folder": str(folder),
         "report": str(folder / "report.html"),

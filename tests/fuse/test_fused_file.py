@@ -132,7 +132,7 @@ def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     with h5py.File(path, "a") as file:
         other(COVARIANCE, np.full((FRAMES, 6), -1.0))(file)
-    (section,) = fused_sections(path, read_fused_head(path), drawn=False)
+    _, section = fused_sections(path, read_fused_head(path), drawn=False)
     assert isinstance(section.parts[0], Table)
     assert [row[-1] for row in section.parts[0].rows] == ["0.000"] * 3
 

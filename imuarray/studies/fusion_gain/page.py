@@ -18,7 +18,7 @@ from imuarray.fuse import errors_of, fuse, technique_names
 from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import ten_second_means
 from imuarray.log import open_log
-from imuarray.report import Figure, Section, Table, write_page
+from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
@@ -119,9 +119,21 @@ def _panel(axes: Axes, heading: str, rows: Sequence[Row], techniques: Sequence[s
             color=colour, markersize=5, elinewidth=1.2, capsize=2, label=technique,
         )  # fmt: skip
     axes.axvline(1, color="black", linewidth=0.8)
+    axes.set_xlim(0, _furthest([ratio for row in rows if (ratio := getattr(row, of)) is not None]))
     axes.set_yticks(range(len(experiments)), experiments)
     axes.set_title(heading, fontsize=10)
     axes.grid(axis="x", linewidth=0.4, alpha=0.6)
+
+
+_BEYOND = 3.0
+"""Times the largest ratio: an interval that reaches further is cut there, since few seeds can make one very long."""
+
+
+def _furthest(ratios: Sequence[Ratio]) -> float:
+    """The right end of an axis that shows all ratios, and their intervals up to `_BEYOND`."""
+    largest = max((ratio.ratio for ratio in ratios if np.isfinite(ratio.ratio)), default=1.0)
+    ends = [min(ratio.high, _BEYOND * largest) for ratio in ratios if np.isfinite(ratio.high)]
+    return 1.05 * max(1.0, largest, *ends)
 
 
 def _reach(ratios: Sequence[Ratio]) -> Floats:
@@ -226,23 +238,46 @@ def write_study_page(
         ),
         *(_section(study, experiment) for experiment in dict.fromkeys(row.experiment for row in study.rows)),
     ]
-    write_page(path, "What fusion gains", summary(study), sections, force=force)
+    write_page(path, "What fusion gains", summary(study), sections, verdict=study_verdict(study), force=force)
+
+
+def study_verdict(study: Study) -> Verdict:
+    """Which technique gains most, and how much each gains at best."""
+    best = sorted(_best_rows(study).values(), key=lambda row: row.over_mean.ratio)
+    if not best:
+        return Verdict("No technique was compared with the simple average.")
+    first = best[0]
+    where = f"{first.experiment}, {first.sensors}, {first.quantity.replace('_', ' ')}"
+    sure = bool(first.over_mean.high < 1)
+    gain = f"leaves {first.over_mean.ratio:.2f} of the simple average's error ({where})"
+    sentence = f"Fusion gains most by {first.technique}, which at best {gain}."
+    if not sure:
+        sentence = "No technique is better than the simple average beyond chance."
+    figures = tuple((f"{row.over_mean.ratio:.2f} ×", f"{row.technique} at best: {row.experiment}") for row in best[:5])
+    return Verdict(sentence, "good" if sure else "doubtful", figures)
 
 
 def summary(study: Study) -> list[str]:
     """What a person should know after half a minute: each technique where it gains most, and how far the best is from
     the bound.
     """
-    vectors = [
-        row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
-    ]
     lines = []
-    for technique in dict.fromkeys(row.technique for row in vectors):
-        best = min((row for row in vectors if row.technique == technique), key=lambda row: row.over_mean.ratio)
+    for technique, best in _best_rows(study).items():
         where = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
         lines.append(f"{technique}: at best {interval_text(best.over_mean)} times the average's error ({where})")
     lines.append(f"seeds {study.seeds[0]} to {study.seeds[-1]}; intervals are 95 %, over the seeds")
     return lines
+
+
+def _best_rows(study: Study) -> dict[str, Row]:
+    """Each technique's row where it gains most."""
+    vectors = [
+        row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
+    ]
+    return {
+        technique: min((row for row in vectors if row.technique == technique), key=lambda row: row.over_mean.ratio)
+        for technique in dict.fromkeys(row.technique for row in vectors)
+    }
 
 
 def _section(study: Study, experiment: str) -> Section:

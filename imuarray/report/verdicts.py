@@ -1,0 +1,210 @@
+"""The opening of a page: one plain sentence that says how good a recording, a calibration or a fused result is and what
+to do, with a few figures.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.fuse import Comparison, FusedHead, Score
+from imuarray.log import Log
+from imuarray.log.health import Observations, health_of, is_trouble
+from imuarray.log.missed_frames import frame_timing
+from imuarray.printable import counted
+from imuarray.report.page import Level, Verdict
+from imuarray.units import INERTIAL, READABLE, READABLE_SI
+
+_LEVELS: dict[str, Level] = {"green": "good", "amber": "doubtful", "red": "bad"}
+_FIGURES = 5
+_SILENT_S = 1.0
+"""A sensor whose readings end so long before those of the others, or two and a half of its own periods, is silent."""
+_PERIODS = 2.5
+_CLAIMED = 1.5
+"""Scatter over the error that a fused result claims, from which on it is worse than it says."""
+
+
+def recording_verdict(log: Log) -> Verdict:
+    """Is the recording healthy, and if not, what to do."""
+    sensors = log.sensors
+    first_ns = min((int(sensor.time[0]) for sensor in sensors.values() if len(sensor)), default=0)
+    last_ns = max((int(sensor.time[-1]) for sensor in sensors.values() if len(sensor)), default=0)
+    flags = {name: sensor.flagged() for name, sensor in sensors.items()}
+    rows = sum(len(sensor) for sensor in sensors.values())
+    faults = Counter((event.sensor, event.kind) for event in log.events if is_trouble(event))
+    missed = frame_timing(log).missed or 0
+    ended = log.state == "finished"
+    seen = Observations(
+        sensors=len(sensors),
+        frames=max((len(sensor) for sensor in sensors.values()), default=0),
+        missed=missed,
+        silent=_silent(log, first_ns, last_ns),
+        gaps={name: counts.get("lost_before", 0) for name, counts in flags.items()},
+        clipped={name: counts.get("saturated", 0) for name, counts in flags.items()},
+        faults=faults,
+        stopped="" if ended else f"the log is {log.state}",
+    )
+    health = health_of(seen)
+    words = {"green": "is healthy", "amber": "is usable, with losses", "red": "is not as it should be"}[health.level]
+    advice = f"; {health.advice}" if health.advice and ended else ""
+    advice = advice if ended else "; imuarray recover finishes it"
+    gaps, clipped = sum(seen.gaps.values()), sum(seen.clipped.values())
+    return Verdict(
+        f"{log.path.name} {words}: {health.reason}{advice}.",
+        _LEVELS[health.level],
+        (
+            (_duration((last_ns - first_ns) * 1e-9), "recorded"),
+            (f"{rows}", f"readings of {counted(len(sensors), 'sensor')}"),
+            (f"{missed}", "frames missed"),
+            (f"{gaps}", "gaps in the readings"),
+            (f"{clipped}", "readings at the end of the range"),
+        ),
+    )
+
+
+def _silent(log: Log, first_ns: int, last_ns: int) -> dict[str, float]:
+    """Seconds for which sensors gave nothing at the end of the log, of those that are silent."""
+    silent = {}
+    for name, sensor in log.sensors.items():
+        newest_ns = int(sensor.time[-1]) if len(sensor) else first_ns
+        period_ns = (newest_ns - int(sensor.time[0])) / (len(sensor) - 1) if len(sensor) > 1 else 0.0
+        since_s = (last_ns - newest_ns) * 1e-9
+        if since_s > max(_SILENT_S, _PERIODS * period_ns * 1e-9) or not len(sensor):
+            silent[name] = since_s
+    return silent
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
+    """Is the calibration good: what was measured of every sensor, and how surely."""
+    inertial = [sensor for sensor in calibration.sensors.values() if sensor.quantity in INERTIAL]
+    biased = [sensor for sensor in inertial if sensor.bias_sem_lsb is not None]
+    scaled = [sensor for sensor in inertial if sensor.response_sem_lsb_per_unit is not None]
+    lacking = [sensor.name for sensor in inertial if sensor.bias_sem_lsb is None]
+    forces = [sensor for sensor in inertial if sensor.quantity == "specific_force"]
+    unscaled = [sensor.name for sensor in forces if sensor.response_sem_lsb_per_unit is None]
+    worst = {quantity: _worst_bias([one for one in biased if one.quantity == quantity]) for quantity in INERTIAL}
+    known = " and ".join(text for text in worst.values() if text)
+    level: Level = "good"
+    if not biased:
+        level, sentence = "bad", "measured no bias: fusion with it uses the data sheets' values"
+    elif lacking:
+        level, sentence = "doubtful", f"is incomplete: {_listed(lacking)} without a measured bias; biases to {known}"
+    elif unscaled:
+        level = "doubtful"
+        sentence = (
+            f"is incomplete: {_listed(unscaled)} without a measured scale, which a tumble gives; biases to {known}"
+        )
+    else:
+        sentence = f"is good: biases are known to {known}"
+    thermal = sum(sensor.thermal is not None for sensor in inertial)
+    noisy = sum(sensor.noise_lsb is not None for sensor in inertial)
+    of = f"of {len(inertial)} sensors"
+    figures = [
+        *(
+            (text, f"largest standard error of a bias, {name.replace('_', ' ')}")
+            for name, text in worst.items()
+            if text
+        ),
+        (f"{len(scaled)}", f"{of} with measured scale and axes"),
+        (f"{noisy}", f"{of} with measured noise"),
+        (f"{thermal}", f"{of} with temperature slopes"),
+    ]
+    return Verdict(f"{path.name} {sentence}.", level, tuple(figures[:_FIGURES]))
+
+
+def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:
+    """The largest standard error of a bias, with its unit; "" without any."""
+    errors = [
+        READABLE[sensor.unit][0] * float(np.max(sensor.bias_sem_lsb / sensor.scale_lsb_per_unit))
+        for sensor in sensors
+        if sensor.bias_sem_lsb is not None
+    ]
+    return f"{max(errors):.2g} {READABLE[sensors[0].unit][1]}" if errors else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed: dict[str, Floats]) -> Verdict:
+    """How quiet the result is, and whether it is as good as it says. `noise` and `claimed` (3,) in SI by quantity."""
+    figures, texts, ratios = [(f"{head.frames}", "frames")], [], []
+    for quantity, values in noise.items():
+        factor, unit = READABLE_SI[quantity]
+        worst = float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+        name = quantity.replace("_", " ")
+        texts.append(f"{factor * worst:.2g} {unit}")
+        figures.append((f"{factor * worst:.2g} {unit}", f"largest scatter at rest, {name}"))
+        own = claimed.get(quantity)
+        if own is not None and np.isfinite(own).all() and (own > 0).all():
+            ratios.append(float(np.nanmax(values / own)))
+    count = sum(len(names) for names in head.sensors.values())
+    figures.append((f"{count}", "sensors that went into it"))
+    if ratios:
+        figures.append((f"{max(ratios):.2g}", "scatter over the error that it claims"))
+    level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good"
+    quiet = f"scatters by {' and '.join(texts)} at rest" if texts else "has no frames at rest"
+    honest = ", more than it says; give fuse a calibration with measured noise" if level == "doubtful" else ""
+    return Verdict(f"{path.name}, fused by {head.technique}, {quiet}{honest}.", level, tuple(figures[:_FIGURES]))
+
+
+def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
+    """What fusion gains over the simple average of the same sensors; None if there is nothing to compare."""
+    scores = [score for score in comparison.scores if score.technique != "mean"]
+    if not scores:
+        return None
+    best = {
+        quantity: min(same, key=lambda score: score.ratio["XYZ"].ratio)
+        for quantity in dict.fromkeys(score.quantity for score in scores)
+        if (same := [score for score in scores if score.quantity == quantity])
+    }
+    told = [
+        f"{score.ratio['XYZ'].ratio:.2f} of the average's error of {_words(score)} ({score.technique})"
+        for score in best.values()
+        if _is_sure(score)
+    ]
+    sentence = f"leaves {' and '.join(told)}" if told else "gains nothing over the simple average beyond chance"
+    figures = tuple(
+        (f"{score.ratio['XYZ'].ratio:.2f} ×", f"{score.technique}, error of {_words(score)} over the average's")
+        for score in best.values()
+    )
+    return Verdict(f"Fusion of {log.path.name} {sentence}.", "good" if told else "neutral", figures)
+
+
+def _words(score: Score) -> str:
+    return score.quantity.replace("_", " ")
+
+
+def _is_sure(score: Score) -> bool:
+    ratio = score.ratio["XYZ"]
+    return bool(ratio.high < 1) if np.isfinite(ratio.high) else ratio.ratio < 1
+
+
+_ORDER = ("bad", "doubtful", "neutral", "good")
+
+
+def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
+    """One verdict of several: the worst, or that all is in order, with their figures in turn; None of none."""
+    if len(verdicts) < 2:
+        return verdicts[0] if verdicts else None
+    ranked = sorted(verdicts, key=lambda verdict: _ORDER.index(verdict.level))
+    rounds = max(len(verdict.figures) for verdict in ranked)
+    figures = [verdict.figures[turn] for turn in range(rounds) for verdict in ranked if turn < len(verdict.figures)]
+    worst = ranked[0]
+    if worst.level in ("bad", "doubtful"):
+        return Verdict(worst.sentence, worst.level, tuple(figures[:_FIGURES]))
+    brief = "; ".join(
+        verdict.sentence.split(": ")[0].rstrip(".").replace("Fusion of", "fusion of") for verdict in verdicts
+    )
+    return Verdict(f"Everything is in order: {brief}.", "good", tuple(figures[:_FIGURES]))

@@ -1,0 +1,151 @@
+"""Pages open with a verdict: one sentence, how good it is, three to five figures."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.fuse import FusedHead
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Event, SensorHeader
+from imuarray.report import Verdict, write_page
+from imuarray.report.gap_page import gap_verdict, write_gap_page
+from imuarray.report.log_sheet import log_sections
+from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict
+from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
+
+ACC = SensorHeader("Acc", "bma180", "specific_force", "g", 4.0, 2048.0)
+GYRO = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 100.0)
+
+
+def recorded(path: Path, rows: int = 1000, gyro_rows: int = 1000, status: int = 0, *events: Event) -> Verdict:
+    with LogWriter(path, [ACC, GYRO], source="imported", epoch="2026-01-01T00:00:00Z") as log:
+        for header, count in ((ACC, rows), (GYRO, gyro_rows)):
+            flags = np.zeros(count, np.uint16)
+            flags[5:8] = status
+            log.append(header.name, Block(np.arange(count) * 10_000_000, np.ones((count, 3)), flags))
+        for event in events:
+            log.event(event)
+    with open_log(path) as log:
+        return recording_verdict(log)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "level", "sentence"),
+    [
+        ((), "good", "run.h5 is healthy: all 2 sensors deliver, no frame was missed, no fault reported."),
+        (
+            (1000, 500),
+            "bad",
+            "run.h5 is not as it should be: Gyro silent for 5 s; check cable, power and address.",
+        ),
+        (
+            (1000, 1000, 8),
+            "doubtful",
+            "run.h5 is usable, with losses: 6 gaps in the readings of Acc, Gyro; read the events, which say why.",
+        ),
+        (
+            (1000, 1000, 4),
+            "doubtful",
+            "run.h5 is usable, with losses: 6 readings of Acc, Gyro at the end of the range;"
+            " choose a wider range if the motion was meant.",
+        ),
+        (
+            (1000, 1000, 0, Event(0, "", "imported", "from x.csv"), Event(1, "", "bus", "works again, after 1 s")),
+            "good",
+            "run.h5 is healthy: all 2 sensors deliver, no frame was missed, no fault reported.",
+        ),
+    ],
+)
+def test_is_the_recording_healthy(tmp_path: Path, arguments: tuple[object, ...], level: str, sentence: str) -> None:
+    verdict = recorded(tmp_path / "run.h5", *arguments)  # type: ignore[arg-type]
+    assert (verdict.level, verdict.sentence) == (level, sentence)
+    assert verdict.figures[0][0] == "10.0 s"
+    assert len(verdict.figures) == 5
+
+
+def test_gaps_are_told_in_the_section_too(tmp_path: Path) -> None:
+    recorded(tmp_path / "run.h5", 1000, 1000, 8)
+    with open_log(tmp_path / "run.h5") as log:
+        section = next(iter(log_sections(log, {}, drawn=False)))
+    assert "6 readings have others missing just before them." in section.text
+
+
+def sensor(name: str, *, measured: bool, scaled: bool = True) -> SensorCalibration:
+    """A bias known to 2, 1 and 1 counts of 100 a dps or 1000 a g."""
+    quantity, unit, scale = ("specific_force", "g", 1000.0) if name.startswith("A") else ("angular_rate", "dps", 100.0)
+    return SensorCalibration(
+        name, quantity, unit, np.zeros(3), np.eye(3) * scale,
+        bias_sem_lsb=np.array([2.0, 1.0, 1.0]) if measured else None,
+        response_sem_lsb_per_unit=np.ones(3) if scaled else None,
+    )  # fmt: skip
+
+
+def test_is_the_calibration_good() -> None:
+    good = {"A1": sensor("A1", measured=True), "G1": sensor("G1", measured=True, scaled=False)}
+    verdict = calibration_verdict(Path("cal.toml"), Calibration(good))
+    assert (verdict.level, verdict.sentence) == ("good", "cal.toml is good: biases are known to 2 mg and 0.02 dps.")
+    assert verdict.figures[0] == ("2 mg", "largest standard error of a bias, specific force")
+    verdict = calibration_verdict(Path("cal.toml"), Calibration({**good, "G2": sensor("G2", measured=False)}))
+    assert verdict.level == "doubtful"
+    assert "is incomplete: G2 without a measured bias" in verdict.sentence
+    verdict = calibration_verdict(Path("c.toml"), Calibration({"A1": sensor("A1", measured=True, scaled=False)}))
+    assert "A1 without a measured scale, which a tumble gives" in verdict.sentence
+    assert calibration_verdict(Path("c.toml"), Calibration({"A1": sensor("A1", measured=False)})).level == "bad"
+
+
+@pytest.mark.parametrize(("claimed", "level"), [(0.01, "good"), (0.004, "doubtful")])
+def test_is_the_fused_result_as_good_as_it_says(claimed: float, level: str) -> None:
+    head = FusedHead("optimal", "run.h5", "", "", 500, {"specific_force": ("A", "B")})
+    noise, own = {"specific_force": np.full(3, 0.00980665)}, {"specific_force": np.full(3, claimed)}
+    verdict = fused_verdict(Path("f.h5"), head, noise, own)
+    assert verdict.level == level
+    assert verdict.sentence.startswith("f.h5, fused by optimal, scatters by 1 mg at rest")
+    assert ("1 mg", "largest scatter at rest, specific force") in verdict.figures
+    assert ("more than it says" in verdict.sentence) == (level == "doubtful")
+
+
+def test_the_worst_of_several_is_the_verdict() -> None:
+    good, bad = (
+        Verdict("a.h5 is healthy: yes.", "good", [("1", "a"), ("2", "b")]),
+        Verdict("b.h5 is not.", "bad", [("3", "c")]),
+    )
+    assert joined([]) is None
+    assert joined([good]) is good
+    worst = joined([good, bad])
+    assert worst == Verdict("b.h5 is not.", "bad", (("3", "c"), ("1", "a"), ("2", "b")))
+    order = joined([good, replace(good, sentence="c.toml is good: yes.")])
+    assert order is not None
+    assert order.sentence == "Everything is in order: a.h5 is healthy; c.toml is good."
+
+
+def test_is_the_simulator_good_enough() -> None:
+    assert gap_verdict(made_without_gap()).sentence.startswith("The simulator is good enough for what these recordings")
+    assert gap_verdict(made_without_gap()).level == "good"
+    assert gap_verdict(made_unexplained()).level == "bad"
+    for diagnosis in (made(), made_without_gap(), made_unexplained()):
+        verdict = gap_verdict(diagnosis)
+        assert 3 <= len(verdict.figures) <= 5
+        assert verdict.sentence.count(". ") == 0  # one sentence
+    named = gap_verdict(replace(made(), verdict="explained"))
+    assert named.level == "doubtful"
+    effects = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in made().causes))
+    assert effects[0] in named.sentence
+
+
+def test_a_page_opens_with_it(tmp_path: Path) -> None:
+    """Before the sections, escaped, with a sign for those who see no colour."""
+    verdict = Verdict("<b>a</b> is good.", "doubtful", [("1 <i>", "of & all"), ("2", "b"), ("3", "c")])
+    write_page(tmp_path / "p.html", "Title", ["line"], [], verdict=verdict)
+    text = (tmp_path / "p.html").read_text()
+    opening = text.split("<main>")[0]
+    assert '<section class="verdict doubtful" aria-label="Verdict">' in opening
+    assert "▲</span> &lt;b&gt;a&lt;/b&gt; is good." in opening
+    assert re.findall(r"<div><dt>(.*?)</dt><dd>(.*?)</dd></div>", opening)[0] == ("of &amp; all", "1 &lt;i&gt;")
+    write_gap_page(tmp_path / "gap.html", made())
+    assert 'class="verdict' in (tmp_path / "gap.html").read_text().split("<main>")[0]

@@ -1,0 +1,46 @@
+"""The study's page: its verdict, and axes that one long interval does not stretch."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.fuse import Ratio
+from imuarray.studies.fusion_gain.page import ratios_figure, study_verdict
+from imuarray.studies.fusion_gain.study import Row, Study
+
+
+def row(technique: str, ratio: float, high: float, experiment: str = "heating") -> Row:
+    over = Ratio(ratio, 0.01, ratio - 0.02, high)
+    return Row(experiment, "measured", "all", technique, "angular_rate", "rms", "XYZ", 1e-3, over)
+
+
+def test_the_technique_that_gains_most_is_named() -> None:
+    rows = (
+        row("mean", 1.0, 1.0),
+        row("opposed", 0.4, 0.5),
+        row("opposed", 0.9, 1.1, "motion"),
+        row("planes", 0.8, 0.9),
+    )
+    verdict = study_verdict(Study(rows, (1, 2, 3)))
+    assert verdict.level == "good"
+    assert verdict.sentence == (
+        "Fusion gains most by opposed, which at best leaves 0.40 of the simple average's error"
+        " (heating, all, angular rate)."
+    )
+    assert verdict.figures == (("0.40 ×", "opposed at best: heating"), ("0.80 ×", "planes at best: heating"))
+
+
+def test_a_gain_within_chance_is_none() -> None:
+    verdict = study_verdict(Study((row("opposed", 0.9, 1.3),), (1,)))
+    assert (verdict.level, verdict.sentence) == (
+        "doubtful", "No technique is better than the simple average beyond chance.",
+    )  # fmt: skip
+    assert study_verdict(Study((), (1,))).sentence == "No technique was compared with the simple average."
+
+
+def test_one_long_interval_does_not_stretch_the_axis() -> None:
+    pytest.importorskip("matplotlib")
+    figure = ratios_figure({"heading": [row("opposed", 0.5, 4e9), row("planes", 1.2, 1.4)]}, "over_mean")
+    left, right = figure.axes[0].get_xlim()
+    assert left == 0
+    assert right == pytest.approx(1.05 * 3 * 1.2)
