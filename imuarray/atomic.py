@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,7 +59,29 @@ def write_text(path: str | PathLike[str], text: str, *, force: bool = False) -> 
 def save_figure(path: str | PathLike[str], figure: Figure, **options: Any) -> None:
     """Write a figure, in the format of the name's suffix, over one that is there; OutputError."""
     with whole_file(path, force=True) as draft:
-        figure.savefig(draft, format=Path(path).suffix.removeprefix("."), **options)
+        draw_figure(draft, figure, format=Path(path).suffix.removeprefix("."), **options)
+
+
+_SVG_DPI = 72
+
+
+def draw_figure(target: str | PathLike[str] | BytesIO, figure: Figure, **options: Any) -> None:
+    """`figure.savefig`, with the parts of the figure laid out once: Matplotlib lays them out twice and goes through all
+    that is drawn beforehand, which takes as long again as drawing.
+    """
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    if engine is None:
+        figure.savefig(target, **options)
+        return
+    try:
+        figure.set_dpi(_SVG_DPI if options.get("format") == "svg" else options.get("dpi", dpi))
+        engine.execute(figure)
+        figure.set_dpi(dpi)
+        figure.set_layout_engine(None)
+        figure.savefig(target, **options)
+    finally:
+        figure.set_dpi(dpi)
+        figure.set_layout_engine(engine)
 
 
 def _sync(path: Path) -> None:

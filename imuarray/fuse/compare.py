@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imuarray.arrays import Floats, Indices, Times
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
@@ -19,10 +20,9 @@ from imuarray.fuse.evaluation import (
     Consistency,
     Error,
     ErrorFrames,
+    ErrorFramesOnDisk,
     consistency,
-    error_frames,
     error_of,
-    errors_together,
 )
 from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
@@ -83,17 +83,20 @@ def compare(
         heard(technique)
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
     together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
-    errors = errors_together(log, together, each_alone)
-    average = errors[AVERAGE]
     scores, coasts = [], {}
-    for technique in techniques or technique_names():
-        if technique not in errors:
-            heard(technique)
-            errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only, progress=parts.next()))
-        result = errors[technique]
-        scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in result.items()]
-        if len(result) == 2:
-            coasts[technique] = coasting(both(result))
+    with ErrorFramesOnDisk(log) as errors:
+        for blocks in together:
+            errors.add(blocks)
+        average = {quantity: (frames.time, frames.errors) for quantity, frames in errors.of(AVERAGE).items()}
+        for technique in techniques or technique_names():
+            if technique not in errors:
+                heard(technique)
+                for block in fuse(log, calibration, technique, only=only, progress=parts.next()):
+                    errors.add({technique: block})
+            result = errors.of(technique)
+            scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in result.items()]
+            if len(result) == 2:
+                coasts[technique] = coasting(both(result))
     return Comparison(tuple(scores), coasts)
 
 
@@ -114,16 +117,27 @@ class _Parts:
 def both(frames: Mapping[str, ErrorFrames]) -> Errors:
     """The frames in which both quantities are known, as `coasting` takes them."""
     rate, force = frames["angular_rate"], frames["specific_force"]
-    time, mine, other = np.intersect1d(rate.time, force.time, assume_unique=True, return_indices=True)
-    return Errors(time, rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
+    mine, other = _common(rate.time, force.time)
+    return Errors(rate.time[mine], rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
 
 
-def _score(technique: str, quantity: str, average: ErrorFrames, estimate: ErrorFrames) -> Score:
-    _, mine, other = np.intersect1d(average.time, estimate.time, assume_unique=True, return_indices=True)
-    count = min(BLOCKS, len(mine) // 2)
+def _common(one: Times, other: Times) -> tuple[Indices | slice, Indices | slice]:
+    """Which frames of either are those at times that both have, in order: mostly all of them."""
+    if np.array_equal(one, other):
+        return slice(None), slice(None)
+    _, mine, its = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    return mine, its
+
+
+def _score(technique: str, quantity: str, average: tuple[Times, Floats], estimate: ErrorFrames) -> Score:
+    """`average`: the times and errors of the simple average."""
+    mine, other = _common(average[0], estimate.time)
+    of_average, of_estimate = average[1][mine], estimate.errors[other]
+    count = min(BLOCKS, len(of_average) // 2)
     if count < FEWEST_BLOCKS:
-        raise FusionError(f"technique {technique}: {len(mine)} values of {quantity} with a truth, too few to compare")
-    before, after = (block_squares(part, count) for part in (average.errors[mine], estimate.errors[other]))
+        known = f"{len(of_average)} values of {quantity} with a truth"
+        raise FusionError(f"technique {technique}: {known}, too few to compare")
+    before, after = (block_squares(part, count) for part in (of_average, of_estimate))
     ratio = {axis: ratio_of(before[:, k], after[:, k]) for k, axis in enumerate(AXES[:3])}
     ratio[AXES[3]] = ratio_of(before.sum(axis=1), after.sum(axis=1))
     return Score(

@@ -10,7 +10,7 @@ from importlib.resources import files
 from os import PathLike
 from typing import TYPE_CHECKING, Literal
 
-from imuarray.atomic import write_text
+from imuarray.atomic import draw_figure, write_text
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
 
@@ -42,7 +42,7 @@ class Figure:
     def data_url(self) -> str:
         """The drawing as SVG inside a URL."""
         buffer = io.BytesIO()
-        self.drawing.savefig(buffer, format="svg", metadata={"Date": None})
+        draw_figure(buffer, self.drawing, format="svg", metadata={"Date": None})
         return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 

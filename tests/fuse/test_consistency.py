@@ -78,3 +78,20 @@ def test_a_bias_that_nobody_claims_is_outside() -> None:
 def test_unknown_covariances_are_not_judged() -> None:
     assert consistency(np.zeros((100, 3)), np.full((100, 6), np.nan)) is None
     assert consistency(np.zeros((5, 3)), np.tile(entries(COVARIANCE), (5, 1))) is None
+
+
+def test_every_covariance_whitens_its_own_error() -> None:
+    """Against the general solution, frame by frame; covariances that are not positive definite don't count."""
+    rng = np.random.default_rng(7)
+    roots = np.tril(rng.normal(size=(500, 3, 3))) + 2 * np.eye(3)
+    covariances = roots @ roots.transpose(0, 2, 1)
+    errors = rng.normal(size=(500, 3))
+    wanted = np.mean(
+        [error @ np.linalg.solve(covariance, error) / 3 for error, covariance in zip(errors, covariances, strict=True)]
+    )
+    none = np.array(
+        [[-1.0, -1.0, 1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [np.nan, 1.0, 1.0, 0.0, 0.0, 0.0]]
+    )
+    found = consistency(np.concatenate([errors, np.ones((3, 3))]), np.concatenate([entries(covariances), none]))
+    assert found is not None
+    assert found.normalised == pytest.approx(wanted, rel=1e-12)
