@@ -51,13 +51,34 @@ class SensorConfig(BaseModel):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        """Refuse a setting that this chip does not have."""
+        """Refuse settings that this chip does not have, all at once."""
+        problems = []
+        for check in (self._check_chip, self._check_address, self._check_range, self._check_rates, self._check_place):
+            try:
+                check()
+            except ValueError as error:
+                problems.append(str(error))
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def _check_chip(self) -> None:
+        if self.chip not in CHIPS:
+            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join(CHIPS)}")
+
+    def _check_address(self) -> None:
+        if (spec := CHIPS.get(self.chip)) is not None:
+            _one_of("address", self.address, spec.addresses, "#x")
+
+    def _check_range(self) -> None:
+        spec = CHIPS.get(self.chip)
+        if spec is not None and (spec.sensitivity or self.range is not None):
+            _one_of("range", self.range, tuple(spec.sensitivity), "g")
+
+    def _check_rates(self) -> None:
         spec = CHIPS.get(self.chip)
         if spec is None:
-            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join(CHIPS)}")
-        _one_of("address", self.address, spec.addresses, "#x")
-        if spec.sensitivity or self.range is not None:
-            _one_of("range", self.range, tuple(spec.sensitivity), "g")
+            return
         if self.rate_hz is not None:
             _one_of("rate_hz", self.rate_hz, spec.rates_hz, ".10g")
         if self.bandwidth_hz is not None:
@@ -65,10 +86,11 @@ class SensorConfig(BaseModel):
         if self.fifo and not spec.has_fifo:
             chips = ", ".join(name for name, other in CHIPS.items() if other.has_fifo)
             raise ValueError(f"fifo true: the {self.chip} has none; allowed for {chips}")
+
+    def _check_place(self) -> None:
         if self.channel is not None and self.bus is not None:
             raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
         orientation_of(self.axes)
-        return self
 
     @property
     def spec(self) -> ChipSpec:

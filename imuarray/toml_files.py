@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -34,7 +35,25 @@ def read_text(path: str | PathLike[str]) -> str:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
-        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}{near}") from None
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or no_text(path)}{near}") from None
+
+
+def no_text(path: str | PathLike[str]) -> str:
+    """What a file is that has no text in it; an HDF5 file may be a log in the place of a calibration."""
+    try:
+        with Path(path).open("rb") as file:
+            begin = file.read(len(_HDF5))
+    except OSError:
+        begin = b""
+    return (
+        "is an HDF5 file, not a text file; are the arguments in the right order?"
+        if begin == _HDF5
+        else "is not a text file"
+    )
+
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+"""First bytes of an HDF5 file (HDF5 File Format Specification, superblock signature)."""
 
 
 def parse_toml(text: str, model: type[File], where: str) -> File:
@@ -61,10 +80,31 @@ def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
-    mistakes = error.errors()
+    mistakes = _all_mistakes(error, table, model)
     listed = [_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in mistakes[:_TOLD]]
     more = [f"and {len(mistakes) - _TOLD} more"] if len(mistakes) > _TOLD else []
     return "; ".join([*listed, *more])
+
+
+def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Any]:
+    """The mistakes of a table, also those that are looked for only where no key is unknown."""
+    mistakes: list[Any] = list(error.errors())
+    unknown = [mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"]
+    if not unknown:
+        return mistakes
+    known = deepcopy(dict(table))
+    for *path, key in unknown:
+        place: Any = known
+        for part in path:
+            place = _inside(place, part)
+        if isinstance(place, dict):
+            place.pop(key, None)
+    try:
+        model.model_validate(known)
+    except ValidationError as further:
+        listed = {(mistake["loc"], mistake["msg"]) for mistake in mistakes}
+        mistakes += [one for one in further.errors() if (one["loc"], one["msg"]) not in listed]
+    return mistakes
 
 
 def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:

@@ -171,6 +171,15 @@ def test_refusals(tmp_path: Path, text: str, said: str) -> None:
     assert re.match(said, refusal(tmp_path, text)), refusal(tmp_path, text)
 
 
+def test_every_kind_of_mistake_is_told_at_once(tmp_path: Path) -> None:
+    """Unknown keys, and of each sensor everything that its chip does not have."""
+    text = GOOD.replace('name = "small"', 'name = "small"\ncolour = "red"')
+    text = text.replace('chip = "bma180"', 'chip = "bma18"\nfoo = 1').replace("range = 2000", "range = 2001")
+    told = refusal(tmp_path, text.replace('axes = "+X-Y-Z"', 'axes = "+X+Y"'))
+    for mistake in ("colour: unknown key", "foo: unknown key", "chip 'bma18'", "range 2001: allowed", "axes '+X+Y'"):
+        assert told.count(mistake) == 1, mistake
+
+
 @pytest.mark.parametrize("channel", ["channel = 0\n", ""])
 def test_a_mux_at_0x77_hides_a_bmp180(tmp_path: Path, channel: str) -> None:
     head = '[array]\nname="x"\nmux={chip="pca9544a",address=0x77}\n'

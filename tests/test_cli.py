@@ -226,6 +226,8 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "x.csv"), "format 'imuarray-log'; imuarray import makes a log of a .csv"),
     (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but no log"),
     (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),
+    (("fuse", "x.csv", "--calibration", "foreign.h5", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
+    (("log", "foreign.h5", "--bus", "emulated:", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
 ]
 
 
@@ -250,6 +252,27 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(
     assert err[0].startswith("imuarray: ")
     assert said in err[0]
     assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before  # hidden .part files included
+
+
+@pytest.mark.parametrize(
+    ("phase", "said"),
+    [
+        ("zup", "did you mean z_up?"),
+        ("statik", "did you mean static?"),
+        ("z_up", ""),
+        ("run 3", ""),
+        ("z_up_check", ""),
+    ],
+)
+def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path, phase: str, said: str) -> None:
+    """Other names are allowed: they are recorded as they are."""
+    code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
+    assert code == 0
+    mentioned = [line for line in err if "no name that other commands know" in line]
+    assert len(mentioned) == bool(said)
+    assert all(said in line for line in mentioned)
+    with open_log(here / "r.h5") as log:
+        assert [one.name for one in log.phases] == [phase]
 
 
 def test_a_folder_is_never_replaced(run: Run, here: Path) -> None:

@@ -35,6 +35,7 @@ from imuarray.calibrate.stability import (
 )
 from imuarray.errors import CalibrationError
 from imuarray.spelling import guess_file
+from imuarray.toml_files import no_text
 
 _UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
 
@@ -50,9 +51,8 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         file = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
-        raise CalibrationError(
-            f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}{near}"
-        ) from None
+        other = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
+        raise CalibrationError(f"{path}: {getattr(error, 'strerror', None) or other}{near}") from None
     head = file.get("calibration")
     version = head.get("format_version") if isinstance(head, dict) else None
     if version != FORMAT_VERSION or not isinstance(head, dict):

@@ -118,7 +118,7 @@ def _print(summary: dict[str, Any]) -> None:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
         _say(f"  {summary['frame_rate_hz']:g} frames a second were asked for{missed}")
     for sensor in summary["sensors"]:
-        scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else sensor["unit"]
+        scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else "no range"
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
         _say(
             f"  {sensor['name']:12} {sensor['chip']:10} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from imuarray.commands.options import (
 )
 from imuarray.errors import ConfigError
 from imuarray.shipped import find_config
+from imuarray.spelling import guess
 
 if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
@@ -156,6 +158,7 @@ class LogOptions:
 
     def check(self) -> None:
         """Refuse options that contradict each other, and an output that can't be written."""
+        _mention_misspelt(self.phase)
         if self.up and not self.phase:
             raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
         refuse_existing(self.first, self.force)
@@ -165,6 +168,17 @@ class LogOptions:
         _refuse_without("--fuse", self.fuse, fusion)
         page = {"--monitor-host": self.monitor_host, "--monitor-port": self.monitor_port}
         _refuse_without("--monitor", self.monitor, page)
+
+
+_FACES = tuple(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
+_PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{face}_check" for face in _FACES))
+"""Names of phases that the commands know; others are allowed and mean nothing to them."""
+
+
+def _mention_misspelt(phase: str) -> None:
+    """Say that a phase is called almost as one that the commands know."""
+    if phase and phase not in _PHASES and not re.fullmatch(r"run \d+", phase) and (near := guess(phase, _PHASES)):
+        click.echo(f"imuarray: phase {phase!r} is no name that other commands know{near}", err=True)
 
 
 def _record(options: LogOptions) -> int:

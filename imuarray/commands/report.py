@@ -21,15 +21,15 @@ _STEPS = 1000
 def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_json: bool) -> None:
     """Write one HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
 
-    It needs nothing beside it, and reads well on paper. Noise and residuals are in the units of the calibrations among
-    the files.
+    A folder stands for the files in it. The page needs nothing beside it, and reads well on paper. Noise and residuals
+    are in the units of the calibrations among the files.
 
     \b
     imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html
     """
-    from imuarray.report.files import kind_of, write_report
+    from imuarray.report.files import kind_of, members, write_report
 
-    for path in files:
+    for path in (member for file in files for member in members(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
         kind_of(path)
     with progress(_STEPS, "report") as done:

@@ -133,7 +133,7 @@ def write_report(
     """Write the page of these files; the kind of each. `progress` is told what share is done. LogError for a file of no
     kind, OutputExistsError.
     """
-    kinds = {path: kind_of(path) for path in dict.fromkeys(paths)}
+    kinds = {path: kind_of(path) for path in dict.fromkeys(member for path in paths for member in members(path))}
     known = Calibration()
     for path, kind in kinds.items():
         if kind == "calibration":
@@ -161,6 +161,18 @@ def write_report(
 def _moved(progress: Callable[[float], None], files: int, of: int, share: float) -> None:
     """So many files are done, and a share of the next."""
     progress((files + share) / of)
+
+
+def members(path: Path) -> list[Path]:
+    """Return what a folder holds that a page can tell of: everything of one of `KINDS` in it; any other path itself.
+    LogError for a folder that holds nothing of that.
+    """
+    if not path.is_dir() or any(recognised(path) for _, recognised in _RECOGNISED):
+        return [path]
+    found = [member for member in sorted(path.iterdir()) if any(recognised(member) for _, recognised in _RECOGNISED)]
+    if not found:
+        raise LogError(f"{path}: holds nothing that a report is made of; {_ALLOWED}")
+    return found
 
 
 def kind_of(path: Path) -> str:

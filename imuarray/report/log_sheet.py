@@ -56,7 +56,7 @@ def _recorded(log: Log) -> Section:
         for name, count in flags.items():
             flagged[name] += count
         listed = ", ".join(f"{count} {name}" for name, count in flags.items() if count)
-        span = f"±{sensor.range:g} {sensor.unit}" if sensor.range else sensor.unit
+        span = f"±{sensor.range:g} {sensor.unit}" if sensor.range else "–"
         seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if len(sensor) > 1 else 0.0
         rate = f"{(len(sensor) - 1) / seconds:.2f}" if seconds else "–"
         longest = f"{1e3 * _longest_s(sensor):.1f}"

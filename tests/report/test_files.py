@@ -104,6 +104,20 @@ def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Pa
         write_report([folder], page, force=True)
 
 
+def test_a_folder_stands_for_the_files_in_it(made: Path, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("cal.toml", "fused.h5"):
+        (tmp_path / "in" / name).write_bytes((made / name).read_bytes())
+    (tmp_path / "in" / "notes.txt").write_text("of no kind")
+    kinds = write_report([tmp_path / "in"], tmp_path / "page.html")
+    assert {Path(path).name: kind for path, kind in kinds.items()} == {
+        "cal.toml": "calibration", "fused.h5": "fused result",
+    }  # fmt: skip
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match="empty: holds nothing that a report is made of; allowed are logs"):
+        write_report([tmp_path / "empty"], tmp_path / "other.html")
+
+
 @pytest.mark.parametrize(
     ("name", "text"),
     [("a.json", "[1, 2]"), ("b.toml", "[array]\nname = 'x'"), ("c.csv", "1,2"), ("d.json", "{" * 9999)],
