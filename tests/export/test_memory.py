@@ -31,19 +31,30 @@ def peak(work: Callable[[], object]) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("suffix", "few", "many"), [("csv", 1500, 3000), ("npz", 8_000, 40_000), ("mcap", 1500, 3000)])
+@pytest.mark.parametrize(
+    ("suffix", "few", "many"),
+    [
+        ("csv", 1500, 3000),
+        ("npz", 8_000, 40_000),
+        ("parquet", 8_000, 40_000),
+        ("mcap", 1500, 3000),
+        ("ros2.mcap", 1500, 3000),
+    ],
+)
 def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int) -> None:
     """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show."""
     monkeypatch.setattr("imuarray.export.tables.Table.blocks.__defaults__", (250,))
     monkeypatch.setattr("imuarray.export.mcap_file._BLOCK", 250)
     monkeypatch.setattr("imuarray.export.mcap_file._CHUNK_BYTES", 1 << 14)
+    monkeypatch.setattr("imuarray.export.parquet_files._GROUP_ROWS", 2000)
     monkeypatch.setattr("imuarray.importers.exported_npz._ROWS", 250)
+    monkeypatch.setattr("imuarray.importers.exported_parquet._ROWS", 2000)
     monkeypatch.setattr("imuarray.importers.cells.Table.blocks.__defaults__", (250, None))
     monkeypatch.setattr("imuarray.log.writer.CHUNK", 250)
 
     def peaks(rows: int) -> tuple[int, int]:
         run, out = log_of(tmp_path / f"{rows}.h5", rows), tmp_path / f"{rows}.{suffix}"
-        written = peak(lambda: export(run, out))
+        written = peak(lambda: export(run, out, tool="ros2" if suffix == "ros2.mcap" else None))
         importer = importer_of(out)
         return written, 0 if importer is None else peak(lambda: importer(out, tmp_path / "back.h5", force=True))
 
