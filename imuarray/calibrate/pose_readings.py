@@ -259,12 +259,18 @@ def windows_of(
             inside = (window >= 0) & (window < count)
             if flags:
                 inside &= (np.asarray(sensor.status[block]) & flags) == 0
-            value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
-            number = window[inside]
-            for axis, column in enumerate(value.T):
-                sums[:, axis] += np.bincount(number, column, count)
-                squares[:, axis] += np.bincount(number, column**2, count)
-            rows += np.bincount(number, minlength=count)
+            counts = np.asarray(sensor.counts[block], float)
+            if not inside.all():
+                window, counts = window[inside], counts[inside]
+            if not len(window):
+                continue
+            first = int(window.min())
+            number, here = window - first, slice(first, int(window.max()) + 1)
+            value = np.ascontiguousarray((counts / sensor.sensitivity @ sensor.orientation.T).T)
+            for axis, column in enumerate(value):
+                sums[here, axis] += np.bincount(number, column)
+                squares[here, axis] += np.bincount(number, column**2)
+            rows[here] += np.bincount(number)
         spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
         rows = np.maximum(rows, 1)[:, None]
         means += sums / rows / len(sensors)
