@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from scipy.special import ndtr
 
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS
@@ -140,6 +139,8 @@ def cancelled(
     """Half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left` (see
     `OpposedSlopes`).
     """
+    from scipy.special import ndtr  # its weight is for those who ask: every logger and every fusion imports this package
+
     half, sem = (first - second) / 2, float(np.hypot(sem_first, sem_second)) / 2
     reduction = (abs(first) + abs(second)) / 2 / abs(half) if half else np.inf
     one_sided = [max(ndtr(-sign * first / sem_first), ndtr(-sign * second / sem_second)) for sign in (1, -1)]

@@ -255,11 +255,11 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
     """The judge of how sensors start; None without a calibration, or for one that serves --fuse and knows no states."""
+    if options.calibration is None:
+        return None
     from imuarray.calibrate import load_calibration
     from imuarray.calibrate.start_up_judge import StartUpJudge
 
-    if options.calibration is None:
-        return None
     judge = StartUpJudge(load_calibration(options.calibration), array.sensitivities, _remark)
     return judge if judge.knows_states or not options.fuse else None
 

@@ -22,6 +22,8 @@ from imuarray.arrays import Times
 
 _MAGIC = b"\x89MCAP0\r\n"
 _COMPRESSION = "zstd"
+_LEVEL = 1
+"""Takes two thirds of the time of the usual 3, for files that are 4 % longer."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 
@@ -62,7 +64,7 @@ class Container:
         self._metadata: list[Any] = []
         self._counts: dict[int, int] = {}
         self._first_ns, self._last_ns = 0, 0
-        self._packer = zstandard.ZstdCompressor()
+        self._packer = zstandard.ZstdCompressor(level=_LEVEL)
         file.write(_MAGIC)
         self._put(records.Header(profile=profile, library=library))
 

@@ -16,7 +16,7 @@ from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import export
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest
-from imuarray.export.mcap_file import epoch_ns
+from imuarray.export.mcap_file import _digits, epoch_ns
 from imuarray.export.mcap_schemas import table_message
 from imuarray.log import Block, LogWriter
 from tests.export.conftest import ACC, BARO, EPOCH_NS, GYRO, MESSAGE, MS
@@ -222,3 +222,10 @@ def test_without_the_package(run: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'imuarray\[export\]'"):
         export(run, run.with_name("r.mcap"))
+
+
+@pytest.mark.parametrize("values", [[0], [7, 0], [9999, 10_000], [123, 0, 999_999_999, 10_000, 99_999_999], [2**40, 1]])
+def test_integers_are_spelled_to_one_width_with_spaces_before(values: list[int]) -> None:
+    width = len(str(max(values)))
+    texts = _digits(np.array(values, np.int64))
+    assert [bytes(text).decode() for text in texts] == [f"{value:>{width}}" for value in values]
