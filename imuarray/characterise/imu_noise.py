@@ -136,8 +136,8 @@ def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
     units: dict[str, list[Mapping[str, Any]]] = {}
     for sensor in result["sensors"]:
         units.setdefault(_unit_name(sensor["name"]), []).append(sensor)
-    found = [imu for sensors in units.values() for imu in imus_of({**result, "sensors": sensors})]
-    return {f"imu_{imu.name}.yaml": kalibr_text(imu) for imu in found}
+    imus = [imu for sensors in units.values() for imu in imus_of({**result, "sensors": sensors})]
+    return {f"imu_{imu.name}.yaml": kalibr_text(imu) for imu in imus}
 
 
 def kalibr_text(imu: ImuNoise) -> str:

@@ -88,7 +88,7 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
         raise ExportError(
             f"{request.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
         )
-    chosen = [one for one in result["sensors"] if not request.sensors or one["name"] in request.sensors]
+    chosen = [sensor for sensor in result["sensors"] if not request.sensors or sensor["name"] in request.sensors]
     return {**result, "sensors": chosen}
 
 
@@ -121,7 +121,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
     if request.sensors or request.calibration is not None:
         raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert")
     triads: dict[str, TriadNoise] = {}
-    with fused_columns(path) as (said, columns):
+    with fused_columns(path) as (attributes, columns):
         time = np.asarray(columns["time"][:], np.int64)
         values = {quantity: np.asarray(columns[quantity][:], float) for quantity in INERTIAL if quantity in columns}
     moving = _moving(time, values)
@@ -139,7 +139,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
         raise ExportError(f"{path}: moves in {float(moving.mean()):.0%} of its frames; noise is measured at rest")
     if not triads:
         return [], {}
-    imu = ImuNoise("fused", _FUSED_TOPIC, max(rates), seconds, said.get("software", "imuarray"), triads)
+    imu = ImuNoise("fused", _FUSED_TOPIC, max(rates), seconds, attributes.get("software", "imuarray"), triads)
     return [imu], {"fused": rows}
 
 

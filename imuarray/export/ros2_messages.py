@@ -159,15 +159,15 @@ def _twins(tables: Sequence[Table]) -> dict[str, str]:
     pairs = {name: f"{name.removesuffix('_acc')}_gyro" for name in by_name if name.endswith("_acc")}
     stems = {name.removesuffix("_acc") for name in pairs}
     return {
-        one: other
-        for one, other in pairs.items()
-        if other in by_name and not stems & set(by_name) and _equal_times(by_name[one], by_name[other])
+        force: rate
+        for force, rate in pairs.items()
+        if rate in by_name and not stems & set(by_name) and _equal_times(by_name[force], by_name[rate])
     }
 
 
-def _equal_times(one: Table, other: Table) -> bool:
-    return one.rows == other.rows and all(
-        np.array_equal(one.columns[0].read(rows), other.columns[0].read(rows)) for rows in one.blocks()
+def _equal_times(first: Table, second: Table) -> bool:
+    return first.rows == second.rows and all(
+        np.array_equal(first.columns[0].read(rows), second.columns[0].read(rows)) for rows in first.blocks()
     )
 
 

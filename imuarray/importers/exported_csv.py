@@ -43,9 +43,9 @@ def import_file(
     with open_source(path, output) as file:
         size = file.seek(0, 2)
         file.seek(0)
-        said = _header(file, path)
-        head = checked_head(said, str(path))
-        files: Files = {str(said["table"]): (path, None)} if "table" in said else _listed(file, path, head)
+        header = _header(file, path)
+        head = checked_head(header, str(path))
+        files: Files = {str(header["table"]): (path, None)} if "table" in header else _listed(file, path, head)
     reader = _Tables(files, path, output, lambda share: progress(int(size * share)))
     notes = notes_of(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))
     return write_log(head, reader.rows, notes, output, str(path), force=force)

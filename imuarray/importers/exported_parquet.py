@@ -49,10 +49,10 @@ def import_file(
     """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     path = Path(source)
     open_source(path, output).close()
-    said = _header(path)
-    head = checked_head(said, str(path))
-    if "table" in said:
-        files = {str(said["table"]): path}
+    header = _header(path)
+    head = checked_head(header, str(path))
+    if "table" in header:
+        files = {str(header["table"]): path}
     else:
         listed = _texts(path, CSV_INDEX)
         files = {str(table): path.with_name(str(name)) for name, table, _ in listed}

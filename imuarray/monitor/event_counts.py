@@ -41,7 +41,7 @@ class EventCounts:
     def __init__(self) -> None:
         self._kinds: Counter[str] = Counter()
         self._last: deque[Event] = deque(maxlen=KEPT)
-        self._alike: dict[tuple[str, str, str], RepeatedEvent] = {}
+        self._groups: dict[tuple[str, str, str], RepeatedEvent] = {}
         self._faults: Counter[tuple[str, str]] = Counter()
         self._on: dict[tuple[int, str], None] = {}
         self.missed = 0
@@ -79,7 +79,7 @@ class EventCounts:
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
-            self._add_alike(event)
+            self._add_to_group(event)
             if is_trouble(event):
                 self._faults[event.sensor, event.kind] += 1
             if event.kind == "late" and not event.sensor and (match := MISSED.match(event.message)):
@@ -105,16 +105,16 @@ class EventCounts:
     @property
     def repeated(self) -> tuple[RepeatedEvent, ...]:
         """The last events that differ in more than numbers, each with how often it happened; the newest first."""
-        return tuple(sorted(self._alike.values(), key=lambda one: one.event.time_ns)[::-1])
+        return tuple(sorted(self._groups.values(), key=lambda repeated: repeated.event.time_ns)[::-1])
 
-    def _add_alike(self, event: Event) -> None:
+    def _add_to_group(self, event: Event) -> None:
         """Count an event with those that differ from it in numbers only."""
         key = event.sensor, event.kind, _NUMBER.sub("#", event.message)
-        before = self._alike.pop(key, None)
+        before = self._groups.pop(key, None)
         first_ns = event.time_ns if before is None else before.first_ns
-        self._alike[key] = RepeatedEvent(event, 1 if before is None else before.times + 1, first_ns)
-        if len(self._alike) > KEPT:
-            del self._alike[next(iter(self._alike))]
+        self._groups[key] = RepeatedEvent(event, 1 if before is None else before.times + 1, first_ns)
+        if len(self._groups) > KEPT:
+            del self._groups[next(iter(self._groups))]
 
     @property
     def recent(self) -> tuple[Event, ...]:

@@ -73,7 +73,8 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
         "problems": snapshot.problems,
         "recent": [_event(event) for event in snapshot.recent],
         "repeated": [
-            _event(one.event) | {"count": one.times, "first_s": _seconds(one.first_ns)} for one in snapshot.repeated
+            _event(group.event) | {"count": group.times, "first_s": _seconds(group.first_ns)}
+            for group in snapshot.repeated
         ],
         "health": None
         if snapshot.health is None

@@ -144,8 +144,8 @@ def write_report(
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         own_progress = partial(_moved, progress, done, len(kinds))
-        said, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
-        verdicts += said
+        judged, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
+        verdicts += judged
         summary += lines
         sections += own
         own_progress(1.0)
@@ -169,10 +169,10 @@ def members(path: Path) -> list[Path]:
     """
     if not path.is_dir() or any(recognised(path) for _, recognised in _RECOGNISED):
         return [path]
-    found = [member for member in sorted(path.iterdir()) if any(recognised(member) for _, recognised in _RECOGNISED)]
-    if not found:
+    contents = [member for member in sorted(path.iterdir()) if any(recognised(member) for _, recognised in _RECOGNISED)]
+    if not contents:
         raise LogError(f"{path}: holds nothing that a report is made of; {_ALLOWED}")
-    return found
+    return contents
 
 
 def kind_of(path: Path) -> str:

@@ -20,7 +20,7 @@ from imuarray.units import READABLE_SI
 _Z95 = 1.96
 
 
-class Gained(NamedTuple):
+class TechniqueGains(NamedTuple):
     """The section, and the verdict on what fusion gains (None: nothing can be said)."""
 
     section: Section
@@ -29,7 +29,7 @@ class Gained(NamedTuple):
 
 def techniques_section(
     log: Log, calibration: Calibration, *, drawn: bool, progress: Callable[[float], None] = lambda share: None
-) -> Gained | None:
+) -> TechniqueGains | None:
     """Every technique beside the average; None for a log that knows no truth."""
     if log.truth is None and log.reference is None:
         return None
@@ -37,7 +37,7 @@ def techniques_section(
     try:
         comparison = compare(log, with_noise_of(log, calibration), progress=progress)
     except ImuArrayError as error:
-        return Gained(Section(title, f"Nothing can be said of it: {error}."))
+        return TechniqueGains(Section(title, f"Nothing can be said of it: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
         "Rms error against the log's truth over that of the simple average of the same sensors. Left of one is better."
@@ -51,7 +51,7 @@ def techniques_section(
         listed = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
         parts.append(Figure(drawing, caption, f"{caption} {listed}."))
     section = Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
-    return Gained(section, techniques_verdict(log, comparison))
+    return TechniqueGains(section, techniques_verdict(log, comparison))
 
 
 def _ratio(score: Score) -> tuple[float, float]:

@@ -93,7 +93,9 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     lacking = [sensor.name for sensor in inertial if sensor.bias_sem_lsb is None]
     forces = [sensor for sensor in inertial if sensor.quantity == "specific_force"]
     unscaled = [sensor.name for sensor in forces if sensor.response_sem_lsb_per_unit is None]
-    worst = {quantity: _worst_bias([one for one in biased if one.quantity == quantity]) for quantity in INERTIAL}
+    worst = {
+        quantity: _worst_bias([sensor for sensor in biased if sensor.quantity == quantity]) for quantity in INERTIAL
+    }
     known = " and ".join(text for text in worst.values() if text)
     level: Level = "good"
     if not biased:
@@ -169,17 +171,17 @@ def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
         for quantity in dict.fromkeys(score.quantity for score in scores)
         if (same := [score for score in scores if score.quantity == quantity])
     }
-    told = [
+    gains = [
         f"{score.ratio['XYZ'].ratio:.2f} of the average's error of {_words(score)} ({score.technique})"
         for score in best.values()
         if _is_sure(score)
     ]
-    sentence = f"leaves {' and '.join(told)}" if told else "gains nothing over the simple average beyond chance"
+    sentence = f"leaves {' and '.join(gains)}" if gains else "gains nothing over the simple average beyond chance"
     figures = tuple(
         (f"{score.ratio['XYZ'].ratio:.2f} ×", f"{score.technique}, error of {_words(score)} over the average's")
         for score in best.values()
     )
-    return Verdict(f"Fusion of {log.path.name} {sentence}.", "good" if told else "neutral", figures)
+    return Verdict(f"Fusion of {log.path.name} {sentence}.", "good" if gains else "neutral", figures)
 
 
 def _words(score: Score) -> str:

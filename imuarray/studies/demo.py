@@ -160,8 +160,8 @@ def demo_verdict(rows: Rows, tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
     case, best = min(gained, key=lambda pair: pair[1].ratio)
     residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
     figures = [
-        (f"{gain.ratio:.2f} ×", f"{one.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
-        for one, gain in gained
+        (f"{gain.ratio:.2f} ×", f"{which.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
+        for which, gain in gained
     ]
     figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
     figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
