@@ -139,7 +139,7 @@ def cancelled(
     """Half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left` (see
     `OpposedSlopes`).
     """
-    from scipy.special import ndtr  # its weight is for those who ask: every logger and every fusion imports this package
+    from scipy.special import ndtr  # its weight is for those who ask: every logger imports this package
 
     half, sem = (first - second) / 2, float(np.hypot(sem_first, sem_second)) / 2
     reduction = (abs(first) + abs(second)) / 2 / abs(half) if half else np.inf
