@@ -20,7 +20,7 @@ import numpy.typing as npt
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.repeats import RepeatTally
-from imuarray.gap.recording.row_timing import RowTiming, row_timing
+from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.printable import counted
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
@@ -69,6 +69,15 @@ LISTED = 3
 
 STALE_SHARE = 0.015
 """Share of repeated rows, beyond chance, that is reported."""
+
+LOST_ROW = 1.5
+"""Shortest gap that a single lost row can leave, in usual intervals."""
+
+OFF_GRID = 0.25
+"""Greatest distance of three intervals in a row from a whole number of usual intervals, in these."""
+
+STEADY_SHARE = 0.9
+"""Share of the rows that are on the grid from which on the rows of a sensor count as steady."""
 
 DEGC = (-45.0, 130.0)
 """Temperatures of working chips."""
@@ -144,8 +153,8 @@ def report_of(log: Log) -> Report:
         if timing.sentence:
             hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
-        elif timing.gaps:
-            quirks.add(sensor.name, _missing_rows(timing))
+        elif missing := _missing_rows(sensor, timing):
+            quirks.add(sensor.name, missing)
         for text in _rate(timing):
             doubts.add(sensor.name, text)
         codes = _Codes(sensor)
@@ -246,11 +255,41 @@ def _doubled(ratio: float) -> str:
     return f"range and sensitivity may be those of another setting, the counts per g {factor}"
 
 
-def _missing_rows(timing: RowTiming) -> str:
-    """How many rows would fill the gaps of steady rows."""
-    missing = max(round(timing.gaps_s / timing.usual_s) - timing.gaps, 1)
-    gaps, rows = counted(timing.gaps, "gap"), counted(missing, "row")
-    return f"{gaps} between rows, {1e3 * timing.gap_s:.3g} ms in the median: {rows} may be missing"
+def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
+    """Describe the rows that are missing between otherwise steady rows; "" if none is."""
+    gaps = _find_gaps(sensor, timing)
+    if not len(gaps):
+        return ""
+    missing = int(np.sum(np.maximum(np.rint(gaps) - 1, 1)))
+    gap_ms = 1e3 * float(np.median(gaps)) * timing.usual_s
+    gaps_text, rows_text = counted(len(gaps), "gap"), counted(missing, "row")
+    return f"{gaps_text} between rows, {gap_ms:.3g} ms in the median: {rows_text} may be missing"
+
+
+def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:
+    """Return the gaps (k,) in usual intervals: all of at least `GAP`, and shorter ones that a lost row explains.
+
+    A late row makes the next interval shorter, so that three intervals around it take the usual time; a lost row adds
+    one interval to all three. Where intervals scatter without a grid (a program that sleeps between readings), most
+    sums of three are no whole number of intervals, and no single row is called lost.
+    """
+    kept: list[npt.NDArray[np.float64]] = []
+    near_grid, rows = 0, 0
+    for block in sensor.blocks():
+        begin, end = max(block.start - 2, 0), min(block.stop + 1, len(sensor))
+        times = np.asarray(sensor.time[begin:end], np.int64)
+        intervals = (times[1:] - times[:-1]) * 1e-9 / timing.usual_s
+        padded = np.concatenate([[1.0], intervals, [1.0]])
+        three = padded[:-2] + padded[1:-1] + padded[2:]
+        off_grid = np.abs(three - np.rint(three))
+        near_grid, rows = near_grid + int(np.sum(off_grid < OFF_GRID)), rows + len(three)
+        # Each interval belongs to the block that its later row is in.
+        own = slice(max(block.start - 1, 0) - begin, block.stop - 1 - begin)
+        is_lost = (intervals > LOST_ROW) & (three > 3 + LOST_ROW - 1) & (off_grid < OFF_GRID)
+        kept.append(np.where((intervals > GAP) | is_lost, intervals, 0.0)[own])
+    gaps = np.concatenate(kept)
+    is_steady = near_grid > STEADY_SHARE * rows
+    return gaps[gaps > (0 if is_steady else GAP)]
 
 
 def _rate(timing: RowTiming) -> Iterator[str]:

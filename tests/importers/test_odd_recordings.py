@@ -353,6 +353,12 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["~ Acc, Gyro: 2 gaps between rows, 35 ms in the median: 5 rows may be missing"],
     ),
+    "single rows that are missing": (
+        edited(lambda rows: [row for at, row in enumerate(rows) if at not in (300, 700, 1200)]),
+        MAP,
+        0,
+        ["~ Acc, Gyro: 3 gaps between rows, 20 ms in the median: 3 rows may be missing"],
+    ),
     "gravity taken out": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=walk().force_g * 0.05)), "{:d}")]),
         MAP,
@@ -410,6 +416,28 @@ def test_what_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
     if name == "sound":
         assert "?" not in text
     assert (tmp_path / "run.h5").exists() == (code == 0)
+
+
+def late(delays_s: np.ndarray) -> bytes:
+    return joined([HEAD, *lines_of(walk().time_s + delays_s, counts_of(walk()), "{:d}")])
+
+
+LATE = np.where(np.isin(np.arange(ROWS), (200, 600, 1500)), 8e-3, 0.0)
+"""Three rows are 8 ms late, and the next ones on time."""
+
+SLEEPS = np.cumsum(np.random.default_rng(8).uniform(0, 16e-3, ROWS))
+"""A program that sleeps for a period after each reading: intervals scatter, and no clock is behind them."""
+
+
+@pytest.mark.parametrize("delays_s", [LATE, SLEEPS], ids=["late", "sleeps"])
+def test_late_rows_are_not_called_missing(
+    delays_s: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "data.csv").write_bytes(late(delays_s))
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    assert "missing" not in capsys.readouterr().out
 
 
 def test_there_are_twenty_at_least() -> None:
