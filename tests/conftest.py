@@ -6,6 +6,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gc
+import sys
+from pathlib import Path
+
+if sys.dont_write_bytecode:  # as in many containers: every start of the program would compile all its modules
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import settings
