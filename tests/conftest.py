@@ -20,7 +20,7 @@ from hypothesis import settings
 
 # How long an example takes is the machine's business.  The examples are the same every time, so that what passed
 # passes again; `pytest --hypothesis-profile explore` draws others.  The quick half draws few, .ci/run all ("full").
-settings.register_profile("quick", deadline=None, derandomize=True, max_examples=10)
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=5)
 settings.register_profile("full", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("quick")

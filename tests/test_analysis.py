@@ -65,6 +65,7 @@ def test_a_simulation_is_that_of_the_command(tmp_path: Path) -> None:
     assert equal(columns(tmp_path / "c.h5"), columns(tmp_path / "d.h5"))
 
 
+@pytest.mark.slow
 def test_an_effect_is_added_to_one_sensor_and_changes_no_other(tmp_path: Path) -> None:
     """A sine of amplitude a has an rms of a / sqrt(2)."""
     tone = EFFECTS["tone"](amplitude=5.0, frequency_hz=7.0)  # type: ignore[call-arg]
@@ -91,6 +92,7 @@ def test_a_wrong_word_is_told_with_what_is_allowed(tmp_path: Path, options: dict
     assert not (tmp_path / "a.h5").exists()
 
 
+@pytest.mark.slow
 def test_a_log_that_is_simulated_again_has_its_own_conditions(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="seconds: the log that is simulated says so"):
         ia.simulate(folder / "rest.h5", tmp_path / "a.h5", seconds=1.0)
@@ -110,6 +112,7 @@ def test_a_fusion_is_that_of_the_command(folder: Path, tmp_path: Path, technique
     np.testing.assert_allclose(fused.errors["specific_force"].rms, by_hand, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
     fused = ia.fuse(folder / "rest.h5", technique="planes", only=["BMA1", "BMA2", "Gyro1"])
     assert fused.sensors == {"specific_force": ["BMA1", "BMA2"], "angular_rate": ["Gyro1"]}
@@ -140,6 +143,7 @@ def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path)
             found.coefficient(sensor, axis, term)
 
 
+@pytest.mark.slow
 def test_every_result_draws_itself_and_shows_a_table(folder: Path, tmp_path: Path) -> None:
     with ia.open_log(folder / "rest.h5") as log:
         tumble = ia.calibrate_tumble(folder / "tumble.h5")
@@ -214,6 +218,7 @@ class TestLabelled:
         assert table["counts_x"].tolist() == [1000, 32767, 7]
         assert str(table.index[0]) == "2013-09-16 08:30:00.010000"
 
+    @pytest.mark.slow
     def test_a_calibration_takes_the_bias_out(self, folder: Path) -> None:
         known = ia.load_calibration(folder / "cal.toml")
         with ia.open_log(folder / "rest.h5") as log:

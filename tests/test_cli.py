@@ -386,6 +386,7 @@ def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPa
     screen.close()
 
 
+@pytest.mark.slow
 def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
     done, took_s = interrupted(here, signal.SIGINT, "--rate-hz", "0.05")  # a frame in 20 s
     assert done.returncode == 0
@@ -419,6 +420,7 @@ def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
     assert "A lost: no reading: Remote I/O error (errno 121)" in run("info", "r.h5")[1]
 
 
+@pytest.mark.slow
 def test_a_log_in_parts(run: Run, here: Path) -> None:
     arguments = ("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "3")
     code, out, _ = run(*arguments, "--rotate", "1s", "--json")
@@ -431,6 +433,7 @@ def test_a_log_in_parts(run: Run, here: Path) -> None:
     assert "write 30s, 10min, 1h or 1d" in err[-1]
 
 
+@pytest.mark.slow
 def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
     (here / "night.toml").write_text('[[fault]]\nkind="no_acknowledge"\nsensor="A"\nat_s=1.5\nfor_s=0.1\n')
     url = "emulated:?faults=night.toml"

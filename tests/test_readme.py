@@ -245,6 +245,7 @@ def exists(name: str) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_architecture_is_up_to_date() -> None:
     """If this fails, imports between packages have changed: run `python docs/architecture.py`."""
     sys.path.insert(0, str(ROOT / "docs"))

@@ -123,6 +123,7 @@ def noise(folder: Path, report: dict[str, Any]) -> str:
     return "\n".join(said)
 
 
+@pytest.mark.slow
 def test_the_unit_with_a_line_is_recognised(folder: Path, noise: str) -> None:
     """Unit 4, x: 25 counts rms where the other units have 7. The strongest bin of a zero-padded transform of each pose
     goes from 8.05 Hz in the first to 9.37 Hz in the last, as the board warms up; y has it too, smaller.

@@ -62,6 +62,7 @@ def test_too_slow_a_poll_is_flagged_as_overrun(tmp_path: Path, array: ArrayConfi
         assert (np.diff(np.asarray(log["Gyro"].time)) > 0).all()
 
 
+@pytest.mark.slow
 def test_queued_counts_are_those_that_polling_reads(tmp_path: Path, array: ArrayConfig) -> None:
     """The same chip in the same world: mean and scatter agree within their errors (five of them)."""
     polled = parse_array(TEXT.replace("fifo = true", ""))

@@ -120,7 +120,7 @@ def test_stalls_and_slow_clocks_raise_no_alarm(rate_hz: float, error: float) -> 
     assert {event.kind for event in log.events} <= {"late"}
 
 
-@pytest.mark.parametrize(("kind", "told"), [("stale", "stale"), ("frozen", "frozen")])
+@pytest.mark.parametrize(("kind", "told"), some([("stale", "stale"), ("frozen", "frozen")], 3))
 @pytest.mark.parametrize(("sensor", "within_s"), [("B", 1.5), ("G", 1.5), ("M", 4.0)])
 def test_a_frozen_chip_is_noticed_all_the_same(kind: str, told: str, sensor: str, within_s: float) -> None:
     """Within a sweep and a second, or as long as 24 readings take (30 of 0.1 s, which wait for each other)."""

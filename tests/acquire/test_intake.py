@@ -20,6 +20,7 @@ from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.log import open_log
 from imuarray.log.format import Event
 from imuarray.log.writer import Block
+from tests.selection import some
 
 S = 1_000_000_000
 STALE, OVERRUN, LOST, RECONFIGURED = 1, 2, 8, 16
@@ -87,7 +88,7 @@ def test_a_row_ahead_of_the_clock_does_not_shut_out_those_behind_it() -> None:
     assert told[0].message == "1 reading refused: not later than the reading before, or ahead of the clock"
 
 
-@pytest.mark.parametrize("rotate_s", [None, 3.0])
+@pytest.mark.parametrize("rotate_s", some([None, 3.0], 1))
 def test_a_queue_that_counts_time_twice_ends_no_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rotate_s: float | None
 ) -> None:

@@ -27,6 +27,7 @@ from imuarray.fuse import FusedBlock, FusionStream, read_fused, read_fused_event
 from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions
 from imuarray.log import Block, open_log
 from imuarray.log.format import SensorHeader
+from tests.selection import some
 
 SHAKEN = "emulated:?world=shaking&peak_g=3"
 HEADERS = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(2)]
@@ -85,7 +86,7 @@ lag_s = 3.0
     )
 
 
-@pytest.mark.parametrize(("technique", "warm"), [("opposed", False), ("mean", True)])
+@pytest.mark.parametrize(("technique", "warm"), some([("opposed", False), ("mean", True)], 1))
 def test_it_is_what_fusing_the_log_gives(log: Log, tmp_path: Path, technique: str, warm: bool) -> None:
     more = ["--calibration", "cal.toml"] if warm else []
     if warm:

@@ -21,6 +21,7 @@ from imuarray.errors import OutputExistsError, SensorError
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.log.writer import LogWriter
+from tests.selection import some
 
 MS = 1_000_000
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -40,7 +41,7 @@ def test_there_and_back(an_array: Callable[..., Any], tapped: Callable[..., Any]
     assert names == [[["A", "G"], ["B", "M"], ["P"]], [["P"], ["B", "M"], ["A", "G"]]]
 
 
-@pytest.mark.parametrize(("channels", "switches"), [((0, 1), 1), ((0, 1, 2), 2), ((3, 1, 2, 0), 3), ((2,), 0)])
+@pytest.mark.parametrize(("channels", "switches"), some([((0, 1), 1), ((0, 1, 2), 2), ((3, 1, 2, 0), 3), ((2,), 0)], 1))
 def test_switches_a_frame(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, channels: tuple[int, ...], switches: int
 ) -> None:
@@ -60,6 +61,7 @@ def test_switches_a_frame(
     assert len([call for call in polled if call.read == 1]) <= visits + 110 + 10 * len(channels)
 
 
+@pytest.mark.slow
 def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
     """A burst a sensor, one switch, a register of each channel and up to two more read back: 9 (n + 3) clocks, 18 for
     a switch (BUS-02, BUS-04).
@@ -472,7 +474,7 @@ def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callabl
             assert end_ns == (number + 1) * 2_000_000_000 if number < 2 else end_ns > 4_970_000_000
 
 
-@pytest.mark.parametrize("rotate_s", [None, 1.0])
+@pytest.mark.parametrize("rotate_s", some([None, 1.0], 1))
 def test_files_that_take_their_time_cost_no_frame(
     an_array: Callable[..., Any],
     tapped: Callable[..., Any],

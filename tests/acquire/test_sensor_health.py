@@ -72,7 +72,7 @@ def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -
         assert len(status) + done.lost["B"] == done.frames
 
 
-@pytest.mark.parametrize("for_s", some([0.08, 0.2, 0.7, 3.0, 20.0], 2))
+@pytest.mark.parametrize("for_s", some([0.08, 0.2, 0.7, 3.0, 20.0], 1))
 def test_a_barometer_loses_readings_and_not_polls(bad_night: Callable[..., Any], for_s: float) -> None:
     """Eight readings a second, asked for fifty times: rows and lost ones together are what its pace had promised."""
     table = f'[[fault]]\nkind="no_acknowledge"\nsensor="P"\nat_s=3.0\nfor_s={for_s}\n'
@@ -106,6 +106,7 @@ def test_a_reset_queue_starts_anew(bad_night: Callable[..., Any], tmp_path: Path
         assert np.median(np.diff(time[again:])) == pytest.approx(1.25 * MS, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n'
     _, log = bad_night(table, 63, A=0, B=0)

@@ -237,17 +237,7 @@ def test_the_inner_bus_is_closed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("rate_hz", "bit_rate"),
-    [
-        (100, 400_000),
-        pytest.param(
-            125,
-            100_000,
-        ),
-        pytest.param(
-            350,
-            100_000,
-        ),
-    ],
+    some([(100, 400_000), (125, 100_000), (350, 100_000)], 1),
 )
 def test_a_replayed_recording_gives_the_same_log(tmp_path: Path, rate_hz: int, bit_rate: int) -> None:
     text = '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'

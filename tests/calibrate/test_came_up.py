@@ -22,6 +22,7 @@ from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion import turn_on_run
+from tests.selection import some
 
 TEXT = """
 [array]
@@ -80,7 +81,7 @@ def calibration_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cal.toml"
 
 
-@pytest.mark.parametrize("second", [False, True])
+@pytest.mark.parametrize("second", some([False, True], 1))
 def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, second: bool) -> None:
     from imuarray.calibrate import load_calibration
 

@@ -78,6 +78,7 @@ def test_turn_on_reports_changes_states_and_faults(
     assert known.provenance["turn_on"].logs == tuple(runs)
 
 
+@pytest.mark.slow
 def test_turn_on_prints_a_table(runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "turn-on", *runs, "-o", str(tmp_path / "cal.toml"), "--seed", "5"]) == 0
     out = capsys.readouterr().out
@@ -89,6 +90,7 @@ def test_turn_on_prints_a_table(runs: list[str], tmp_path: Path, capsys: pytest.
     ]
 
 
+@pytest.mark.slow
 def test_two_runs_are_refused(runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "turn-on", *runs[:2], "-o", str(tmp_path / "cal.toml")]) == 2
     assert "at least 3 are wanted" in capsys.readouterr().err

@@ -89,6 +89,7 @@ def test_a_drift_comes_back_within_its_errors() -> None:
     assert np.exp(np.mean([np.log(drift.time_constant_s) for drift in found])) == pytest.approx(40.0, rel=0.3)
 
 
+@pytest.mark.slow
 def test_without_drift_it_stays_below_a_small_bound() -> None:
     """White noise of 1 count: hardly an axis seems to drift (two errors), and none more than the noise of a mean."""
     rng = np.random.default_rng(3)

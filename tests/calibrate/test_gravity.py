@@ -145,6 +145,7 @@ def test_nine_poses_do_not_claim_to_be_exact(write_log: WriteLog) -> None:
     assert (sem(fitted.bias_sem_lsb) > 0.3 * SIGMA / np.sqrt(ROWS * 9)).all()
 
 
+@pytest.mark.slow
 def test_the_array_keeps_the_orientation_of_its_configuration(write_log: WriteLog) -> None:
     """Poses turned as a whole change nothing: nobody knows how the table lies."""
     rng = np.random.default_rng(9)
@@ -322,7 +323,7 @@ def test_fewer_than_nine_poses(write_log: WriteLog, count: int) -> None:
         fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases[:count]])
 
 
-@pytest.mark.parametrize("sigma", some([0.0, 5.0, 40.0, 200.0], 2))
+@pytest.mark.parametrize("sigma", some([0.0, 5.0, 40.0, 200.0], 1))
 @pytest.mark.parametrize("seed", some([1, 2], 1))
 def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed: int) -> None:
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
@@ -332,6 +333,7 @@ def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed:
         fit(write_log, parts, ups, seed)
 
 
+@pytest.mark.slow
 def test_the_same_pose_nine_times_is_refused(write_log: WriteLog) -> None:
     with pytest.raises(CalibrationError, match="more different sides"):
         fit(write_log, array(1, np.random.default_rng(1)), np.tile([0.0, 0.0, 1.0], (9, 1)))

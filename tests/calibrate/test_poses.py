@@ -16,6 +16,7 @@ from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.units import Quantity
 from tests.calibrate.conftest import EPOCH, Floats, Part, WriteLog, accelerometer, directions, gyroscope, skewed
+from tests.selection import some
 
 RATE_HZ = 100.0
 
@@ -50,7 +51,7 @@ def check_poses(path: Path, rows: int, moving_rows: int) -> None:
         assert pose.up_box is None
 
 
-@pytest.mark.parametrize("rows", [300, 600])
+@pytest.mark.parametrize("rows", some([300, 600], 4))
 @pytest.mark.parametrize("moving_rows", [10, 40, 250])
 @pytest.mark.parametrize("sigma", [0.0, 1.0, 30.0])
 def test_every_pose_of_a_hand_tumbled_log_is_found(

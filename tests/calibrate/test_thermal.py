@@ -23,6 +23,7 @@ from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.studies.paper.thermal import pair_of
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
+from tests.selection import some
 
 STEP_S = 10.0
 TIME_S = np.arange(0, 2400, STEP_S)
@@ -297,7 +298,7 @@ def test_without_phases_the_accelerometers_say_where_up_is(write: Write) -> None
     assert thermal is not None and thermal.meaning == ("bias", "bias or scale", "bias")
 
 
-@pytest.mark.parametrize(("chip", "kind"), [("bma180", "chip"), ("l3g4200d", "relative"), ("adxl345", "chip")])
+@pytest.mark.parametrize(("chip", "kind"), some([("bma180", "chip"), ("l3g4200d", "relative"), ("adxl345", "chip")], 2))
 def test_chips_help_out_where_there_is_no_thermometer(write: Write, chip: str, kind: str) -> None:
     """BMA180: 24 degC and half a degree a count (BMA-63). L3G4200D: a count less per degree, without zero (L3G-60).
     An ADXL345 has none: its neighbour's.
@@ -413,6 +414,7 @@ def test_logs_of_differently_set_sensors_do_not_go_together(write: Write) -> Non
         run(one, other)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_stands_still_in_two_logs_has_no_slope(write: Write) -> None:
     paths = [write([(gyroscope("G"), (0.0, 0.0, 0.0))], name=f"{i}.h5") for i in (1, 2)]
     for path in paths:

@@ -76,6 +76,7 @@ def test_a_leaning_table_widens_the_standard_errors_of_faces(tmp_path: Path) -> 
         assert np.abs(known.bias_lsb - sensitivity * np.array(bias_g)).max() < 6 * known.bias_sem_lsb.max()
 
 
+@pytest.mark.slow
 def test_poses_of_several_logs_go_together(tmp_path: Path) -> None:
     """Two logs of seven poses each, none enough alone; turns are those within each."""
     made, parts = attitudes(14, np.random.default_rng(4)), []

@@ -276,7 +276,7 @@ def run(paths: Sequence[Path], **options: object) -> tuple[Calibration, dict[str
     return calibration, {result.runs.sensor: result for result in results}
 
 
-@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("together", some([False, True], 1))
 def test_a_turn_on_bias_and_its_absence(write: Write, together: bool) -> None:
     """12 runs. A changes by 2 counts rms, S not at all: noise of 3 counts makes 3 / sqrt(1200) = 0.087 of a mean."""
     rng = np.random.default_rng(20)

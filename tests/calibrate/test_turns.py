@@ -114,6 +114,7 @@ def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:
     assert np.abs(known.response_lsb_per_unit - truth["Gyro3"])[:, 0].max() < 0.002 * sensitivity
 
 
+@pytest.mark.slow
 def test_what_two_axes_tell_is_used(tmp_path: Path) -> None:
     """Turns about box X and Z alone: those columns to a thousandth, that of Y as the data sheet has it to its two per
     cent; over six draws of a world whose gyroscopes are off by as much, the normalised error squared is chi-square with

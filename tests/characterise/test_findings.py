@@ -49,6 +49,7 @@ def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Ch
     assert "G x, z: neighbouring readings correlate by 0.40" in told
 
 
+@pytest.mark.slow
 def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     coarse = ("quantisation", {"step_lsb": 4})
     told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
@@ -68,6 +69,7 @@ def test_even_codes_of_a_fast_adxl345(tmp_path: Path) -> None:
         assert "A x, y, z: only even codes" in findings(characterise_log(log))  # ADX-47
 
 
+@pytest.mark.slow
 def test_kalibrs_file_has_the_planted_figures_in_si(characterised: Characterise) -> None:
     """0.18 dps rms at 350 Hz: 0.18 pi / 180 / sqrt(350) rad/s/sqrt(Hz); walk 0.002 dps/sqrt(s)."""
     result = characterised(NOISE, ("random_walk", {"density": 0.002}), seconds=1500.0)

@@ -69,7 +69,7 @@ def _axes(result: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return _of(result, name)["sensors"][0]["axes"]
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", some(FIGURES, 1))
 @pytest.mark.parametrize(
     "sensors", some([(("empty",),), (("one",),), (("short",),), (("constant",),), (("ramp",),), None], 2)
 )

@@ -27,6 +27,7 @@ def sensor(result: dict[str, Any], name: str) -> dict[str, Any]:
     return {item["name"]: item for item in result["sensors"]}[name]
 
 
+@pytest.mark.slow
 def test_is_plain_json(result: dict[str, Any]) -> None:
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert [item["name"] for item in result["sensors"]] == ["A", "E", "G"]

@@ -218,6 +218,7 @@ def test_a_fused_file_built_to_do_harm(fused: Path, spoil: Callable[[h5py.File],
     assert [path.name for path in fused.parent.iterdir()] == ["fused.h5"]
 
 
+@pytest.mark.slow
 def test_progress_ends_at_one(run: Path) -> None:
     for suffix in ("csv", "npz", "parquet", "mat", "mcap"):
         told: list[float] = []

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from imuarray.errors import SourceError
 from imuarray.export import export
 from tests.export.conftest import back, write_run
-from tests.selection import examples
+from tests.selection import examples, some
 
 Members = dict[str, bytes]
 
@@ -125,6 +125,7 @@ def test_a_bad_npz_is_refused_and_leaves_nothing(tmp_path: Path, members: Member
     assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
 
 
+@pytest.mark.slow
 def test_a_bomb_is_refused_unopened(tmp_path: Path, members: Members, monkeypatch: pytest.MonkeyPatch) -> None:
     """A member that says it is a thousand times what its bytes can make, in the archive's list."""
     path = packed(tmp_path / "bomb.npz", members)
@@ -188,7 +189,7 @@ CSV_BAD = {
 }
 
 
-@pytest.mark.parametrize("kind", CSV_BAD)
+@pytest.mark.parametrize("kind", some(CSV_BAD, 2))
 def test_a_bad_csv_is_refused_and_leaves_nothing(run: Path, kind: str) -> None:
     name, was, becomes, said = CSV_BAD[kind]
     files = export(run, run.with_name("r.csv")).files
@@ -225,6 +226,7 @@ def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> 
         path.write_bytes(good)
 
 
+@pytest.mark.slow
 def test_a_csv_header_without_end(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_bytes(b"# imuarray-csv 1: x\n# {" + b" " * (1 << 26))
     with pytest.raises(SourceError, match="a header of more than 67108864 bytes"):

@@ -23,6 +23,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from tests.export.conftest import ACC, BARO, EPOCH, EPOCH_NS, GYRO, MESSAGE, MS
+from tests.selection import some
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -140,7 +141,7 @@ def test_the_file_is_of_the_ros2_profile(bag: Path) -> None:
     assert len({schema.name for schema in summary.schemas.values()}) == len(summary.schemas)
 
 
-@pytest.mark.parametrize("apart_ns", [0, 1])
+@pytest.mark.parametrize("apart_ns", some([0, 1], 1))
 def test_halves_of_a_six_axis_chip_are_one_imu_if_they_are_read_together(tmp_path: Path, apart_ns: int) -> None:
     """Kalibr and others want force and rate of a chip in one message."""
     headers = [
@@ -252,6 +253,7 @@ def vars_of(header: SensorHeader) -> dict[str, Any]:
     return {name: getattr(header, name) for name in header.__dataclass_fields__}
 
 
+@pytest.mark.slow
 def test_a_guessed_map_brings_the_counts_back(tmp_path: Path) -> None:
     """Units and names are those of ROS, sensitivities those of the values' grid; halves without values are none."""
     rng = np.random.default_rng(3)

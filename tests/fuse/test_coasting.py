@@ -65,6 +65,7 @@ def test_a_level_rate_error_tips_gravity_into_velocity() -> None:
     assert velocity == pytest.approx([0, -G * b * 60**2 / 2, 0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_white_noise() -> None:
     """N sqrt(t), and after standing still for tau N sqrt(t + t^2 / tau): 200 coasts know an rms to
     5 %; four of these. Velocity from the level rates, without standing still: g N sqrt(t^3 / 3) along each of two axes.

@@ -109,6 +109,7 @@ def test_standard_error_is_that_of_a_bootstrap(tmp_path: Path) -> None:
     assert np.mean(stated) == pytest.approx(np.mean(ratios), rel=0.35)
 
 
+@pytest.mark.slow
 def test_slow_is_drift_and_hardly_noise(tmp_path: Path) -> None:
     """Both sensors drift from 0.1 to 0.2 g in 400 s: ten-second means less the first, for every technique alike."""
     rows = found(write(tmp_path, 40000, drift_g=0.1), slow=True)

@@ -50,6 +50,7 @@ def _hot(log: Log, time: np.ndarray) -> np.ndarray:
     return np.asarray(degc > degc[0] + HOTTER_DEGC)
 
 
+@pytest.mark.slow
 def test_a_heated_array_keeps_a_tenth_of_the_drift_where_slopes_agree(tmp_path: Path) -> None:
     """Table 8: the y axes' slopes are 0.0186, 0.0183 and 0.0187 dps/degC, the average of 1 + 2 keeps 0.0061 of it."""
     found = drifts(heated(tmp_path, 4, rate_hz=10.0))

@@ -16,7 +16,7 @@ from imuarray.fuse.least_squares import BLOCK_BYTES, ConstantGain
 from imuarray.fuse.techniques.technique import FixedWeights
 from imuarray.log import Block, open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined, pointing
-from tests.selection import examples
+from tests.selection import examples, some
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z")
 
@@ -94,7 +94,7 @@ def test_both_ways_agree(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -
     assert first[1] == pytest.approx(turning, rel=1e-12)
 
 
-@pytest.mark.parametrize("what", ["late", "lost", "suspect", "saturated"])
+@pytest.mark.parametrize("what", some(["late", "lost", "suspect", "saturated"], 2))
 def test_the_long_way_is_gone_where_there_is_something_to_think_about(
     what: str, write_run: WriteRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:

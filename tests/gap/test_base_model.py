@@ -162,6 +162,7 @@ def test_a_clock_of_which_a_model_says_nothing_keeps_step_with_a_phase_of_its_ow
     assert found == expected
 
 
+@pytest.mark.slow
 def test_every_other_replicate_keeps_step_at_each_chips_set_rate() -> None:
     """The others have clocks that are too fast by 2 % (rms), 6 % at most."""
     base = fitted_to("static")
@@ -178,6 +179,7 @@ def test_every_other_replicate_keeps_step_at_each_chips_set_rate() -> None:
     assert 0.03 < errors.max() <= 0.06
 
 
+@pytest.mark.slow
 def test_a_slope_that_no_temperature_tells_is_drawn() -> None:
     """BMA180: +-0.5 mg/K are two sigma (BMA-115), of a gyroscope +-0.03 dps/degC at 250 dps (L3G-71)."""
     base, warm = fitted_to("static"), fitted_to("heating")

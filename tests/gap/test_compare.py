@@ -125,6 +125,7 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
     assert np.abs(np.median(apart)) < 0.2  # medians of 40 and 80 replicates scatter by 0.2 and 0.14
 
 
+@pytest.mark.slow
 def test_a_tone_is_found_where_it_is() -> None:
     """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope."""
     found = compared({**units(1), "G2": (*units(1)["G2"], Tone((0.0, 0.04, 0.0), 17.0))}, 1)

@@ -148,6 +148,7 @@ def test_no_gap_no_causes(tmp_path: Path) -> None:
     assert heard == ["reading the recordings", "simulating the base model", "simulating the repaired model"]
 
 
+@pytest.mark.slow
 def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
     """The same recording without lines among the causes: nothing else takes their place and closes the gap."""
     found = diagnosed(lined, without=["tone"])

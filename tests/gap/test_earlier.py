@@ -68,6 +68,7 @@ def test_an_old_line_in_both_is_no_gap(tmp_path: Path) -> None:
     assert alone.causes[0].effect == "tone"
 
 
+@pytest.mark.slow
 def test_a_line_since_then_is_named_beside_an_old_one(tmp_path: Path) -> None:
     found = since(tmp_path, (LINE,), (LINE, NEW_LINE))
     assert found.verdict == "explained"

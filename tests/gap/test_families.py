@@ -116,6 +116,7 @@ def test_the_same_readings_show_between_two_sensors(
     assert right.standing.models["A2"].added == ()
 
 
+@pytest.mark.slow
 def test_members_stand_with_the_familys_models(
     swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:

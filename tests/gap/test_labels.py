@@ -30,7 +30,7 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.hand_posed import written
 from tests.gap.made import summarised
-from tests.selection import examples
+from tests.selection import examples, some
 
 SENSOR = """
 [[sensor]]
@@ -98,13 +98,16 @@ def told(found: Sequence[WrongLabel]) -> dict[str, tuple[str, str]]:
 
 @pytest.mark.parametrize(
     "labels",
-    [
-        {},
-        {"x_up": "-X"},
-        {"y_down": "+Z"},
-        {"x_up": "+Y", "y_up": "+X"},
-        {"z_up": "-Z", "z_down": "+Z", "x_up": "-X", "x_down": "+X"},
-    ],
+    some(
+        [
+            {},
+            {"x_up": "-X"},
+            {"y_down": "+Z"},
+            {"x_up": "+Y", "y_up": "+X"},
+            {"z_up": "-Z", "z_down": "+Z", "x_up": "-X", "x_down": "+X"},
+        ],
+        1,
+    ),
 )
 def test_wrong_labels_are_found_one_by_one(tmp_path: Path, labels: Labels) -> None:
     """Two that were exchanged are both found."""
@@ -135,6 +138,7 @@ def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
         assert found.probability > 0.99
 
 
+@pytest.mark.slow
 def test_a_single_accelerometer_says_nothing(tmp_path: Path) -> None:
     assert not found_in(tumbled(tmp_path / "one.h5", {"x_up": "-X"}, sensors=1))
     (found,) = found_in(tumbled(tmp_path / "two.h5", {"x_up": "-X"}, sensors=2))
@@ -142,6 +146,7 @@ def test_a_single_accelerometer_says_nothing(tmp_path: Path) -> None:
     assert not found_in(tumbled(tmp_path / "split.h5", {}, sensors=2, more={"B1": (AxisError("-X+Y+Z"),)}))
 
 
+@pytest.mark.slow
 def test_a_turn_of_all_sensors_may_be_it_as_well(tmp_path: Path) -> None:
     """Half a turn about X exchanges +Y with -Y and +Z with -Z: it is the labels or the axes of the whole array. A
     mirror is no turn, and a face that is noted rightly in another log rules the turn out.
@@ -177,6 +182,7 @@ def test_a_turn_of_three_of_four_is_less_likely_than_one_label(tmp_path: Path) -
     assert (found.phase.name, found.up) == ("z_up", "-Z")
 
 
+@pytest.mark.slow
 def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     """In every phase, also in another process; a log that was noted rightly is left alone."""
     wrong = tumbled(tmp_path / "wrong.h5", {"x_up": "-X", "z_down": "+Y"})

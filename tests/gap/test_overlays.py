@@ -152,6 +152,7 @@ def test_an_unknown_phase_stands_for_the_longest() -> None:
     assert paired.log == 3
 
 
+@pytest.mark.slow
 def test_heat_shows_at_the_same_temperatures() -> None:
     """0.02 dps more per degC on z, over the same places on x."""
     bench, campaign = benched(["heating"], {"G1": (HOTTER,)})

@@ -156,6 +156,7 @@ def test_all_triads_unless_some_are_named(tmp_path: Path) -> None:
             recording_of(log, ["Nose"])
 
 
+@pytest.mark.slow
 def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
     """Simulated without dropped samples nothing is missing, with them as much as was recorded: 600 of 6000 rows each,
     standard error sqrt(6000 0.1 0.9 (1 + r) / (1 - r)) = 38, r = 4 / 9 the correlation of neighbours (bursts of 2).

@@ -113,6 +113,7 @@ def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, UnitState]) -> None:
     assert found.models["G1"].added == (effect,)
 
 
+@pytest.mark.slow
 def test_an_axis_that_gains_nothing_stays_where_it_loses_without() -> None:
     """Another range for half a second, with half the counts: its offset on x makes good for that, so that nothing shows
     there; without the offset the model would have x change by half of its bias.
@@ -135,6 +136,7 @@ def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, UnitState])
     assert found.gain == pytest.approx(look(bench, standing, trial).gain, abs=3)  # of two draws, and of the first
 
 
+@pytest.mark.slow
 def test_shares_stay_below_one(tone: tuple[Bench, UnitState]) -> None:
     """However little it gains: a probability is one."""
     bench, standing = tone

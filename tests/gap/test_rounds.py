@@ -46,6 +46,7 @@ def test_what_one_round_takes_the_next_one_has(two_lines: SearchResult) -> None:
         assert sum(one.amplitude[axis] for one in near) == pytest.approx(line.amplitude[axis], rel=0.25)
 
 
+@pytest.mark.slow
 def test_each_round_explains_more(two_lines: SearchResult) -> None:
     (rounds,) = two_lines.rounds.values()
     sizes = [np.sqrt(np.nanmean(np.square(one.before.scores))) for one in rounds]

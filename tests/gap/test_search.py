@@ -103,6 +103,7 @@ def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
     assert guesses_of(evidence({}), {}) == []
 
 
+@pytest.mark.slow
 def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     right, wrong = (

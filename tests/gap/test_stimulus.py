@@ -145,7 +145,7 @@ OF_SENSORS: dict[str, dict[str, tuple[Effect, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("what", OF_SENSORS)
+@pytest.mark.parametrize("what", some(OF_SENSORS, 5))
 def test_errors_of_sensors_are_not(what: str) -> None:
     assert not environment_of(campaign(STILL, OF_SENSORS[what]))
 

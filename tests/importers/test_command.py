@@ -71,6 +71,7 @@ def test_an_output_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Missing option '-o' / '--output'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.h5"
     out.write_text("dear data")
@@ -82,6 +83,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.Cap
     assert capsys.readouterr().out.startswith(f"{out}: 16 sensors, 12500 rows each over 543.9 s, 21495 lost\n")
 
 
+@pytest.mark.slow
 def test_progress_is_shown_to_a_person(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -66,6 +66,7 @@ def test_the_sixteen_sensors() -> None:
     assert np.sum([header.position_mm for header in headers.values()], axis=0).tolist() == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_counts_go_to_their_sensors(tmp_path: Path, out: Path) -> None:
     summary = import_file(source(tmp_path, run([5, 6])), out)
     assert (summary.rows, summary.lost, summary.seconds, summary.events) == (2, 0, 0.016, {})
@@ -83,6 +84,7 @@ def test_counts_go_to_their_sensors(tmp_path: Path, out: Path) -> None:
         assert "no wall time" in event.message
 
 
+@pytest.mark.slow
 def test_the_ends_of_the_code_span_are_saturated(tmp_path: Path, out: Path) -> None:
     axes = [0] * 48
     axes[1], axes[9] = 32767, -32768
@@ -188,6 +190,7 @@ def test_sources_that_cannot_be_read(tmp_path: Path, out: Path) -> None:
     assert path.read_bytes() == run([1])
 
 
+@pytest.mark.slow
 def test_an_output_is_replaced_only_by_force_and_only_when_complete(tmp_path: Path, out: Path) -> None:
     good, bad = source(tmp_path, run([1, 2])), tmp_path / "bad.bin"
     bad.write_bytes(b"nothing")
@@ -218,6 +221,7 @@ def box(log: Log, name: str, rows: slice) -> npt.NDArray[np.float64]:
     return np.asarray(sensor.counts[rows] / sensor.sensitivity @ sensor.orientation.T)
 
 
+@pytest.mark.slow
 def test_the_rate_of_the_extract(extract: Path) -> None:
     with open_log(extract) as log:
         time = log["IMU2_acc"].time[:]

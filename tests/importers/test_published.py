@@ -55,6 +55,7 @@ def test_an_extract_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None
     assert "?" not in text
 
 
+@pytest.mark.slow
 def test_an_extract_of_the_board(tmp_path: Path, capsys: Capture) -> None:
     source = ROOT / "tests" / "data" / EXTRACTS["mimu4444"]
     text = said_of(source, "mimu4444", tmp_path / "run.h5", capsys)

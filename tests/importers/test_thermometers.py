@@ -15,6 +15,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.format import ThermometerScale
 from imuarray.simulate.motion.like import LikeLog
+from tests.selection import some
 
 ROWS = 12_000
 SLOPE_LSB_PER_DEGC = 3.0
@@ -59,14 +60,17 @@ def slow(*values: str) -> ParameterSet:
 
 @pytest.mark.parametrize(
     ("sensor", "more", "kind"),
-    [
-        slow('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
-        slow('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
-        ('temperature_column = "kelvin"\nthermometer = { unit = "K", lsb_per_degc = 50 }\n', "", "chip"),
-        slow("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
-        slow("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
-        ("", '[reference]\ntemperature = { column = "kelvin", unit = "K" }\n', "reference"),
-    ],
+    some(
+        [
+            slow('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
+            slow('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
+            ('temperature_column = "kelvin"\nthermometer = { unit = "K", lsb_per_degc = 50 }\n', "", "chip"),
+            slow("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
+            slow("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
+            ("", '[reference]\ntemperature = { column = "kelvin", unit = "K" }\n', "reference"),
+        ],
+        1,
+    ),
 )
 def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, tmp_path: Path) -> None:
     degc = warming(tmp_path)
@@ -146,6 +150,7 @@ angular_rate = { columns = ["wx", "wy", "wz"], unit = "dps" }
         np.testing.assert_allclose(rate[0], [np.pi, 0, np.pi / 2])
 
 
+@pytest.mark.slow
 def test_up_names_the_face(tmp_path: Path) -> None:
     """`--up` of the command, and of a phase."""
     warming(tmp_path)

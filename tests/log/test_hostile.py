@@ -26,6 +26,8 @@ from imuarray.log.preamble import Preamble
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile import KINDS, built
 
+from tests.selection import some
+
 EPOCH = "2013-09-16T08:30:00.000000Z"
 GYRO = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 1 / 0.00875, 800.0, 35.0, delay_ns=1_500_000)
 
@@ -40,7 +42,7 @@ def refusal(path: Path) -> str:
     return message
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some(KINDS, 4))
 def test_refused(small: Path, kind: str) -> None:
     said = built(small, kind)
     assert said in refusal(small)
@@ -202,6 +204,7 @@ PICKLES = re.compile(
 )
 
 
+@pytest.mark.slow
 def test_nothing_is_unpickled() -> None:
     """Files are data: nowhere does the program load what could run."""
     found = [

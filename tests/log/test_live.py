@@ -24,6 +24,7 @@ from imuarray.log import Block, Log, LogWriter, Stimulus, disk_space, open_log
 from imuarray.log.format import Event, Phase
 from imuarray.log.hdf5_superblock import is_marked_open
 from imuarray.log.journal import JournalLock, is_running, journal_of
+from tests.selection import some
 
 Writer = Callable[..., LogWriter]
 
@@ -46,6 +47,7 @@ except OSError as error:
 """
 
 
+@pytest.mark.slow
 def test_another_program_opens_it_as_the_readme_says(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,6 +194,7 @@ def test_many_who_look_and_one_who_begins(tmp_path: Path) -> None:
             looker.join()
 
 
+@pytest.mark.slow
 def test_a_second_log_into_a_running_one_is_refused(tmp_path: Path, writer: Writer) -> None:
     path = tmp_path / "run.h5"
     early = writer(path)  # it began when there was nothing yet
@@ -349,7 +352,7 @@ def test_a_journal_that_goes_while_a_log_is_written_costs_nothing(tmp_path: Path
     assert journal_of(path).exists() == (loss == "replaced")  # what is not ours stays
 
 
-@pytest.mark.parametrize("loss", ["removed", "emptied", "overwritten", "finished by another process"])
+@pytest.mark.parametrize("loss", some(["removed", "emptied", "overwritten", "finished by another process"], 2))
 def test_a_file_that_goes_while_a_log_is_written_costs_nothing(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, loss: str
 ) -> None:

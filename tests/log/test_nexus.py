@@ -95,6 +95,7 @@ def test_the_links_there_are_need_lead_nowhere(small: Path) -> None:
         assert list(log.sensors) == ["Acc", "Baro", "Gyro"]
 
 
+@pytest.mark.slow
 def test_xarray_opens_all_of_it(small: Path) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")

@@ -164,6 +164,7 @@ def test_an_older_log_is_replaced_when_its_part_begins_and_not_before(tmp_path: 
     assert (tmp_path / "run_003.h5").read_text() == "older"
 
 
+@pytest.mark.slow
 def test_a_part_that_time_passed_by(tmp_path: Path) -> None:
     """Nobody had a row in the second part, which was begun; it is not there, and later ones are."""
     with rotating(tmp_path / "run.h5") as log:

@@ -24,6 +24,7 @@ from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
 from imuarray.log.verify import verify
+from tests.selection import some
 
 EPOCH, CONFIG = "2026-01-01T00:00:00Z", '# toml\nname = "x"\n' * 20
 PERIOD_NS = 10_000_000
@@ -233,6 +234,7 @@ class TestFlips:
         assert kinds["refused"] <= 0.1 * count + 3 * (0.09 * count) ** 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [97, pytest.param(7, marks=pytest.mark.slow)])
 def test_in_the_first_6_kb_of_an_unfinished_log(logs: Logs, tmp_path: Path, step: int) -> None:
     """Superblock, headers, preamble, attributes: the journal alone suffices."""
@@ -240,7 +242,7 @@ def test_in_the_first_6_kb_of_an_unfinished_log(logs: Logs, tmp_path: Path, step
     assert flips(logs.unfinished, RUN, tmp_path, at, 6, [JOURNAL])["whole"] == len(at)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.95])
+@pytest.mark.parametrize("share", some([0.1, 0.3, 0.5, 0.95], 1))
 def test_of_a_log_that_is_hit_in_both_files_recover_takes_what_is_good_in_each(
     logs: Logs, tmp_path: Path, share: float
 ) -> None:

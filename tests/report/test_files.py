@@ -68,6 +68,7 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
     assert 0 < max(rms) < 13.4
 
 
+@pytest.mark.slow
 def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     told = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
     back = replace(told, time_ns=9_000_000_000, state="readmitted")
@@ -81,6 +82,7 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: taken back" in text
 
 
+@pytest.mark.slow
 def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Path) -> None:
     table = {
         "verdict": "unexplained", "sentence": "<script>alert(1)</script>", "p": 0.001,

@@ -35,6 +35,7 @@ from tests.report.made_diagnosis import (
     overlays,
     where,
 )
+from tests.selection import some
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ \x1b[2J"
 ORDER = [
@@ -249,6 +250,7 @@ def test_curves_say_what_to_see(page: Page) -> None:
     assert all("% after" in text for text in alternatives)
 
 
+@pytest.mark.slow
 def test_names_are_escaped(hostile: Page) -> None:
     assert "<script" not in hostile.source
     assert hostile.open_tags == []
@@ -279,6 +281,7 @@ def test_without_a_gap(tmp_path: Path) -> None:
     assert [heading for heading in page.words if heading in ORDER] == ORDER
 
 
+@pytest.mark.slow
 def test_unexplained(tmp_path: Path) -> None:
     page = page_of(made_unexplained(), tmp_path)
     assert "no combination of known effects makes the recordings likely" in page.words[""]
@@ -372,7 +375,7 @@ def test_a_gap_below_all_logarithms_is_drawn_on_an_even_scale() -> None:
     assert shrink_figure(Gap(3.0, 0.0, 0.0, 1.0, None, {})).axes[0].get_xscale() == "linear"
 
 
-@pytest.mark.parametrize("overlay", overlays())
+@pytest.mark.parametrize("overlay", some(overlays(), 2))
 @pytest.mark.parametrize("points", [0, 1])
 def test_curves_of_which_hardly_anything_is_known(overlay: Overlay, points: int, tmp_path: Path) -> None:
     short = replace(

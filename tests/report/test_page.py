@@ -126,6 +126,7 @@ def test_every_image_has_a_text_and_every_section_a_heading(text: str) -> None:
     assert page.open_tags == []
 
 
+@pytest.mark.slow
 def test_names_are_escaped(evil: str) -> None:
     page = Page(evil)
     assert "<script" not in evil

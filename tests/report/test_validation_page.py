@@ -177,6 +177,7 @@ def test_plots_tell_what_they_show(page: Page) -> None:
     assert "9 with the right cause first, 10 in all" in page.images[4]
 
 
+@pytest.mark.slow
 def test_no_name_is_believed(tmp_path: Path) -> None:
     hostile = filled(Made(tmp_path / "run", plan={"half": EVIL, "frozen": {EVIL: EVIL}}), EVIL, EVIL)
     path = tmp_path / "page.html"

@@ -59,6 +59,7 @@ def test_random_walk_grows_by_one_a_second(place: MakePlace, rows_per_s: float, 
     assert (drawn(processes[:5], [0]) == 0).all()
 
 
+@pytest.mark.slow
 def test_axes_are_independent(place: MakePlace) -> None:
     ends = np.stack([gauss_markov(100.0, place(seed=seed), "b").rows(5000, 5001)[0] for seed in range(800)])
     assert furthest(ends, np.eye(3)) < 5  # 9 numbers: 5e-6

@@ -18,6 +18,7 @@ from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_like, plan_of, total_rows, write_log
 from imuarray.simulate.motion import Still, Tumble
 from imuarray.simulate.motion.like import LikeLog
+from tests.selection import some
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -63,6 +64,7 @@ def shape(path: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_its_shape_is_that_of_a_recorded_log(array: ArrayConfig, tmp_path: Path) -> None:
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "recorded.h5", rate_hz=48.0, seconds=5.0, phase="static", up="+Z")
@@ -74,7 +76,7 @@ def test_its_shape_is_that_of_a_recorded_log(array: ArrayConfig, tmp_path: Path)
         assert theirs[name] == described, name
 
 
-@pytest.mark.parametrize(("block_rows", "workers"), [(1000, 1), (16384, 2), (777, 3)])
+@pytest.mark.parametrize(("block_rows", "workers"), some([(1000, 1), (16384, 2), (777, 3)], 1))
 def test_neither_block_nor_workers_change_a_value(
     array: ArrayConfig, tmp_path: Path, block_rows: int, workers: int
 ) -> None:

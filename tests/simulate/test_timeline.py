@@ -35,6 +35,7 @@ def recorded(array: ArrayConfig, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return path
 
 
+@pytest.mark.slow
 def test_rows_come_when_the_recorder_reads_them(array: ArrayConfig, recorded: Path) -> None:
     lines = poll(array, 48.0, 20.0)
     with open_log(recorded) as log:

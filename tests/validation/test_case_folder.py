@@ -120,6 +120,7 @@ def injected(tmp_path: Path, name: str, size: float) -> tuple[Any, Any, Any, Any
     return *before, *after
 
 
+@pytest.mark.slow
 def test_what_is_put_into_a_recording(tmp_path: Path) -> None:
     """A line of 100 counts has a variance of 100^2 / 2, on one axis; a wander of 100 rms is slow; a tenth of the rows
     is gone; codes are even; a clock is 2 % fast; an axis is another's.

@@ -22,6 +22,7 @@ BENCH = Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=1
 UNITS = {"adxl345": "g", "bma180": "g", "l3g4200d": "dps"}
 
 
+@pytest.mark.slow
 def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None:
     """On the bench: each mechanism that has a name at five severities, each other one, each extra effect."""
     planned = cases("sealed", BENCH)

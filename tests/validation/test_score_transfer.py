@@ -33,6 +33,7 @@ def run(tmp_path: Path) -> Made:
     return made
 
 
+@pytest.mark.slow
 def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
     score = score_folder(run.folder)
     assert score.world == "emulator"
@@ -73,6 +74,7 @@ def test_parts_are_judged_against_the_rest(run: Made) -> None:
     assert answers[-1].chips == ("bma180", "l3g4200d")
 
 
+@pytest.mark.slow
 def test_what_is_said_of_the_control_was_not_put_in(tmp_path: Path) -> None:
     made = Made(tmp_path)
     control = made.both("none", said(cause("quantisation", 0.9, "BMA1")), world="real")
@@ -107,6 +109,7 @@ def test_an_old_case_is_read() -> None:
     assert Case.of_table(table).world == ""
 
 
+@pytest.mark.slow
 def test_what_a_world_has_by_itself_is_no_false_alarm(tmp_path: Path) -> None:
     """Two faces that are noted wrongly are right to be told, alone and explained; a room that shakes likewise."""
     made = Made(tmp_path)

@@ -37,6 +37,7 @@ def cells(row: Row, group: str) -> Any:
     return {cell.name: shares(cell) for cell in row.cells if cell.group == group}
 
 
+@pytest.mark.slow
 def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
     """1 of 20, 2 of 10, 30 of 30: within the bar, outside by chance (Wilson: 0.057 on), outside for sure."""
     for plan, alarms, cases in (("full", 1, 20), ("static", 2, 10), ("heat", 30, 30)):
@@ -77,6 +78,7 @@ def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_first_cause_and_its_class(made: Made) -> None:
     """Of seven that are detected three are right; two more have the right name in their class. 5x and above: 2 of 3."""
     large, small = put("mains_ripple", 5.0), put("mains_ripple", 2.0)
@@ -146,6 +148,7 @@ def test_the_place_is_scored_of_right_causes_alone(made: Made) -> None:
     assert shares(figures(made, sensors=("Gyro1",)).row("right sensor and axis")) == (1.0, 2)
 
 
+@pytest.mark.slow
 def test_what_has_no_name(made: Made) -> None:
     """Known at 5x: 0.0, 0.1 ... 0.9, so that the limit is 0.8; of 4 unknown ones 0.95 and 0.85 are above. Of 40 pairs
     10 + 9 + 8 + 0 are in order, one is even.
@@ -402,6 +405,7 @@ def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
         score_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_json_and_text(made: Made) -> None:
     """No number that JSON has no word for; no line over 120 columns; the same twice."""
     for number in range(12):

@@ -87,6 +87,7 @@ def test_what_changed_while_nobody_looked_changed_at_once():
     np.testing.assert_allclose(got, [0.0, 0.0, 1.0, 1.0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_output_filter_colours_noise_as_scipys_butterworth_does():
     found = samples(board(OutputFilter(5.0), "Gyro", noisy=True), "Gyro", every(10, 30000))
     frequencies = np.linspace(0.0, 2000.0, 400001)

@@ -69,7 +69,7 @@ def test_parameters_move_one_way_with_severity(name):
     assert steps.any(axis=0).any()
 
 
-@pytest.mark.parametrize("name", some(ON_THE_ELEMENT, 8))
+@pytest.mark.parametrize("name", some(ON_THE_ELEMENT, 3))
 def test_the_error_grows_with_severity(name):
     kind = MECHANISMS[name]
     where = "Gyro" if "l3g4200d" in kind.touches else "BMA"

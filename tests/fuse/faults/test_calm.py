@@ -38,7 +38,7 @@ def cases(quantity: str) -> dict[str, tuple[Run, Frames]]:
 
 
 @pytest.mark.parametrize(
-    "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 2)
+    "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_both_ways_leave_out_the_same_and_learn_the_same(

@@ -53,6 +53,7 @@ def test_errors_of_calibration_are_learnt_in_motion() -> None:
     assert state[5, 4] == pytest.approx(0.004 / 3, abs=0.0003)
 
 
+@pytest.mark.slow
 def test_the_colour_of_noise_is_found() -> None:
     """An AR(1) process of correlation p = 0.7: the mean of n = 10 readings scatters (1 + p) / (1 - p) - 2 p (1 - p^n) /
     (n (1 - p)^2) = 5.667 - 1.512 = 4.155 times as much as that of white ones. Change from window to window shows that

@@ -94,6 +94,7 @@ def test_blocks_leave_no_trace(smoothed: bool) -> None:
             assert np.isfinite(np.delete(rows, slice(200, 203), axis=0)).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_a_log_may_be_smoothed_again_after_use() -> None:
     axes, model = whole()
     frames, degc = readings(axes)

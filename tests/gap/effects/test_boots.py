@@ -19,6 +19,7 @@ from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from tests.gap.effects.evidence_of import evidence_of
+from tests.selection import some
 
 
 def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[RangeReset]:
@@ -61,6 +62,7 @@ def test_another_range_in_some_boots() -> None:
     assert of_two_g.onset_s == 0.0
 
 
+@pytest.mark.slow
 def test_another_range_in_the_boots_that_have_it() -> None:
     """Boots 2 and 6, both of one part; a bias of its own in these, without another noise, is no range of theirs."""
     put_in = RangeReset(2.0, (0.02,) * 3, runs=(2.0, 6.0))
@@ -75,7 +77,7 @@ def test_another_range_in_the_boots_that_have_it() -> None:
     assert not [one for one in others if one.runs]
 
 
-@pytest.mark.parametrize(("sensor", "range_", "offset"), [("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)])
+@pytest.mark.parametrize(("sensor", "range_", "offset"), some([("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)], 1))
 def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) -> None:
     first, *_ = resets("static", sensor, RangeReset(range_, (offset,) * 3, (0.8,) * 3, 33.3))
     assert first.range == range_
@@ -99,7 +101,7 @@ def test_another_range_from_another_row_on_in_each_log() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "sensor", "range_"), [("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)]
+    ("kind", "sensor", "range_"), some([("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)], 1)
 )
 def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
     assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}

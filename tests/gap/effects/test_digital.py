@@ -240,7 +240,7 @@ def test_a_bit_that_is_never_set(bit: int) -> None:
     assert np.median(np.subtract(behind.fitted.offset, evidence.fitted.offset)) == pytest.approx(half, rel=0.3)
 
 
-@pytest.mark.parametrize(("carry", "missing"), [(16, 7), (16, 4), (8, 3), (32, 10)])
+@pytest.mark.parametrize(("carry", "missing"), some([(16, 7), (16, 4), (8, 3), (32, 10)], 2))
 def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> None:
     trials = list(quantisation.guesses(shown("static", "A1", _missing(carry, missing))))
     assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
@@ -263,6 +263,7 @@ def _missing(carry: int, missing: int) -> Quantisation:
     return Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
 
 
+@pytest.mark.slow
 def test_a_bit_that_is_never_set_in_motion() -> None:
     """At rest no axis gets near it."""
     assert not list(quantisation.guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
@@ -270,6 +271,7 @@ def test_a_bit_that_is_never_set_in_motion() -> None:
     assert first == Hypothesis((Quantisation(dead_bits=128.0),))
 
 
+@pytest.mark.slow
 def test_held_again_and_again() -> None:
     """Half a second in every five or so: 10 holds, give or take 3, in the minute or two that are looked at."""
     found = [

@@ -16,6 +16,7 @@ from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.size_effect import SizeEffect
 from tests.gap.effects.evidence_of import evidence_of
+from tests.selection import some
 
 
 def test_a_place() -> None:
@@ -71,7 +72,7 @@ def test_readings_of_another(kind: str, sensor: str) -> None:
     assert [trial.effects for trial in CHANNEL_SWAP.guesses(evidence)] == [(ChannelSwap(other),)]
 
 
-@pytest.mark.parametrize("kind", ["data", "place"])
+@pytest.mark.parametrize("kind", some(["data", "place"], 1))
 def test_an_exchange_shows_by_its_axes(kind: str) -> None:
     """Either has the other's data, or both sit in each other's place."""
     both = {"A1": (ChannelSwap("A2", kind),), "A2": (ChannelSwap("A1", kind),)}
@@ -84,6 +85,7 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
         assert (exchange.sensor, exchange.others) == (sensor, (other,))
 
 
+@pytest.mark.slow
 def test_nothing_is_shared_or_felt() -> None:
     for kind in ("tumble", "static"):
         for sensor in ("A1", "G1"):

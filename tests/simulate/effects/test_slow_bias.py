@@ -61,6 +61,7 @@ def test_allan_deviation_peaks_where_the_standard_says(place: MakePlace, analog:
     assert allan_variance(runs) == pytest.approx(0.618**2, rel=5 * np.sqrt(2 / 1200))
 
 
+@pytest.mark.slow
 def test_allan_deviation_of_a_random_walk(place: MakePlace, analog: MakeAnalog) -> None:
     """density sqrt(tau / 3): IEEE Std 952."""
     runs = np.stack([added(RandomWalk(1.0), place(rows_per_s=1.0, seed=seed), analog, 0, 400) for seed in range(400)])

@@ -168,6 +168,7 @@ def test_the_drivers_part_alone_against_differences(rates: Callable[..., Any]) -
     assert felt.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_driving_navigates_to_a_stop(navigate: Callable[..., Any]) -> None:
     """Force and rate alone tell speed, way and height."""
     step_ns = 500_000

@@ -106,6 +106,7 @@ def test_a_box_at_rest_is_asked_once() -> None:
     assert World(steady)(7) is not World(steady)(7)
 
 
+@pytest.mark.slow
 def test_the_emulated_array_feels_the_motion_and_the_log_knows_it(tmp_path: Path) -> None:
     """Recorded through the emulated chips; the truth in the log is the motion, and a motion again. What the units are
     off by at rest is small beside 0.3 g and beside the shaking.

@@ -15,6 +15,7 @@ from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import OUTSIDE, ErrorLaw, law_of, true_calibration
 from imuarray.studies.fusion_gain.arrays import martin2013, perpendicular, simulated
+from tests.selection import some
 
 G = 9.80665
 
@@ -41,7 +42,9 @@ def errors_along_axes(
     return part, part.values - felt @ law.directions_box.T, law
 
 
-@pytest.mark.parametrize(("quantity", "steps"), [("specific_force", 1 / 256), ("angular_rate", 0.07 * np.pi / 180)])
+@pytest.mark.parametrize(
+    ("quantity", "steps"), some([("specific_force", 1 / 256), ("angular_rate", 0.07 * np.pi / 180)], 1)
+)
 def test_without_noise_the_true_calibration_gives_the_truth(tmp_path: Path, quantity: str, steps: float) -> None:
     """Faces of a tumble, everything random left out: what is left is rounding (of the ADXL345 to two counts of 1/256 g,
     of the L3G4200D to one of 0.07 dps), and in six faces its mean nearly nothing.
@@ -55,6 +58,7 @@ def test_without_noise_the_true_calibration_gives_the_truth(tmp_path: Path, quan
     assert np.abs(errors[resting]).max() < 1.1 * steps * unit
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_the_law(tmp_path: Path) -> None:
     """Scatter of neighbours over sqrt 2, to five of its standard errors of 1 / sqrt(2 n) 1.2."""
     for quantity in ("specific_force", "angular_rate"):
@@ -79,6 +83,7 @@ def test_slow_errors_are_those_of_the_law(tmp_path: Path) -> None:
     assert np.concatenate(shares).mean() == pytest.approx(1.0, abs=4 * 0.06)
 
 
+@pytest.mark.slow
 def test_heating_leaves_no_slope(tmp_path: Path) -> None:
     """28 degC in a minute, slopes taken out with the barometer's temperature: half-minute means range
     over six of their standard deviations at most (3.7 are usual of twenty).

@@ -160,6 +160,7 @@ def test_a_line_through_temperatures() -> None:
     np.testing.assert_allclose(found.intercept, [7, 0, 5], atol=0.3)
 
 
+@pytest.mark.slow
 def test_spectrum_and_correlation_of_a_known_signal() -> None:
     """First-order noise of correlation 0.4, and on y a line at 50 Hz with a tenth of its variance."""
     random = np.random.default_rng(9)
