@@ -58,8 +58,8 @@ class Bundle:
 
     @property
     def is_linear(self) -> bool:
-        """Whether directions are known so well that their errors matter to first order only: squared they must stay
-        below a quarter of the noise of a reading (radians, and readings in units of gravity).
+        """Return whether directions are known so well that their errors matter to first order only: squared they must
+        stay below a quarter of the noise of a reading (radians, and readings in units of gravity).
         """
         return float(np.diag(self.direction_covariance).max()) < 0.25 * float(np.mean(self.weight) ** -0.5)
 
@@ -174,8 +174,8 @@ def in_box_frame(bundle: Bundle, orientations: Floats) -> InBoxFrame:
 
 
 def _turned_by(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
-    """What a turn of everything does to the coefficients (a p, 3), and the turn (3, a p) that keeps the mean response
-    symmetric when the coefficients change.
+    """Return what a turn of everything does to the coefficients (a p, 3), and the turn (3, a p) that keeps the mean
+    response symmetric when the coefficients change.
     """
     axes = len(rows)
     free = np.zeros((axes, p, 3))

@@ -278,8 +278,8 @@ def _opposed(
 
 
 def _chance_of_correlation(correlation: float, freedom: int) -> float:
-    """Of one as large or larger, by Student's t with one degree of freedom less than the changes have; nan of two
-    calibrations, which always correlate fully.
+    """Return the chance of a correlation as large or larger, by Student's t with one degree of freedom less than the
+    changes have; nan of two calibrations, which always correlate fully.
     """
     if freedom < 2 or not np.isfinite(correlation):
         return float("nan")

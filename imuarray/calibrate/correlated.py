@@ -117,8 +117,8 @@ def weights(log_likelihood: Floats, axis: int | tuple[int, ...] = -1) -> Floats:
 
 @dataclass(frozen=True)
 class MeanVariance:
-    """What is known of the variance of a run's mean: values (g,) under g noises, their shares (g,), and the degrees of
-    freedom that each has.
+    """Variance of a run's mean, as far as it is known: values (g,) under g noises, their shares (g,), and the degrees
+    of freedom that each has.
     """
 
     values: Floats

@@ -86,7 +86,7 @@ class _Grid(NamedTuple):
         return times, np.stack(ratios, axis=1)
 
     def rms(self) -> tuple[Floats, Floats, Floats]:
-        """Of the drift (k,): the likeliest, its standard error, and the upper bound."""
+        """Return the rms of the drift (k,): the likeliest, its standard error, and the upper bound."""
         rms = self.ratios * self.noise
         profile = self._joint()
         best, sem, upper = (np.zeros(rms.shape[2]) for _ in range(3))

@@ -40,7 +40,7 @@ def _is_empty(value: object) -> bool:
 
 
 def _plain(value: object) -> object:
-    """What TOML has: numbers, texts, lists, tables."""
+    """Convert to what TOML has: numbers, texts, lists, tables."""
     if isinstance(value, np.ndarray):
         return [_plain(item) for item in value] if value.ndim else float(f"{value:.9g}")
     if isinstance(value, np.floating):

@@ -100,8 +100,8 @@ def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[Tria
 
 
 def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
-    """Whether residuals are larger than noise makes them but once in a hundred cases, one of `among` being looked at
-    at once.
+    """Return whether residuals are larger than noise makes them in one of a hundred cases, if the largest of `among` is
+    tested.
     """
     return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among
 

@@ -67,7 +67,7 @@ def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
 
 
 def same_sides(sensor: SensorLog) -> str:
-    """What is wrong with poses that leave something open."""
+    """Describe what poses leave open."""
     return f"{sensor.where}: the poses do not tell bias from scale; put the box on more different sides"
 
 

@@ -189,7 +189,7 @@ class Calibration:
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
-        """What was calibrated of `sensor`. CalibrationError if that does not fit it, or if other sensors were
+        """Return the calibration of `sensor`. CalibrationError if that does not fit it, or if other sensors were
         calibrated and not this one; a calibration of nothing gives the data sheet's values.
         """
         if self.sensors and sensor.name not in self.sensors:
@@ -200,7 +200,7 @@ class Calibration:
         return self.or_nominal(sensor)
 
     def or_nominal(self, sensor: Described) -> SensorCalibration:
-        """What was calibrated of `sensor`, else what the data sheet says: no bias, the configured axes.
+        """Return the calibration of `sensor`, else the data sheet's values: no bias, the configured axes.
         CalibrationError if the calibration does not fit it.
         """
         known = self.sensors.get(sensor.name)
@@ -260,7 +260,7 @@ class Calibration:
 
 
 def nominal(sensor: Described) -> SensorCalibration:
-    """What the data sheet and the configured axes say of a triad; CalibrationError for a sensor without a
+    """Return a triad's calibration by its data sheet and its configured axes; CalibrationError for a sensor without a
     sensitivity.
     """
     if not sensor.is_triad or sensor.sensitivity <= 0:

@@ -52,7 +52,7 @@ _WINDOW_NS = 1_000_000_000
 
 
 def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = ()) -> str:
-    """What says that the box moved between two times, as words; "" if it rested, or if nothing tells."""
+    """Describe the signs that the box moved between two times; "" if it rested, or without any sign."""
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if len(sensor) and sensor.sensitivity > 0]
         count = (end_ns - start_ns) // _WINDOW_NS

@@ -129,7 +129,7 @@ def _mean(sensor: SensorLog, pose: Pose) -> Floats:
 
 
 def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Pointing:
-    """By gravity; biases are too small to hide it."""
+    """Estimate the axes of an accelerometer by gravity; biases are too small to hide it."""
     felt = np.array([_mean(sensor, pose) for pose in poses])
     if not np.isfinite(felt).all():
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
@@ -162,7 +162,7 @@ def _turned(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
 
 
 def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats) -> Pointing:
-    """By gravity before and after each turn."""
+    """Estimate the axes of a gyroscope by gravity before and after each turn."""
     known = [(place, matrix) for place, matrix in enumerate(carried) if matrix is not None]
     if not known:
         return Pointing(
@@ -189,8 +189,8 @@ def _onward(carried: Mapping[str, Sequence[Floats | None]], found: Mapping[str, 
 
 
 def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Floats | None]) -> Pointing:
-    """By a field fixed in the world and an offset of the sensor's own, over the longest run of poses whose turns are
-    known.
+    """Estimate the axes of a magnetometer by a field fixed in the world and an offset of the sensor's own, over the
+    longest run of poses whose turns are known.
     """
     runs: list[list[tuple[int, Floats]]] = [[(0, np.eye(3))]]
     for place, matrix in enumerate(onward, start=1):

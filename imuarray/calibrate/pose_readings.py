@@ -144,7 +144,7 @@ def _faces(log: Log, is_face: Callable[[Phase], bool]) -> list[Pose]:
 
 
 def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
-    """What `sensor` read in `pose`; CalibrationError if it read nothing there.
+    """Return the mean reading of `sensor` in `pose`; CalibrationError if it read nothing there.
 
     The standard error comes from the means of batches, which neighbouring readings of one batch do not make too small.
     Saturated and suspect readings are left out; CalibrationError if more than one in a thousand is saturated.
@@ -283,7 +283,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PoseReadings:
-    """What `sensors` (s) read in `poses` (k), in counts along their own axes.
+    """Mean readings of `sensors` (s) in `poses` (k), in counts along their own axes.
 
     `mean_lsb`, its `variance_lsb2` by the scatter within poses, and `change_lsb`, the mean of a pose's second half
     less that of its first, with `change_sem_lsb`: all (s, k, 3).

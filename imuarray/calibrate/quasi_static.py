@@ -101,7 +101,7 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
 
 
 def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseReadings, Floats]:
-    """What the sensors read in the middle of every stretch that all of them read soundly, and its motion (k,) in g."""
+    """Return the readings in the middle of every stretch that all of them read soundly, and its motion (k,) in g."""
     parts = [_of_log(sensors, log) for log in logs]
     poses = tuple(pose for each, _, _, _ in parts for pose in each)
     means = np.concatenate([mean for _, mean, _, _ in parts], axis=1)

@@ -88,7 +88,7 @@ def explained_range(
 
 
 def runs_apart(means: Floats, floor: Floats) -> Booleans:
-    """Which of the runs (r, 3) have no company: the distance to the second nearest other run is more than 8 spreads.
+    """Find the runs (r, 3) that have no company: the distance to the second nearest other run is more than 8 spreads.
 
     The spread of an axis is the first quartile of the differences of all pairs (Rousseeuw and Croux, J. Am. Stat.
     Assoc. 88, 1993, p. 1273), which two states don't widen; `floor` (3,) is the least that it can be.
@@ -318,8 +318,8 @@ def _segments(sensor: SensorLog, rows: slice) -> Segments | None:
 
 
 def _temperature(log: Log, sensor: SensorLog, run: Segments | None) -> tuple[str, float]:
-    """Which thermometer, and the mean temperature over a run in degC; ("", nan) for a run without readings, ("none",
-    nan) if nothing knows it.
+    """Return the kind of thermometer, and the mean temperature over a run in degC; ("", nan) for a run without
+    readings, ("none", nan) if nothing knows it.
     """
     if run is None:
         return "", float("nan")

@@ -134,8 +134,8 @@ class NoiseLine:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a group of figures came from: logs, the software that made them, when the first log began (ISO 8601 UTC)
-    and how warm it was (mean, degC).
+    """Origin of a group of figures: logs, the software that made them, when the first log began (ISO 8601 UTC) and how
+    warm it was (mean, degC).
     """
 
     logs: tuple[str, ...] = ()

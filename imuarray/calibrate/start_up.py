@@ -35,7 +35,7 @@ class StartUp:
     explanation: str = ""
 
     def sentence(self, name: str, calibration: Calibration) -> str:
-        """What a person should know of sensor `name`; empty if it came up as ever."""
+        """Describe the start of sensor `name`; empty if it was as usual."""
         known = calibration.sensors[name].turn_on
         if self.fault:
             return f"{name} came up wrong ({self.explanation}): don't use it, switch it off and on again"
@@ -145,7 +145,7 @@ def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
 
 
 def in_this_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
-    """Without accelerometers that are merely far off, if most are: the box lies another way."""
+    """Return the findings without accelerometers that are merely far off, if most are: the box lies another way."""
     feel = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
     far = [name for name in feel if starts[name].fault]
     elsewhere = 2 * len(far) > len(feel)

@@ -18,7 +18,7 @@ _RESTLESS = 25.0
 
 
 class StartUpVerdict(NamedTuple):
-    """Whether a sensor started wrong, so that its readings can't be used, and a sentence ("" if there is nothing to
+    """Verdict on the start of a sensor: whether its readings are unusable, and a sentence ("" if there is nothing to
     say).
     """
 

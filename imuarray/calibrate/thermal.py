@@ -254,7 +254,9 @@ class Heating:
 
 @dataclass(frozen=True, repr=False)
 class ThermalResult:
-    """What was found: the calibration (with nothing in it but `thermal`), every sensor in every log, and the pairs."""
+    """Result of `calibrate_thermal`: the calibration (with nothing in it but `thermal`), every sensor in every log, and
+    the pairs.
+    """
 
     calibration: Calibration
     heatings: tuple[Heating, ...]

@@ -90,9 +90,9 @@ class Tumble:
 
 @dataclass(frozen=True)
 class _Reference:
-    """What the accelerometers gave: their calibrations, fits and drifts by name; the length of the calibrated specific
-    force less one g in each pose, and the same by a calibration from the others; directions (k, 3) in all `poses`, and
-    their covariance (3 k, 3 k).
+    """Reference that the accelerometers give: their calibrations, fits and drifts by name; the length of the calibrated
+    specific force less one g in each pose, and the same by a calibration from the others; directions (k, 3) in all
+    `poses`, and their covariance (3 k, 3 k).
     """
 
     method: str
@@ -161,7 +161,7 @@ def _warnings(
     reference: _Reference,
     faces: Faces | None,
 ) -> Iterator[str]:
-    """What a user must know before he believes the calibration."""
+    """List the warnings about a calibration."""
     if faces is not None:
         ups = {pose.phase.up for pose in faces.fitted}
         if missing := [up for up in UP_AXES if up not in ups]:

@@ -78,7 +78,7 @@ class TurnOnResult:
     p_value: Floats
 
     def turn_on(self) -> TurnOn:
-        """What the calibration file keeps of it.
+        """Return the figures that the calibration file keeps.
 
         The scatter within runs is taken out of the variance; the standard error of the root is to first order, or
         where nothing is left, the root of half the variance's error.
@@ -100,7 +100,7 @@ class TurnOnResult:
 
 
 class TurnOnSeries(NamedTuple):
-    """What a series of runs tells: the calibration (with nothing in it but `turn_on`), and every sensor's runs."""
+    """Result of a series of runs: the calibration (with nothing in it but `turn_on`), and every sensor's runs."""
 
     calibration: Calibration
     results: tuple[TurnOnResult, ...]

@@ -133,7 +133,9 @@ def _turn(
     up_box: Floats,
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]],
 ) -> _Turn | LeftOut:
-    """What the gyroscope read between two poses, the first at `place`; a note where that can't be integrated."""
+    """Return the readings of the gyroscope between two poses, the first at `place`, or the reason why they can't be
+    integrated.
+    """
     (first, second), before, after = ends, up_box[place], up_box[place + 1]
     here, _ = first.rows_of(sensor)
     name, log = f"{first.phase.name} to {second.phase.name}", "" if first.log is None else str(first.log.path)

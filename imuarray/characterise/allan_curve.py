@@ -49,8 +49,9 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class Moments:
-    """What was found in one column, per averaging factor: `sums` of squared second differences, and the first, or the
-    middle, `averages` side by side."""
+    """Moments of one column, per averaging factor: `sums` of squared second differences, and the first, or the middle,
+    `averages` side by side.
+    """
 
     sums: Sequence[float]
     averages: Sequence[npt.NDArray[np.float64]]

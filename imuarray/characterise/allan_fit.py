@@ -129,7 +129,7 @@ def fit_noise(
 
 
 def _points(curve: AllanCurve, column: int, shortest_s: float, longest_s: float) -> npt.NDArray[np.intp]:
-    """Which points of the curve tell something, shortest tau first, each once."""
+    """Return the indices of the points of the curve that carry information, shortest tau first, each once."""
     count = len(curve.tau_s)
     deviation, freedom = (part.reshape(count, -1)[:, column] for part in (curve.deviation, curve.freedom))
     sure = (freedom >= _FREEDOM) & (deviation > _ROUNDING * deviation.max())
@@ -181,7 +181,7 @@ def _assess(estimate: AllanEstimate, solution: Solution, count: int, coefficient
 
 
 def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[Coefficient]) -> str:
-    """What is wrong with the fit; empty if nothing is."""
+    """Describe what is wrong with the fit; empty if nothing is."""
     if not p_value <= BAD:
         return ""
     names = [item.term for item in coefficients]

@@ -34,7 +34,7 @@ _CONVERGED = 1e-6
 
 @dataclass(frozen=True)
 class AllanEstimate:
-    """What is fitted: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
+    """Data of the fit: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
 
     They are in units of `size` squared, in which the largest is 1.
     """
@@ -100,7 +100,7 @@ def needed(estimate: AllanEstimate, wanted: Sequence[int]) -> list[int]:
 
 
 def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
-    """By how much one of the terms betters the fit of the others."""
+    """Return the gain in fit by one of the terms over the others alone."""
     others = solve(estimate, [other for other in terms if other != term])
     return others.misfit - _non_negative(others.design, others.target, terms)[1]
 

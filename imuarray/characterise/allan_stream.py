@@ -119,7 +119,7 @@ class _Pyramid:
             start += len(part)
 
     def moments(self, factors: Sequence[int], strides: Sequence[int]) -> Moments:
-        """What has been found so far."""
+        """Return the moments of all values so far."""
         self._levels[1].work(through=True)
         sums = [self._levels[stride].sums[m // stride] for m, stride in zip(factors, strides, strict=True)]
         return Moments(sums, [self._levels[m].averages() / m for m in factors])
@@ -148,11 +148,11 @@ class _Level:
         self._first: list[Floats] = []
 
     def free(self) -> Floats:
-        """Where the next values go; at least one."""
+        """Return the free part of the buffer, for the next values; at least one."""
         return self._phase[self._filled :]
 
     def grow(self, count: int) -> None:
-        """So many values are new in `free`."""
+        """Take over the first `count` values of `free`."""
         self._filled += count
         if self._filled == len(self._phase):
             self.work()

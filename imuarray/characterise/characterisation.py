@@ -32,7 +32,7 @@ class Coefficient(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Characterisation:
-    """What `characterise_log` says of a log (`result`, JSON-ready, SI and counts by name)."""
+    """Result of `characterise_log` (`result`, JSON-ready, SI and counts by name)."""
 
     result: Mapping[str, Any]
 
@@ -42,7 +42,7 @@ class Characterisation:
         return tuple(sensor["name"] for sensor in self.result["sensors"])
 
     def axis(self, sensor: str, axis: str) -> Mapping[str, Any]:
-        """All that is known of one axis, as in `result`; LogError for one that there is not."""
+        """Return all figures of one axis, as in `result`; LogError if the log lacks it."""
         for row in self.result["sensors"]:
             if row["name"] == sensor:
                 for entry in row["axes"]:

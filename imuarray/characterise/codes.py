@@ -48,7 +48,7 @@ NOTHING = Histogram(np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def histogram(values: npt.NDArray[np.integer]) -> Histogram:
-    """Of whole numbers (n,); blocks are merged, which takes as much memory as there are codes."""
+    """Return the histogram of whole numbers (n,); blocks are merged, which takes as much memory as there are codes."""
     if len(values) == 0:
         return NOTHING
     low, high = int(values.min()), int(values.max())
@@ -61,7 +61,9 @@ def histogram(values: npt.NDArray[np.integer]) -> Histogram:
 
 
 def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
-    """Of each row of (k, n), all counted at once where the rows are about as wide as they are long."""
+    """Return the histogram of each row of (k, n), all counted at once where the rows are about as wide as they are
+    long.
+    """
     if values.shape[1] == 0:
         return [NOTHING] * len(values)
     low = values.min(axis=1)
@@ -132,7 +134,9 @@ class CodeDensity:
 
 
 def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
-    """What a histogram says; `span` are the lowest and the highest code that there are. ValueError without readings."""
+    """Return the statistics of a histogram of codes; `span` are the lowest and the highest code that there are.
+    ValueError without readings.
+    """
     readings = int(seen.counts.sum())
     if readings == 0:
         raise ValueError("a histogram without readings says nothing")
@@ -166,7 +170,7 @@ def _moments(seen: Histogram, n: int) -> tuple[float, float, float, float, float
 
 
 def usual_step(seen: Histogram) -> int:
-    """What divides the distances of all but the rarest codes; 0 of a constant column."""
+    """Return the greatest common divisor of the distances of all but the rarest codes; 0 for a constant column."""
     return _step(_frequent(seen, int(seen.counts.sum())))
 
 

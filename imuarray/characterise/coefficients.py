@@ -77,7 +77,9 @@ def _parts(tau_s: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]) -> 
 
 
 def _excess(tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: float) -> float:
-    """By how much the slope differs from -1/2 beyond two standard errors, which the last and least sure point rules."""
+    """Return how much the slope differs from -1/2 beyond two standard errors, which the last and least sure point
+    rules.
+    """
     span = np.log(tau_s) - np.log(tau_s).mean()
     slope = float(span @ np.log(deviation) / (span @ span))
     error = 1 / sqrt(2 * freedom) / float(span[-1] - span[0])

@@ -42,7 +42,7 @@ def timing_of(survey: Survey) -> dict[str, Any]:
 
 
 def spectrum_of(survey: Survey) -> dict[str, Any]:
-    """What the spectra of all columns have in common."""
+    """Return what the spectra of all columns have in common."""
     spectrum = survey.spectrum
     return {
         "frequency_hz": spectrum.frequency_hz,

@@ -39,7 +39,7 @@ def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _rails(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Where readings clip anywhere in the log, and axis."""
+    """Describe the codes at which each axis clips anywhere in the log."""
     rails = sensor["rails"]
     if rails is None:
         return

@@ -55,8 +55,8 @@ class TriadNoise:
 
 @dataclass(frozen=True)
 class ImuNoise:
-    """What is known of one IMU: its name, its ROS topic ("" if it has none), rate and length of the record, and the
-    noise of its triads by quantity, one or both.
+    """Noise of one IMU: its name, its ROS topic ("" if it has none), rate and length of the record, and the noise of
+    its triads by quantity, one or both.
     """
 
     name: str
@@ -258,7 +258,7 @@ def _both(imu: ImuNoise) -> list[tuple[str, TriadNoise]]:
 
 
 def _comments(imu: ImuNoise) -> Iterator[str]:
-    """Where the figures are from, and what to mind."""
+    """Return comments: the origin of the figures, and warnings."""
     yield f"# {imu.name}: {imu.software}, noise at rest over {imu.seconds:.0f} s; the largest of three axes,"
     yield from (f"# {line}" for line in _INFLATE)
     for quantity, triad in imu.triads.items():

@@ -100,7 +100,7 @@ class IntervalTally:
             self._count()
 
     def result(self) -> Intervals:
-        """What is known of all times so far."""
+        """Return the statistics of all times so far."""
         self._count()
         if not self._counts.any():
             return Intervals(self._rows, nan, nan, nan, nan, nan, 0, 0.0, ())
@@ -130,7 +130,7 @@ class IntervalTally:
         self._longest = nlargest(PLACES, self._longest)
 
     def _count(self) -> None:
-        """What waits goes into the histograms and the products."""
+        """Add the intervals that wait to the histograms and the products."""
         intervals = np.concatenate(self._waiting) if self._waiting else np.zeros(0, np.int64)
         self._waiting = []
         if len(intervals) == 0:

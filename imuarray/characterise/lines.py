@@ -116,7 +116,9 @@ def _mirrored(density: Floats) -> Floats:
 
 
 def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int]:
-    """Which of the `bins` (b,) are peaks above the level (b,), strongest first, none that a stronger one leaks to."""
+    """Return which of the `bins` (b,) are peaks above the level (b,), strongest first, none that a stronger one leaks
+    to.
+    """
     here = power[bins]
     limit = np.concatenate([level[:-1], 2 * level[-1:]])
     tops = np.flatnonzero((here > limit) & (here >= power[bins - 1]) & (here >= power[bins + 1]))

@@ -138,7 +138,7 @@ def _pairs(rows: Floats) -> _Pairs:
 
 
 class _Sums(NamedTuple):
-    """All that a pass over the rows collects; `offset` (k,) is where the mean lies from the origin of `pairs`."""
+    """Sums that a pass over the rows collects; `offset` (k,) is where the mean lies from the origin of `pairs`."""
 
     rows: int
     flags: Mapping[str, int]

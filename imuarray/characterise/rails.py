@@ -63,7 +63,7 @@ class Rails:
 
 
 def find_rails(sensor: SensorLog) -> Rails:
-    """Of all rows of a triad, which are read twice at most."""
+    """Find the rails of a triad; its rows are read twice at most."""
     seen = [NOTHING] * 3
     for block in sensor.blocks(_BLOCK_ROWS):
         counts = np.asarray(sensor.counts[block], np.int64)
@@ -122,7 +122,7 @@ def _is_pile(seen: Histogram, side: int) -> bool:
 
 
 def _moving(sensor: SensorLog, piles: list[tuple[int, int]], steps: list[int]) -> list[tuple[int, int]]:
-    """Those piles (axis, code) while which another axis moves."""
+    """Return the piles (axis, code) during which another axis moves."""
     sums = np.zeros((len(piles), 3, 3))
     for block in sensor.blocks(_BLOCK_ROWS) if piles else ():
         counts = np.asarray(sensor.counts[block], float)

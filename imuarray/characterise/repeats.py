@@ -75,7 +75,7 @@ class RepeatTally:
         self._before = None
 
     def result(self) -> Repeats:
-        """What is known of all rows so far; ends the run."""
+        """Return the statistics of all rows so far, and end the run."""
         self.end_run()
         share = self._equal / self._compared if self._compared else nan
         chance = self._far_equal / self._far_compared if self._far_compared else nan

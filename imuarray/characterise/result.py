@@ -134,7 +134,7 @@ def _sensor(
 
 
 def _identity(sensor: SensorLog, per_axis: npt.NDArray[np.float64]) -> dict[str, Any]:
-    """What the log says of a sensor, and its scale, that of its axes on average."""
+    """Return a sensor's header from the log, and its mean scale over the axes."""
     per_count = float(per_axis.mean())
     return {
         "name": sensor.name,
@@ -187,7 +187,7 @@ def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
 
 
 def _columns(sensor: SensorLog) -> list[str]:
-    """What the columns are called: x, y, z, or what the log says."""
+    """Return the names of the columns: x, y, z, or what the log says."""
     count = int(sensor.counts.shape[1])
     if sensor.is_triad:
         return ["x", "y", "z"]

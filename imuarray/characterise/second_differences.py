@@ -55,7 +55,9 @@ def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
 
 
 def _near(values: Values, reference: np.integer[Any]) -> bool:
-    """Whether whole numbers are exact in float64 once the reference is taken off; their difference may wrap round."""
+    """Return whether whole numbers are exact in float64 once the reference is taken off; their difference may wrap
+    round.
+    """
     return max(int(values.max()) - int(reference), int(reference) - int(values.min())) < EXACT
 
 
@@ -80,7 +82,9 @@ def sums_of_squares(phase: Floats, distances: Sequence[int], first: int = 0) -> 
 
 
 def _second_differences(phase: Floats, m: int, start: int, stop: int, work: Floats) -> Floats:
-    """Those that end from `start` to `stop`; at a short distance each first difference serves twice."""
+    """Return the second differences that end from `start` to `stop`; at a short distance each first difference serves
+    twice.
+    """
     count = stop - start
     block, middle = work[0, :count], phase[start - m : stop - m]
     if 4 * m <= count:

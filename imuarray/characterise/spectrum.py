@@ -193,7 +193,8 @@ def _sides(bins: int) -> Floats:
 
 
 def degrees_of_freedom(segments: int, runs: int) -> float:
-    """Of the mean of `segments` periodograms in `runs` runs, for noise: two each, less what the overlap shares.
+    """Return the degrees of freedom of the mean of `segments` periodograms in `runs` runs, for noise: two each, less
+    what the overlap shares.
 
     Periodograms of neighbouring segments correlate by 1/36, others don't: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967).
     0 without a segment.

@@ -37,7 +37,7 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found in one sensor's stretch; `curve` is of its longest run (None if too short), the rest of all runs.
+    """Statistics of one sensor's stretch; `curve` is of its longest run (None if too short), the rest of all runs.
 
     `histograms` one per column; `estimator` of the Allan deviation.
     """

@@ -48,7 +48,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _heading(result: Mapping[str, Any]) -> Iterator[str]:
-    """Which log, which stretch, and a warning if nothing says that the box stood still."""
+    """Name the log and the stretch, and warn if nothing says that the box stood still."""
     stretch = result["stretch"]
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
     yield from _wrapped(f"{result['log']}{emulated}")

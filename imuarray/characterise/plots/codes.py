@@ -82,7 +82,7 @@ def chosen(sensors: list[Table], level: float) -> list[Table]:
 
 
 def marks(axis: Table, level: float) -> list[str]:
-    """What a converter should not do, in words; `level` is the chance up to which noise isn't blamed."""
+    """Describe the faults of a converter that a histogram shows; `level` is the chance up to which noise isn't blamed."""
     codes = axis.get("codes")
     if not codes or not codes["std"]:
         return ["one code only"] if codes and codes["readings"] > 1 else []
@@ -108,7 +108,7 @@ def step_of(axis: Table, level: float) -> int:
 
 
 def _steps(codes: Table, step: int) -> list[str]:
-    """What to say of a step, nothing of 1."""
+    """Describe the step between codes; empty for 1."""
     if step == 2 and codes["even_share"] in (0, 1):
         return ["even codes only" if codes["even_share"] else "odd codes only"]
     return [f"codes in steps of {step}"] if step > 1 else []
@@ -124,7 +124,9 @@ def _is_piled(end: Table, level: float) -> bool:
 
 
 def _is_far(end: Table, codes: Table, level: float) -> bool:
-    """Whether Gaussian readings hardly reach an end: a step nearer, as the spread of noise below a step says little."""
+    """Return whether Gaussian readings hardly reach an end: a step nearer, as the spread of noise below a step says
+    little.
+    """
     away = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
     return bool(codes["readings"] * erfc(away / sqrt(2)) / 2 <= level)
 

@@ -62,7 +62,7 @@ class Kind:
 
     @property
     def title(self) -> str:
-        """What the panel is headed with."""
+        """Return the heading of the panel."""
         return _TITLES.get(self.quantity, self.quantity)
 
     def curves(self) -> Iterator[Curve]:
@@ -222,7 +222,7 @@ def axes_of(result: Table) -> int:
 
 
 def _colours(count: int) -> list[Any]:
-    """So many colours that can be told apart; beyond the palette, an even walk through cividis."""
+    """Return `count` distinguishable colours; beyond the palette, an even walk through cividis."""
     if count <= len(COLOURS):
         return list(COLOURS[:count])
     from matplotlib import colormaps

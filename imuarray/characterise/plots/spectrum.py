@@ -147,7 +147,7 @@ def _bin(line: Table, common: Table) -> int:
 
 
 def _height(line: Table, curve: Curve) -> float:
-    """Of a line's peak in the panel."""
+    """Return the height of a line's peak in the panel."""
     return float(np.sqrt(curve.axis["density"][_bin(line, curve.sensor["spectrum"])])) * curve.scale
 
 
