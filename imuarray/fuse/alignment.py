@@ -135,7 +135,9 @@ class Grid:
         return kept
 
     def _between(self, kept: Times, more: Times) -> Times:
-        """Those of `more` that stand in the pauses of `kept`; before its first and after its last row is a pause."""
+        """Return those of `more` that stand in the pauses of `kept`; before its first and after its last row is a
+        pause.
+        """
         edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # their difference is a time too
         pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
         apart_ns = round(_APART * self.period_ns)

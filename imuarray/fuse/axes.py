@@ -16,7 +16,7 @@ from imuarray.units import SI_PER_UNIT
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """What a calibration leaves unknown of the three axes of one sensor, constant in a log.
+    """Errors that a calibration leaves in the three axes of one sensor, constant in a log.
 
     `bias_si2` (3, 3): covariance of their biases, with what biases do from run to run and within a run, in the square
     of m/s2 or rad/s; `response` (3, 3, 3, 3): covariance of axis i's error along box axis a with axis j's along box
@@ -92,7 +92,7 @@ def response_shares(known: SensorCalibration) -> Floats | None:
 
 
 def _errors_of(known: SensorCalibration) -> CalibrationErrors | None:
-    """What was measured of a calibration's own errors; None if nothing was."""
+    """Return a calibration's own errors as they were measured; None without a measurement."""
     bias = np.zeros((3, 3))
     if known.bias_covariance_lsb2 is not None:
         bias = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)

@@ -122,7 +122,7 @@ def both(frames: Mapping[str, ErrorFrames]) -> Errors:
 
 
 def _common(one: Times, other: Times) -> tuple[Indices | slice, Indices | slice]:
-    """Which frames of either are those at times that both have, in order: mostly all of them."""
+    """Return which frames of either are at times that both have, in order: mostly all of them."""
     if np.array_equal(one, other):
         return slice(None), slice(None)
     _, mine, its = np.intersect1d(one, other, assume_unique=True, return_indices=True)

@@ -75,8 +75,8 @@ def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[Sens
 
 
 def is_compatible(kind: str, thermal: Thermal | None) -> bool:
-    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. Slopes that nobody
-    measured want one that compares with the temperature of the bias.
+    """Return whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. Slopes that
+    nobody measured want one that compares with the temperature of the bias.
     """
     return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
@@ -372,7 +372,7 @@ def _compensates(sensor: Described) -> bool:
 
 
 def _feed(thermometer: CausalThermometer, source: Described) -> Callable[[Block], None]:
-    """What adds the temperatures of a sensor's rows."""
+    """Return the function that adds the temperatures of a sensor's rows."""
     if source.quantity == "pressure":
         return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))
     degc = degc_of(source)

@@ -219,7 +219,7 @@ class ErrorFramesOnDisk:
 
 
 def _track_of(log: Log) -> Track:
-    """What the log knows of the motion; FusionError if it knows nothing."""
+    """Return the log's track of the motion; FusionError if it has none."""
     track = log.truth or log.reference
     if track is None:
         raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
@@ -301,7 +301,7 @@ class _ErrorSpool:
         )
 
     def _sixteenths(self) -> list[int]:
-        """Where the parts of `numpy.array_split` begin and the last one ends."""
+        """Return the first rows of the parts of `numpy.array_split`, and the end of the last one."""
         parts = min(_SLOW_MEANS, self.frames)
         size, longer = divmod(self.frames, parts)
         return [part * size + min(part, longer) for part in range(parts + 1)]

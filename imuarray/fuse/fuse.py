@@ -54,8 +54,8 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Watch:
-    """Whether sensors that fail are found and left out (None: by `optimal` only), the sensitivities of chips by name,
-    for one that fell back to another range, and who hears of it.
+    """Supervision of sensors: whether failed ones are excluded (None: by `optimal` only), the sensitivities of chips by
+    name, for one that fell back to another range, and the function that is told of it.
     """
 
     on: bool | None = None
@@ -150,8 +150,9 @@ def live(
     timeout_s: float = TIMEOUT_S,
     tell: Callable[[str], None] = lambda text: None,
 ) -> FusionStream[FusedBlock]:
-    """What fuses rows of `sensors` as they come, to the same as `fuse` does with `causal`. `tell` hears which sensor is
-    not waited for any more after `timeout_s`, and which is back. FusionError if the sensors can't feed the technique.
+    """Return a pipeline that fuses rows of `sensors` as they come, to the same as `fuse` does with `causal`. `tell`
+    hears which sensor is not waited for any more after `timeout_s`, and which is back. FusionError if the sensors can't
+    feed the technique.
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # as a log has them
     array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
@@ -164,8 +165,8 @@ def live(
 def aligned(
     log: Log, calibration: Calibration, *, only: Collection[str] = (), block: int = BLOCK
 ) -> Iterator[FrameBlock]:
-    """What techniques are given of a log: blocks of frames by quantity, with the temperatures of elements by sensor.
-    FusionError.
+    """Yield the input of techniques from a log: blocks of frames by quantity, with the temperatures of elements by
+    sensor. FusionError.
     """
     array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
@@ -196,7 +197,7 @@ class _Array(Generic[_Sensor]):
 
     @property
     def axes(self) -> dict[str, list[Axis]]:
-        """By quantity."""
+        """Return the axes by quantity."""
         return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
 
     def model(self, temperatures: TemperatureSources) -> ErrorModel:
@@ -204,7 +205,7 @@ class _Array(Generic[_Sensor]):
         return error_model(self.inertial, self.calibration, watched=temperatures.elements)
 
     def making(self, temperatures: TemperatureSources) -> Callable[[float], Pipeline[FusedBlock]]:
-        """What makes the pipeline, of the seconds from frame to frame."""
+        """Return the function that makes the pipeline from the seconds between frames."""
         axes, technique = self.axes, self.technique
         if technique == OPTIMAL:
             model = self.model(temperatures)

@@ -56,7 +56,7 @@ _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
 
 @dataclass(frozen=True)
 class FusedHead:
-    """What a fused file says of itself: `log` and `calibration` are the paths it was made from, `sensors` names, per
+    """Description of a fused file: `log` and `calibration` are the paths it was made from, `sensors` names, per
     quantity, those whose use it tells.
     """
 
@@ -308,8 +308,8 @@ COVARIANCE, USED = "_covariance", "_used"
 
 
 class FusedOrigin(TypedDict):
-    """What a fused result was made of: the `epoch` of its times, the `technique`, the paths of `log` and `calibration`
-    ("" or left out: data-sheet values).
+    """Origin of a fused result: the `epoch` of its times, the `technique`, the paths of `log` and `calibration` ("" or
+    left out: data-sheet values).
     """
 
     epoch: str
@@ -393,7 +393,7 @@ class LiveFused:
             self._file.swmr_mode = True
 
     def event(self, event: FaultEvent) -> None:
-        """What became of a sensor. OSError."""
+        """Write what became of a sensor. OSError."""
         self._fused.events.append(event)
 
     def close(self) -> None:

@@ -46,7 +46,7 @@ class NoteSource(Protocol):
     """A pipeline that has found out something."""
 
     def notes(self) -> FusionNotes:
-        """What it knows by the frames so far."""
+        """Return the notes on the frames so far."""
         ...
 
 

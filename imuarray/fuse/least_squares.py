@@ -60,7 +60,7 @@ class ConstantGain:
 
 
 class SlowErrors:
-    """What the calibrations of axes leave unknown, and what gains make of it."""
+    """Errors that the calibrations of axes leave, and what gains make of them."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         m = len(axes)
@@ -145,7 +145,7 @@ def _gain_of(weights: bytes, rows: bytes) -> tuple[Floats, npt.NDArray[np.bool_]
 
 
 def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """As `frame_gains`, of every set of weights (n, m)."""
+    """Solve as `frame_gains` does, for every set of weights (n, m)."""
     normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
     solvable = spans(normal)
     normal[~solvable] = np.eye(3)

@@ -54,7 +54,8 @@ def default_path(log: Path) -> Path:
 
 @dataclass(frozen=True)
 class FusionOutput:
-    """Where the result goes: the file `path` of the log `log`; with `rotate_s`, one file for each part of that length.
+    """Destination of the result: the file `path` of the log `log`; with `rotate_s`, one file for each part of that
+    length.
 
     `technique` and `calibration_file` are noted in the files; `force` overwrites existing ones.
     """
@@ -102,7 +103,7 @@ class FusedFiles:
             self.frames += rows.stop - rows.start
 
     def event(self, event: FaultEvent) -> None:
-        """What became of a sensor, into the file of the last frames. OSError."""
+        """Write what became of a sensor into the file of the last frames. OSError."""
         self._file.event(event)
 
     def _create(self, number: int) -> LiveFused:

@@ -22,8 +22,8 @@ class Pipeline(Protocol[Out_co]):
     """
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out_co]:
-        """What is ready after the next block, by quantity; `degc` are the temperatures (n,) of the elements of the
-        sensors of which they are known, by sensor, NaN where not yet.
+        """Return the frames that are ready after the next block, by quantity; `degc` are the temperatures (n,) of the
+        elements of the sensors of which they are known, by sensor, NaN where not yet.
         """
         ...
 
@@ -116,7 +116,7 @@ class ComparisonPipeline:
         return iter(())
 
     def notes(self) -> FusionNotes:
-        """What the technique remarks."""
+        """Return the remarks of the technique."""
         return self._technique.notes()
 
 

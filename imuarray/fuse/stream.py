@@ -164,12 +164,12 @@ class FusionStream(Generic[Out]):
 
     @property
     def thermometers(self) -> Collection[str]:
-        """Those of them whose temperature it wants."""
+        """Return the sensors whose temperature the technique needs."""
         return self._feeds.keys()
 
     @property
     def pipeline(self) -> Pipeline[Out] | None:
-        """What it feeds; None before the first frames."""
+        """Return the pipeline that is fed; None before the first frames."""
         return self._pipeline
 
     @property
@@ -306,7 +306,9 @@ class FusionStream(Generic[Out]):
                 frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T
 
     def _responses(self, group: Group) -> list[Floats | None]:
-        """What each sensor of a group reads, in SI along its axes, in one g along each box axis; None: not known."""
+        """Return the reading of each sensor of a group, in SI along its axes, under one g along each box axis; None if
+        unknown.
+        """
         known = [self._units[number].known for number in group.numbers]
         return [
             None if item.g_sensitivity_lsb_per_g is None else item.g_sensitivity_lsb_per_g / item.lsb_per_si[:, None]

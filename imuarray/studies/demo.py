@@ -141,7 +141,7 @@ def _best(rows: Rows, case: Case) -> Gain:
 
 
 def summary(rows: Rows) -> list[str]:
-    """What a person should know after half a minute."""
+    """Return the summary that takes half a minute to read."""
     opposed, planes, ranges = (_best(rows, case) for case in CASES if case.claim)
     case, worst = max((row for row in rows if row[1].box_axis == "XYZ"), key=lambda row: row[1].ratio)
     return [
@@ -155,7 +155,9 @@ def summary(rows: Rows) -> list[str]:
 
 
 def demo_verdict(rows: Rows, tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
-    """What the three techniques gain, how good the calibration is, how far the simulator is from the array."""
+    """Return the verdict: the gain of the three techniques, the quality of the calibration, and the gap of the
+    simulator.
+    """
     gained = [(case, _best(rows, case)) for case in CASES if case.claim]
     case, best = min(gained, key=lambda pair: pair[1].ratio)
     residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
@@ -180,7 +182,7 @@ _AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
 
 
 def gap_section(diagnosis: Diagnosis) -> Section:
-    """What a simulator of the data sheets lacks."""
+    """Return the section on what a simulator of the data sheets lacks."""
     rows = [
         [cause.effect, places_text(cause), parameters_text(cause.parameters), f"{cause.probability:.2f}"]
         for cause in diagnosis.causes
@@ -195,7 +197,7 @@ def gap_section(diagnosis: Diagnosis) -> Section:
 
 
 def recorded_section(logs: Mapping[str, Path]) -> Section:
-    """What every log holds."""
+    """Return the section on the contents of every log."""
     rows = []
     for run, path in logs.items():
         with open_log(path) as log:

@@ -82,7 +82,7 @@ def chosen(sensors: list[Table], level: float) -> list[Table]:
 
 
 def marks(axis: Table, level: float) -> list[str]:
-    """Describe the faults of a converter that a histogram shows; `level` is the chance up to which noise isn't blamed."""
+    """Describe the faults of a converter that a histogram shows; `level` is the chance up to which noise is not one."""
     codes = axis.get("codes")
     if not codes or not codes["std"]:
         return ["one code only"] if codes and codes["readings"] > 1 else []

@@ -29,7 +29,7 @@ _CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType
 
 
 def changes(technique: str, axes: Sequence[Axis]) -> list[str]:
-    """What a technique treats otherwise than the plain average does, in words; empty if nothing on this array."""
+    """Describe what a technique treats otherwise than the plain average does; empty if nothing on this array."""
     return _CHANGES[technique](axes) if technique in _CHANGES else []
 
 

@@ -346,5 +346,5 @@ def opposed(axes: Sequence[Axis]) -> Technique:
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """What it treats otherwise than the average does: design and box axis."""
+    """Name what it treats otherwise than the average does: design and box axis."""
     return [f"{axes[group.along[0]].chip} along {group.box_axis}" for group in opposing_groups(axes)]

@@ -76,12 +76,12 @@ class PlaneBlend:
         return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
 
     def monitors(self) -> list[Monitor]:
-        """What the axes that weigh less have shown so far."""
+        """Return the monitors of the axes that weigh less."""
         watched = zip(self._watched.tolist(), self._sums.T, strict=True)
         return [self._monitor(self._axes[index], *sums) for index, sums in watched]
 
     def remarks(self, quantity: str) -> list[str]:
-        """What axes that weigh less read otherwise than the others; how many do not."""
+        """Describe how the axes that weigh less differ from the others, and count those that do not."""
         result = self.monitors()
         apart = [monitor for monitor in result if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
         said = [monitor.sentence(quantity) for monitor in apart]

@@ -92,8 +92,8 @@ def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without:
 
 @lru_cache(maxsize=4)
 def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
-    """By name: "no slopes", biases and responses from the six faces with noise and turn-on; "measured", the same with
-    slopes from a heating log. Kept: all experiments with one seed are of the same units.
+    """Return the calibrations by name: "no slopes", biases and responses from the six faces with noise and turn-on;
+    "measured", the same with slopes from a heating log. Kept: all experiments with one seed are of the same units.
     """
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         return MappingProxyType(_measured(ARRAYS[array_name](), seed, Path(folder)))
@@ -131,7 +131,7 @@ def _thermal(logs: Sequence[Log]) -> Calibration:
 
 
 def _from(paths: Sequence[Path], *steps: Steps) -> Calibration:
-    """What the steps make of these logs, one after the other."""
+    """Apply the steps to these logs, one after the other."""
     with ExitStack() as stack:
         logs = [stack.enter_context(open_log(path)) for path in paths]
         known = Calibration()

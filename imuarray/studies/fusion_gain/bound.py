@@ -211,7 +211,9 @@ OUTSIDE = tuple(name for name in EFFECTS if name not in _INSIDE)
 
 
 def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> Calibration:
-    """What these units are, as a calibration: every figure that stays the same from boot to boot, without error."""
+    """Return the true parameters of these units as a calibration: every figure that stays the same from boot to boot,
+    without error.
+    """
     known = {header.name: header for header in headers if header.quantity in INERTIAL}
     sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in known.items()}
     return Calibration(sensors, ("the simulated units' own parameters",))
@@ -330,7 +332,7 @@ class Posterior:
         return (frames for frames, _ in aligned(self._log, self._calibration, only=names))
 
     def _stretches(self, quantity: str) -> list[Stretch]:
-        """What was seen in each stretch, pattern by pattern of the axes that had a reading."""
+        """Return the observations of each stretch, pattern by pattern of the axes that had a reading."""
         sums: list[dict[bytes, tuple[int, Floats]]] = [{} for _ in range(STRETCHES)]
         for part in (frames[quantity] for frames in self._frames()):
             known, stretch = axes_known(part), self._stretch_of(part.time)

@@ -163,7 +163,7 @@ def heating_figure(
 
 
 def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
-    """By file name, as many as there are rows for; MissingExtraError without matplotlib."""
+    """Return the figures by file name, as many as there are rows for; MissingExtraError without matplotlib."""
     vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
     bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
     bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
@@ -242,7 +242,7 @@ def write_study_page(
 
 
 def study_verdict(study: Study) -> Verdict:
-    """Which technique gains most, and how much each gains at best."""
+    """Return the verdict: which technique gains most, and how much each gains at best."""
     best = sorted(_best_rows(study).values(), key=lambda row: row.over_mean.ratio)
     if not best:
         return Verdict("No technique was compared with the simple average.")
@@ -258,8 +258,8 @@ def study_verdict(study: Study) -> Verdict:
 
 
 def summary(study: Study) -> list[str]:
-    """What a person should know after half a minute: each technique where it gains most, and how far the best is from
-    the bound.
+    """Return the summary that takes half a minute to read: each technique where it gains most, and how far the best is
+    from the bound.
     """
     lines = []
     for technique, best in _best_rows(study).items():

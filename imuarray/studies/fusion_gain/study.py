@@ -59,8 +59,8 @@ COASTING = ("heading", "velocity")
 
 @dataclass(frozen=True)
 class Experiment:
-    """What happens to the box (`imuarray.simulate.experiments`), for how long, how often it is switched on, and whether
-    the bound holds.
+    """Experiment of the study: what happens to the box (`imuarray.simulate.experiments`), for how long, how often it is
+    switched on, and whether the bound holds.
 
     It does not under a motion that is fast for the chips' converters: a reading is up to a converter's period old, of
     which the bound knows nothing.
@@ -163,7 +163,7 @@ def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label:
 def _results(
     log: Log, calibration: Calibration, names: tuple[str, ...]
 ) -> dict[str, Callable[[], Iterator[FusedBlock]]]:
-    """What makes the result of every technique."""
+    """Return the functions that fuse the log, by technique."""
     made: dict[str, Callable[[], Iterator[FusedBlock]]] = {
         technique: partial(fuse, log, calibration, technique, only=names) for technique in technique_names()
     }
@@ -239,7 +239,7 @@ def _coasting_squares(coast: Coasting) -> dict[tuple[str, str], float]:
 
 
 def _by_axis(squares: Floats) -> dict[str, float]:
-    """Of each box axis, and their sum: of the length of the error."""
+    """Return the figures of each box axis, and their sum: that of the length of the error."""
     return dict(zip(BOX_AXES, [*squares.tolist(), float(squares.sum())], strict=True))
 
 
@@ -328,7 +328,7 @@ def _ran(job: Job) -> list[RunErrors]:
 
 
 def rows_of(measured: Iterable[RunErrors]) -> list[Row]:
-    """What runs tell together; boots of one seed share their calibration and count as one."""
+    """Return the rows that runs give together; boots of one seed share their calibration and count as one."""
     groups: dict[tuple[str, ...], list[RunErrors]] = defaultdict(list)
     for item in measured:
         groups[item.experiment, item.calibration, item.sensors, item.technique, item.quantity].append(item)

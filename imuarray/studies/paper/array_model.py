@@ -143,7 +143,7 @@ class Unit:
 
     @property
     def angles_deg(self) -> list[float]:
-        """By how much an accelerometer's axes lean towards the others: xy, xz, yx, yz, zx, zy."""
+        """Return the angles by which an accelerometer's axes lean towards the others: xy, xz, yx, yz, zx, zy."""
         r = self.response
         return [degrees(atan2(r[i, j], r[i, i])) for i in range(3) for j in range(3) if i != j]
 
@@ -172,7 +172,7 @@ def gyro3_other_state_lsb() -> Floats:
 
 
 def bma1_reset_offset_g() -> Floats:
-    """What BMA1 reads more in run 10 of Table 6, taken at 2 g, than in its other runs, in g."""
+    """Return what BMA1 reads more in run 10 of Table 6, taken at 2 g, than in its other runs, in g."""
     faulty = {fault.run: float(fault.range_lsb_per_g) for fault in boot_faults()}
     ((run, lsb_per_g),) = faulty.items()
     runs = runs_of("BMA1")

@@ -100,7 +100,7 @@ def as_json() -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON reads it back: lists for tuples."""
+    """Convert to what JSON reads back: lists for tuples."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -120,7 +120,7 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
 
 
 def further_words(result: Mapping[str, Any]) -> dict[int, str]:
-    """What recomputing tells of whole columns, by table."""
+    """Describe what recomputing shows of whole columns, by table."""
     slow, fast, runs, windows = result["readings"]
     spread = result["range_over_deviation"]
     possible, total = spread["possible"]
@@ -212,7 +212,7 @@ def _texts(number: int) -> dict[Key, str]:
 
 
 def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
-    """As printed, without its sign where only the size is compared."""
+    """Return a value as printed, without its sign where only the size is compared."""
     text = texts.get(key, "")
     if twin is None:
         return text
@@ -234,7 +234,7 @@ def _cells(name: str, recomputed: Recomputed) -> Iterator[tuple[Key, Cell]]:
 
 
 def _channel(row: Row) -> str:
-    """What a row is of; Tables 2 and 9 have two of each axis."""
+    """Return the channel of a row; Tables 2 and 9 have two of each axis."""
     if "output" in row:
         return f"{row['output']} {row['range'] if row['range'] != 'int' else ''}".strip()
     return next(row[column] for column in ("channel", "sensor", "group", "run") if column in row)
@@ -252,7 +252,8 @@ def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
 
 
 def recomputed_text(cell: Cell, printed: str) -> str:
-    """As printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after any other.
+    """Return the recomputed value, as printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after
+    any other.
 
     Without a sign if what is printed is shown without.
     """
@@ -366,7 +367,7 @@ def _pair_row(pair: AxisPair, slopes: dict[str, float]) -> list[str]:
 
 
 def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[Line]:
-    """Of a table, a figure or the appendix."""
+    """Return the comparisons of a table, a figure or the appendix."""
     twins = replica.of(name)
     return lines_of(name, recomputed, twins) if name.startswith("Table") else [line_of(twin) for twin in twins]
 
@@ -389,7 +390,7 @@ def others(replica: Replica) -> list[str]:
 
 
 def elsewhere_section(replica: Replica, recomputed: Recomputed) -> Section:
-    """Those figures and parts."""
+    """Return the section on the figures and the parts of the appendix."""
     parts = [_table(compared(name, replica, recomputed), f"{name}: ") for name in others(replica)]
     return Section(
         "What figures and appendix say of the noise", "Yes is 1, no is 0. “Around” is good to a unit.", parts

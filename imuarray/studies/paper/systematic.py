@@ -133,13 +133,13 @@ _COLUMNS = {"X": "box_plus_x", "Y": "box_plus_y", "Z": "box_plus_z"}
 
 
 def printed_axes(row: Row) -> dict[str, str]:
-    """Where Table 1 says that a sensor's x, y and z point in the box."""
+    """Return the directions of a sensor's x, y and z in the box by Table 1."""
     named = {row[column][1].lower(): row[column][0] + box for box, column in _COLUMNS.items()}
     return {axis: named[axis] for axis in "xyz"}
 
 
 def measured_axes(sensor: str) -> dict[str, str]:
-    """Where Table 10's largest responses say that an accelerometer's x, y and z point in the box."""
+    """Return the directions of an accelerometer's x, y and z in the box by the largest responses of Table 10."""
     return {axis: main_axis(response_of(f"{sensor} {axis}")) for axis in "xyz"}
 
 

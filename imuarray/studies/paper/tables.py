@@ -207,7 +207,7 @@ def rounded_like(value: Decimal, printed: Decimal) -> Decimal:
 
 
 def reach(formula: Formula, inputs: Sequence[Decimal]) -> Decimal:
-    """By how much `formula` can move, to first order, when each input moves by its `half_unit`."""
+    """Return the change of `formula`, to first order, when each input changes by its `half_unit`."""
     centre = formula(inputs)
     moved = ([*inputs[:i], value + half_unit(value), *inputs[i + 1 :]] for i, value in enumerate(inputs))
     return sum((abs(formula(values) - centre) for values in moved), Decimal(0))

@@ -528,7 +528,9 @@ def table9_rows(range_name: str) -> tuple[Row, ...]:
 
 
 def readings() -> tuple[Readings, ...]:
-    """Of Table 9's two logs (at 350 Hz) and of Table 11's two series (five minutes each)."""
+    """Return the numbers of readings that Table 9's two logs (at 350 Hz) and Table 11's two series (five minutes each)
+    admit.
+    """
     result = []
     for name in ("250dps", "2k dps"):
         least, most = _common((row, "") for row in table9_rows(name))
@@ -540,7 +542,7 @@ def readings() -> tuple[Readings, ...]:
 
 
 def _common(rows: Iterable[tuple[Row, str]]) -> tuple[Decimal, Decimal]:
-    """What all of them admit; least above most if nothing."""
+    """Return the interval that all of them admit; least above most if there is none."""
     ends = [_ends(row, prefix) for row, prefix in rows]
     return max(least for least, _ in ends), min(most for _, most in ends)
 

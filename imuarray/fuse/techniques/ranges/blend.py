@@ -66,7 +66,7 @@ class RangeBlend:
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
 
     def remarks(self, quantity: str) -> list[str]:
-        """What the sensors of low ranges read otherwise than the blend of all."""
+        """Describe how the sensors of low ranges differ from the blend of all."""
         if self._fading is None:
             return []
         fades = self._fading.fades.repeat(3)

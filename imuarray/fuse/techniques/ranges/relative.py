@@ -35,9 +35,9 @@ from imuarray.units import READABLE_SI
 
 
 class Blend(NamedTuple):
-    """Of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
-    variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares.
-    `seen` (m,): there is something to see.
+    """Blend of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
+    variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares. `seen`
+    (m,): there is something to see.
     """
 
     gain: Floats
@@ -116,9 +116,9 @@ class Rows(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Of one segment: when it ended (ns), the axes present (m,), which of them moved enough to tell more than a bias
-    (m,); sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m, 3); all
-    zero where it tells nothing.
+    """Moments of one segment: when it ended (ns), the axes present (m,), which of them moved enough to tell more than a
+    bias (m,); sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m, 3);
+    all zero where it tells nothing.
     """
 
     end_ns: int
@@ -160,8 +160,8 @@ def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]
 def _sums(
     along: Floats, late: Floats, residual: Floats, taken: Booleans, noise: Floats, passed_s: Floats
 ) -> tuple[Booleans, Floats, Floats]:
-    """Which axes moved (k, m); sums over the frames `taken` (k, n) of each segment: products of 1, signal and effect of
-    a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
+    """Return which axes moved (k, m), and sums over the frames `taken` (k, n) of each segment: products of 1, signal
+    and effect of a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
 
     A signal that moves too little against its `noise` (k, m) is as good as its mean, a slope as good as none.
     """
@@ -224,8 +224,8 @@ class Relative:
 
 @dataclass(frozen=True)
 class States:
-    """What held in each of n frames: frame i has `differences[which[i]]` (k, m, 3): bias, scale, delay of each axis,
-    with `covariances` (k, m, 3, 3) of each axis' own share of them, as if the errors of axes were independent.
+    """States of n frames: frame i has `differences[which[i]]` (k, m, 3): bias, scale, delay of each axis, with
+    `covariances` (k, m, 3, 3) of each axis' own share of them, as if the errors of axes were independent.
     """
 
     which: npt.NDArray[np.intp]
@@ -269,7 +269,7 @@ class Tracker:
         ]
 
     def follow(self, block: Rows) -> States:
-        """What was known at each frame of the next block."""
+        """Return the states at each frame of the next block."""
         joined = block if self._held is None else self._held.then(block)
         begin, whole = len(joined.time) - len(block.time), len(joined.time) // SEGMENT * SEGMENT
         differences, covariances = [self._differences], [self._covariances]

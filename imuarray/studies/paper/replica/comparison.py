@@ -235,8 +235,8 @@ def period(counts: npt.NDArray[np.int16], axis: int) -> int:
 
 
 def line_hz(counts: npt.NDArray[np.int16], axis: int) -> float:
-    """Where an axis' spectrum has a line between 40 and 60 Hz (Figure 14), nan if nothing there is ten times the
-    median.
+    """Return the frequency of the line between 40 and 60 Hz in an axis' spectrum (Figure 14), nan if nothing there is
+    ten times the median.
     """
     hz, power = signal.welch(counts[:, axis].astype(float), HIGH_RATE_HZ, nperseg=2048)
     near = (hz >= _AROUND_HZ[0]) & (hz <= _AROUND_HZ[1])
@@ -518,7 +518,7 @@ def _intercept(heated: _HeatingSpread, channel: str, published: float, simulated
 
 
 def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
-    """What the simulated slope is off by; the model has the printed one."""
+    """Return the error of the simulated slope; the model has the printed one."""
     return {
         "in-run": heated.of_wander * own(channel, lambda unit: unit.in_run),
         "sem": heated.of_noise * own(channel, lambda unit: unit.noise),
@@ -620,7 +620,7 @@ def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[S
 
 
 def _reset(six: Table) -> Statistic:
-    """By how many times more the faulty run shows gravity."""
+    """Return the factor by which the faulty run shows more gravity."""
     (fault,) = boot_faults()
     others = np.mean([row["z_lsb"] for run, row in six.items() if int(run) != fault.run])
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])

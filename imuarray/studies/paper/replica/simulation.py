@@ -39,7 +39,7 @@ _BLOCK = 1 << 16
 
 
 class Triad(Protocol):
-    """What is read of a simulated sensor."""
+    """Readings of a simulated sensor."""
 
     rows: int
 
@@ -77,7 +77,7 @@ class Kept:
 
     @property
     def series(self) -> Series:
-        """What was read so far, in the order of reading."""
+        """Return the readings so far, in their order."""
         return Series(*(np.concatenate(column) for column in zip(*(b[:2] for b in self._blocks), strict=True)))
 
 
@@ -95,7 +95,7 @@ def blocks(sensor: Triad) -> Iterator[Block]:
 
 
 def windows(sensor: Triad, spans: Spans) -> list[Window]:
-    """What a sensor gave from the first to before the second nanosecond of each span."""
+    """Return the readings of a sensor from the first to before the second nanosecond of each span."""
     sums = np.zeros((3, len(spans), 4))
     centre: Floats | None = None
     for block in blocks(sensor):
@@ -189,7 +189,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
 
 @lru_cache(maxsize=1024)
 def state(seed: int, boot: int) -> State:
-    """What a few seconds after switching on show."""
+    """Return the state that a few seconds after switching on show."""
     short = _simulation(seed, boot, Still(seconds=_PEEK_S), 50.0, ("BMA1", "Gyro3"))
     means = {name: sensor.block(0, sensor.rows).counts.mean(axis=0) for name, sensor in short}
     first, second = (np.array(bias_state.centre) for bias_state in bias_states())

@@ -117,7 +117,7 @@ class Replica:
 
     @property
     def summary(self) -> Summary:
-        """Of all statistics."""
+        """Return the summary of all statistics."""
         return summary(self.statistics)
 
     @property
@@ -135,7 +135,7 @@ class Replica:
 
     @property
     def tables(self) -> tuple[str, ...]:
-        """What was compared, in order."""
+        """Return the names of the tables that were compared, in order."""
         return tuple(dict.fromkeys(row.table for row in self.statistics))
 
     def beyond(self, limit: float = 3.0) -> tuple[Statistic, ...]:
@@ -162,7 +162,9 @@ _WIDTH = 100
 
 
 def render_text(replica: Replica) -> str:
-    """What was compared, table by table, all together, and every statistic more than three uncertainties off."""
+    """Render the comparison as text: table by table, all together, and every statistic more than three uncertainties
+    off.
+    """
     return "\n".join((*_tables(replica), "", *_together(replica), "", *_beyond(replica))) + "\n"
 
 

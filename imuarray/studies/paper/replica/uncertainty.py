@@ -67,8 +67,8 @@ def _kind(channel: str) -> tuple[str, str, str]:
 
 
 def levels(channel: str) -> Floats:
-    """What a channel read with +Z up, at 25 degC, usual range and first state, on the days of Tables 10, 11 (runs), 11
-    (continuous) and, but for thermometers, 8.
+    """Return the levels that a channel read with +Z up, at 25 degC, usual range and first state, on the days of Tables
+    10, 11 (runs), 11 (continuous) and, but for thermometers, 8.
     """
     k = slope(channel)
     name, axis = channel.split()[0], axis_of(channel)
@@ -181,8 +181,8 @@ def between_units(channel: str, column: str) -> float:
 
 
 def level_parts(channel: str) -> tuple[dict[str, float], float]:
-    """What a level with +Z up on another day than Table 10's is off by: parts, and the share of their variance that all
-    such levels of the channel have in common (that day's, and the face's against the fit).
+    """Return the error of a level with +Z up on another day than Table 10's: its parts, and the share of their variance
+    that all such levels of the channel have in common (that day's, and the face's against the fit).
     """
     days, face = day_to_day(channel), face_residual(channel)
     parts = {"day-to-day": sqrt(2) * days, "face repeatability": face}
