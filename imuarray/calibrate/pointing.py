@@ -178,13 +178,13 @@ def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats)
     return _best(sensor, remaining)
 
 
-def _onward(carried: Mapping[str, Sequence[Floats | None]], found: Mapping[str, Pointing]) -> list[Floats | None]:
-    """The turns between poses in the box frame, by the gyroscopes whose axes are told: the one that fits best."""
-    known = sorted((found[name].left, name) for name in carried if found[name].axes)
+def _onward(carried: Mapping[str, Sequence[Floats | None]], pointings: Mapping[str, Pointing]) -> list[Floats | None]:
+    """Return the turns between poses in the box frame, by the gyroscope with the best fit."""
+    known = sorted((pointings[name].left, name) for name in carried if pointings[name].axes)
     if not known:
         return []
     name = known[0][1]
-    orientation = np.array(orientation_of(found[name].axes))
+    orientation = np.array(orientation_of(pointings[name].axes))
     return [None if matrix is None else orientation @ matrix @ orientation.T for matrix in carried[name]]
 
 
@@ -215,10 +215,10 @@ def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Flo
     return _best(sensor, np.array(remaining))
 
 
-def _best(sensor: SensorLog, left: Floats) -> Pointing:
-    """The turn that leaves least, if it is clearly the one."""
-    order = np.argsort(left)
-    best, second = float(left[order[0]]), float(left[order[1]])
+def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
+    """Return the turn with the least residual, if it is clearly the least."""
+    order = np.argsort(residuals)
+    best, second = float(residuals[order[0]]), float(residuals[order[1]])
     axes = axes_text(TURNS[order[0]])
     if best > _MOST:
         return Pointing(sensor.name, sensor.chip, "", best, second, "no way of mounting explains what it read")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from imuarray.commands.fuse_notes import notes_sentences
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
-from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -125,9 +125,9 @@ def command(
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
         }
-        told = None
+        notes = None
         if output is not None:
-            written, told = _written(work, output, str(calibration_file or ""), force)
+            written, notes = _written(work, output, str(calibration_file or ""), force)
             report |= written
         if evaluate:
             from imuarray.commands.fuse_evaluate import evaluated
@@ -136,7 +136,7 @@ def command(
     if as_json:
         print_json(report)
     else:
-        _print(report, told)
+        _print(report, notes)
 
 
 @dataclass(frozen=True)
@@ -153,15 +153,15 @@ class _Work:
     def fused(
         self,
         technique: str | PipelineFactory,
-        found: Callable[[FaultEvent], None] = lambda event: None,
-        told: Callable[[FusionNotes], None] = lambda told: None,
+        on_fault: Callable[[FaultEvent], None] = lambda event: None,
+        take_notes: Callable[[FusionNotes], None] = lambda notes: None,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Iterator[FusedBlock]:
-        """The result; `found` hears of sensors that fail, `told` what the technique has to say at the end."""
+        """Yield the result; `on_fault` is called for sensors that fail, `take_notes` at the end."""
         from imuarray.chips import SENSITIVITIES
         from imuarray.fuse import Watch, fuse
 
-        watch = Watch(self.watch, SENSITIVITIES, found)
+        watch = Watch(self.watch, SENSITIVITIES, on_fault)
         return fuse(
             self.log,
             self.calibration,
@@ -169,22 +169,22 @@ class _Work:
             only=self.names,
             causal=self.causal,
             watch=watch,
-            notes=told,
+            notes=take_notes,
             progress=progress,
         )
 
 
 def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
-    """Write the fused file; where it is and what came of it, beside the average, and what the technique has to say."""
+    """Write the fused file; return its path and figures, beside the average's, and the technique's notes."""
     from imuarray.fuse import write_fused
 
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
-    told: list[FusionNotes] = []
+    notes: list[FusionNotes] = []
     with progress(_STEPS, technique) as done, _quality_of(log) as quality:
         frames = write_fused(
             output,
-            _measured(work, quality, events.append, told.append, lambda share: done(int(share * _STEPS))),
+            _measured(work, quality, events.append, notes.append, lambda share: done(int(share * _STEPS))),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
@@ -199,18 +199,18 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
         "fused": str(output),
         "frames": frames,
         "faults": [event.as_json() for event in events],
-        "learned": told[0].as_json(),
+        "learned": notes[0].as_json(),
         "error": results[technique] if known else {},
         "results": results,
     }
-    return report, told[0]
+    return report, notes[0]
 
 
 def _measured(
     work: _Work,
     quality: _Errors | _Noise,
-    found: Callable[[FaultEvent], None],
-    told: Callable[[FusionNotes], None],
+    on_fault: Callable[[FaultEvent], None],
+    take_notes: Callable[[FusionNotes], None],
     progress: Callable[[float], None],
 ) -> Iterator[FusedBlock]:
     """The result; `quality` is given its blocks, and the average's of the same frames before them. Where nothing is
@@ -223,13 +223,13 @@ def _measured(
         if technique != _MEAN:
             for block in work.fused(_MEAN):
                 quality.add({_MEAN: block})
-        for block in work.fused(technique, found, told, progress):
+        for block in work.fused(technique, on_fault, take_notes, progress):
             quality.add({technique: block})
             yield block
         return
     averages: list[FusedBlock] = []
     both: PipelineFactory = lambda axes, period_s: ComparisonPipeline(axes, technique, _MEAN, averages.append)  # noqa: E731
-    for block in work.fused(both, found, told, progress):
+    for block in work.fused(both, on_fault, take_notes, progress):
         quality.add({_MEAN: averages.pop(), technique: block})
         yield block
 
@@ -333,7 +333,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
         click.echo(f"  {sentence}")
     if "fused" in report:
         _print_results(report)
-    for sentence in told_sentences(notes) if notes else ():
+    for sentence in notes_sentences(notes) if notes else ():
         click.echo(f"  {sentence}")
     if "evaluation" in report:
         from imuarray.commands.fuse_evaluate import print_report

@@ -121,11 +121,11 @@ def both(frames: Mapping[str, ErrorFrames]) -> Errors:
     return Errors(rate.time[mine], rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
 
 
-def _common(one: Times, other: Times) -> tuple[Indices | slice, Indices | slice]:
+def _common(first_times: Times, second_times: Times) -> tuple[Indices | slice, Indices | slice]:
     """Return which frames of either are at times that both have, in order: mostly all of them."""
-    if np.array_equal(one, other):
+    if np.array_equal(first_times, second_times):
         return slice(None), slice(None)
-    _, mine, its = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    _, mine, its = np.intersect1d(first_times, second_times, assume_unique=True, return_indices=True)
     return mine, its
 
 

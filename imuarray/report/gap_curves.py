@@ -31,15 +31,15 @@ def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
     title = "Curves: real, before and after"
     if not overlays:
         return Section(title, "None were kept.")
-    worst = sorted(overlays, key=lambda one: -farthest(one, one.before)[1])
-    chosen = sorted(worst[:MOST_OVERLAYS], key=lambda one: list(_KINDS).index(one.kind))
-    words = " ".join(text for kind, text in _KINDS.items() if any(one.kind == kind for one in chosen))
+    worst = sorted(overlays, key=lambda overlay: -farthest(overlay, overlay.before)[1])
+    chosen = sorted(worst[:MOST_OVERLAYS], key=lambda overlay: list(_KINDS).index(overlay.kind))
+    words = " ".join(text for kind, text in _KINDS.items() if any(overlay.kind == kind for overlay in chosen))
     words = f"Black is the recording; bands hold 95 % of simulations, orange before, blue after. {words}"
     if not drawn:
         return Section(title, words, [overlays_table(overlays)])
     if len(overlays) > len(chosen):
         words += f" The {len(chosen)} that lay farthest outside before, of {len(overlays)}."
-    return Section(title, words, [_overlay(one) for one in chosen])
+    return Section(title, words, [_overlay(overlay) for overlay in chosen])
 
 
 def _overlay(overlay: Overlay) -> Figure:

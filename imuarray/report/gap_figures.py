@@ -49,7 +49,9 @@ def shrink_figure(gap: Gap) -> Figure:
 
 def can_compare(use: Use) -> bool:
     """Whether simulated figures can stand over the recorded one."""
-    every = [getattr(one, end) for one in (use.real, use.before, use.after) for end in ("value", "low", "high")]
+    every = [
+        getattr(estimate, end) for estimate in (use.real, use.before, use.after) for end in ("value", "low", "high")
+    ]
     return use.real.value > 0 and all(map(isfinite, every))
 
 
@@ -62,9 +64,12 @@ def use_figure(uses: Sequence[Use]) -> Figure:
         scale = use.real.value
         low, wide = use.real.low / scale, (use.real.high - use.real.low) / scale
         panel.barh(place, wide, 0.72, left=low, color="#ccd4da", label=None if place else "real")
-        for one, colour, shift, label in ((use.before, BEFORE, -0.16, "before"), (use.after, AFTER, 0.16, "after")):
-            reach = np.abs([[one.value - one.low], [one.high - one.value]]) / scale
-            bar = panel.errorbar(one.value / scale, place + shift, xerr=reach, fmt="o", color=colour, capsize=3)
+        for estimate, colour, shift, label in (
+            (use.before, BEFORE, -0.16, "before"),
+            (use.after, AFTER, 0.16, "after"),
+        ):
+            reach = np.abs([[estimate.value - estimate.low], [estimate.high - estimate.value]]) / scale
+            bar = panel.errorbar(estimate.value / scale, place + shift, xerr=reach, fmt="o", color=colour, capsize=3)
             bar.set_label("_" if place else label)
     panel.axvline(1, color=REAL, linewidth=1.2)
     names = [fill(plain(f"{use.sensor or 'array'}: {use.name}", 48), 24) for use in uses]

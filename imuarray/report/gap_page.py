@@ -236,7 +236,7 @@ def _where(diagnosis: Diagnosis) -> Section:
     where = diagnosis.where
     if not where:
         return Section("Where it differs", "No statistic differs by more than chance.")
-    counts = [f"{sum(one.size == size for one in where)} {size}" for size in ("material", "harmless", "can't tell")]
+    counts = [f"{sum(place.size == size for place in where)} {size}" for size in ("material", "harmless", "can't tell")]
     words = (
         f"{len(where)} statistics differ by more than chance: {', '.join(counts)}. The score is in standard "
         "deviations of chance; the size counts margins, the least difference that matters to who uses the sensor: "
@@ -248,7 +248,7 @@ def _where(diagnosis: Diagnosis) -> Section:
 def _counted(where: Sequence[Where]) -> str:
     rest = where[tables.MOST_ROWS :]
     more = (
-        f" {len(rest)} more are not shown, {sum(one.size == 'material' for one in rest)} of them material."
+        f" {len(rest)} more are not shown, {sum(place.size == 'material' for place in rest)} of them material."
         if rest
         else ""
     )
@@ -256,16 +256,18 @@ def _counted(where: Sequence[Where]) -> str:
 
 
 def _unexplained(diagnosis: Diagnosis) -> Section:
-    left = diagnosis.unexplained
+    unexplained = diagnosis.unexplained
     words = (
         "What still differs after the causes were added."
-        if left
+        if unexplained
         else "Nothing: no statistic still differs after the causes were added."
     )
     if diagnosis.verdict == "no gap":
         words = "Nothing."
     words += f" Something outside the library is present with a probability of {share(diagnosis.unknown)}."
-    return Section("What is unexplained", words, [tables.where_table(left, _counted(left))] if left else [])
+    return Section(
+        "What is unexplained", words, [tables.where_table(unexplained, _counted(unexplained))] if unexplained else []
+    )
 
 
 def _unshown(diagnosis: Diagnosis) -> Section:
@@ -294,11 +296,11 @@ def _judged(diagnosis: Diagnosis) -> Section:
     title, judged = "Candidates that were looked at", diagnosis.judged
     if not judged:
         return Section(title, "None: without a gap none are tried.")
-    placebos = sum(one.effect == "" for one in judged)
-    accepted = [one for one in judged if one.is_accepted]
+    placebos = sum(candidate.effect == "" for candidate in judged)
+    accepted = [candidate for candidate in judged if candidate.is_accepted]
     words = (
         f"{len(judged)} candidates, {len(accepted)} of them accepted. {placebos} were placebos, which change nothing "
-        f"that matters: {sum(one.effect == '' for one in accepted)} of them accepted."
+        f"that matters: {sum(candidate.effect == '' for candidate in accepted)} of them accepted."
     )
     if len(judged) > tables.MOST_ROWS:
         words += f" The best {tables.MOST_ROWS} are shown."

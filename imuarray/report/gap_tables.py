@@ -105,24 +105,24 @@ def where_table(where: Sequence[Where], caption: str) -> Table:
     heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
     rows = [
         [
-            f"{one.sensor} {one.axis}".rstrip(),
-            one.domain.replace("_", " "),
-            f"{one.about} ({one.unit.replace('degC', '°C')})" if one.unit else one.about,
-            ", ".join(part for part in (one.log, one.phase) if part) or "all",
-            number(one.real),
-            number(one.simulated),
-            f"{'-' if one.significance < 0 else '+'}{scored(abs(one.significance))}",
-            chance(one.p).removeprefix("p ").removeprefix("= "),
-            f"{number(one.effect_size, 2)}, {one.size}",
+            f"{place.sensor} {place.axis}".rstrip(),
+            place.domain.replace("_", " "),
+            f"{place.about} ({place.unit.replace('degC', '°C')})" if place.unit else place.about,
+            ", ".join(part for part in (place.log, place.phase) if part) or "all",
+            number(place.real),
+            number(place.simulated),
+            f"{'-' if place.significance < 0 else '+'}{scored(abs(place.significance))}",
+            chance(place.p).removeprefix("p ").removeprefix("= "),
+            f"{number(place.effect_size, 2)}, {place.size}",
         ]
-        for one in where[:MOST_ROWS]
+        for place in where[:MOST_ROWS]
     ]
     return Table(heading, rows, caption, (1, 2, 3))
 
 
 def unshown_table(unshown: Sequence[Unobservable]) -> Table:
     """What can't be told, of which sensors, and what to record."""
-    rows = [[one.effect, ", ".join(one.sensors) or "all", one.record] for one in unshown]
+    rows = [[hidden.effect, ", ".join(hidden.sensors) or "all", hidden.record] for hidden in unshown]
     return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))
 
 
@@ -152,17 +152,20 @@ def missing_table(missing: Sequence[str]) -> Table:
 
 def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
     """Candidates, accepted ones first, then by gain; placebos are marked as such."""
-    ranked = sorted(judged, key=lambda one: (not one.is_accepted, -(one.gain if one.gain is not None else -1e300)))
+    ranked = sorted(
+        judged,
+        key=lambda candidate: (not candidate.is_accepted, -(candidate.gain if candidate.gain is not None else -1e300)),
+    )
     rows = [
         [
-            one.effect or marked(PLACEBO),
-            one.action,
-            ", ".join(one.sensors) or "all",
-            number(one.fits, 2),
-            NOTHING if one.gain is None else f"{one.gain:+.1f}",
-            "yes" if one.is_accepted else "no",
+            candidate.effect or marked(PLACEBO),
+            candidate.action,
+            ", ".join(candidate.sensors) or "all",
+            number(candidate.fits, 2),
+            NOTHING if candidate.gain is None else f"{candidate.gain:+.1f}",
+            "yes" if candidate.is_accepted else "no",
         ]
-        for one in ranked[:MOST_ROWS]
+        for candidate in ranked[:MOST_ROWS]
     ]
     caption = (
         "Fits: how well it accounts for what the training part shows. Gain: how much likelier it makes held-out data."
@@ -174,13 +177,13 @@ def overlays_table(overlays: Sequence[Overlay]) -> Table:
     """How much of each curve lies outside the simulated bands."""
     rows = [
         [
-            f"{one.sensor} {one.axis}".rstrip(),
-            one.kind,
-            one.phase or "all",
-            share(outside(one, one.before)),
-            share(outside(one, one.after)),
+            f"{overlay.sensor} {overlay.axis}".rstrip(),
+            overlay.kind,
+            overlay.phase or "all",
+            share(outside(overlay, overlay.before)),
+            share(outside(overlay, overlay.after)),
         ]
-        for one in overlays
+        for overlay in overlays
     ]
     caption = "Share of each curve outside the simulations' 95 % band; chance alone leaves about 5 %."
     return Table(["sensor", "curve", "phase", "before", "after"], rows, caption, (1, 2))
@@ -190,14 +193,14 @@ def recorded_table(diagnosis: Diagnosis) -> Table:
     """The logs that were diagnosed."""
     rows = [
         [
-            one.name,
-            one.kind,
-            _duration(one.seconds),
-            str(one.sensors),
-            str(one.phases),
-            f"{one.rows:,}".replace(",", " "),
+            recording.name,
+            recording.kind,
+            _duration(recording.seconds),
+            str(recording.sensors),
+            str(recording.phases),
+            f"{recording.rows:,}".replace(",", " "),
         ]
-        for one in diagnosis.recorded
+        for recording in diagnosis.recorded
     ]
     return Table(["log", "experiment", "duration", "sensors", "phases", "rows"], rows, "What was diagnosed.", (1,))
 
@@ -256,7 +259,7 @@ def _parameters(cause: Cause) -> str:
 
 def _differs(cause: Cause) -> bool:
     several = list(cause.each.values())
-    return any(one != several[0] for one in several)
+    return any(item != several[0] for item in several)
 
 
 def _interval(figure: Figure) -> str:

@@ -60,12 +60,12 @@ def validation_verdict(figures: Figures) -> Verdict:
         )
     else:
         sentence = f"The diagnosis meets all {len(judged)} bars that were set before."
-    told = (
+    key_figures = (
         (str(figures.cases), "cases"),
         (f"{len(judged) - len(failed)} of {len(judged)}", "bars met"),
         (str(len(figures.lost)), "cases lost"),
     )
-    return Verdict(sentence, "neutral" if not judged else "doubtful" if failed else "good", told)
+    return Verdict(sentence, "neutral" if not judged else "doubtful" if failed else "good", key_figures)
 
 
 def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tuple[Section, ...]:

@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     from imuarray.fuse.optimal import LearnedBias
 
 _MOST = 40
-"""Remarks that are told on the screen."""
+"""Remarks that are printed."""
 
 
-def told_sentences(told: FusionNotes) -> Iterator[str]:
+def notes_sentences(notes: FusionNotes) -> Iterator[str]:
     """A table of biases, a row a sensor, and the remarks."""
-    for quantity, biases in told.biases.items():
+    for quantity, biases in notes.biases.items():
         yield from _table(quantity, biases)
-    yield from told.remarks[:_MOST]
-    if len(told.remarks) > _MOST:
-        yield f"{len(told.remarks) - _MOST} more remarks (--json lists all)"
+    yield from notes.remarks[:_MOST]
+    if len(notes.remarks) > _MOST:
+        yield f"{len(notes.remarks) - _MOST} more remarks (--json lists all)"
 
 
 def _table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
