@@ -232,6 +232,7 @@ class TestLabelled:
         assert times_of(np.array([5]), "")[0] == np.timedelta64(5, "ns")
         assert times_of(np.array([0]), "2024-01-01T01:00:00+01:00")[0] == np.datetime64("2024-01-01T00:00:00")
 
+    @pytest.mark.slow
     def test_a_fused_result_has_named_dimensions(self, folder: Path, tmp_path: Path) -> None:
         import xarray
 

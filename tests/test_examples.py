@@ -23,6 +23,7 @@ def test_a_driver_that_departs_from_it_is_stopped() -> None:
         bus.transfer(0x18, b"\x20", 1)
 
 
+@pytest.mark.slow
 def test_from_a_log_to_numbers(tmp_path: Path) -> None:
     """Table 4 gives Gyro1 x a bias of 8.4 counts; the emulated unit's noise is 0.18 dps over 35 Hz at best (L3G-74)."""
     found = runpy.run_path(str(EXAMPLES / "night_to_numbers.py"))["main"](tmp_path)

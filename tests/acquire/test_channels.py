@@ -90,6 +90,7 @@ def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any
     assert seen == {"A", "B1"}
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_to_the_question(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -39,6 +39,7 @@ def array() -> ArrayConfig:
     return parse_array(TEXT)
 
 
+@pytest.mark.slow
 def test_every_sample_arrives(tmp_path: Path, array: ArrayConfig) -> None:
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=5.0)

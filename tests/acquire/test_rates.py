@@ -196,6 +196,7 @@ def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken() -> None:
         assert route.driver.fetch() == b""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> None:
     array = load_array(SHIPPED)
@@ -226,6 +227,7 @@ def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> 
     assert max(ages_ns) <= 130 * MS
 
 
+@pytest.mark.slow
 def test_a_microcontroller_that_sends_seldom_is_not_lost(an_array: Callable[..., Any], tmp_path: Path) -> None:
     """One frame in ten seconds is no silence, and one that is reset then is still found."""
     array = an_array(A=0)

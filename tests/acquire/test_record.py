@@ -239,6 +239,7 @@ def test_a_lost_reading_of_the_barometer_is_told_too(
     assert (status & LOST).any()
 
 
+@pytest.mark.slow
 def test_stale_is_a_triad_that_equals_the_one_before(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def events_of(log: Any) -> list[tuple[str, str]]:
     return [(event.sensor, event.kind) for event in log.events]
 
 
+@pytest.mark.slow
 def test_an_unplugged_sensor_is_looked_for_ever_less_often(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -180,6 +180,7 @@ def test_a_bad_line_costs_readings_and_never_makes_any(
     assert {kind for _, kind, _ in events(tmp_path / "r.h5")} == {"lost"}
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_unplugged_for_a_while(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0, G=0)
     bench = Bench(array)

@@ -23,6 +23,7 @@ from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED
 from tests.bus.machine import Machine
 from tests.bus.serial_bench import Bench as SerialBench
+from tests.selection import some
 
 SECOND = 1_000_000_000
 TRUNK = """[array]
@@ -115,6 +116,7 @@ def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
         serving.__exit__(None, None, None)
 
 
+@pytest.mark.slow
 def test_a_recording_goes_on_when_the_adapter_is_there_again_under_another_number(
     bench: Callable[..., Bench], tmp_path: Path
 ) -> None:
@@ -313,7 +315,7 @@ class TestIdentity:
         assert ports(tmp_path / "none") == {}
 
 
-@pytest.mark.parametrize(("for_s", "expected"), [(100.0, 1), (3.0, 0)])
+@pytest.mark.parametrize(("for_s", "expected"), some([(100.0, 1), (3.0, 0)], 1))
 def test_a_log_in_which_nobody_answers_any_more_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], for_s: float, expected: int
 ) -> None:
@@ -372,6 +374,7 @@ class TestSerialPort:
         assert opened == ["/dev/ttyS0", "/dev/ttyS0"]
 
 
+@pytest.mark.slow
 def test_a_microcontroller_that_is_asked_for_each_transaction_is_found_again(tmp_path: Path) -> None:
     """With a transcript, or queues, it does not stream. Unplugged for 5 s; its chips lose their supply."""
     array = parse_array(TRUNK)

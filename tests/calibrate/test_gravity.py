@@ -160,6 +160,7 @@ def test_the_array_keeps_the_orientation_of_its_configuration(write_log: WriteLo
         (write_log.folder / "run.h5").unlink()
 
 
+@pytest.mark.slow
 def test_a_turned_sensor_is_turned_back_onto_the_others(write_log: WriteLog) -> None:
     """One of eight sensors sits 2 degrees askew: the common orientation moves by an eighth, the rest is found."""
     rng = np.random.default_rng(10)

@@ -76,6 +76,7 @@ def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert not (tmp_path / "cal.toml").exists()
 
 
+@pytest.mark.slow
 def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
     tilts = (0.0, 1.0, 30.0, 0.5, 40.0)
     logs = [open_log(record(tmp_path / f"{i}.h5", leaning(tilt), i)) for i, tilt in enumerate(tilts)]

@@ -40,6 +40,7 @@ def write(path: Path, faces: list[str], range_g: float = 16.0) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_log_a_face_calibrates_as_one_log_does(tmp_path: Path) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face]) for face in FACES]
     calibration = tmp_path / "cal.toml"

@@ -132,6 +132,7 @@ def test_states_ten_spreads_apart_are_found() -> None:
     assert found >= 45
 
 
+@pytest.mark.slow
 def test_the_best_split_is_that_of_all_splits() -> None:
     """Ten points in two dimensions: every split into two groups of three or more, tried one by one."""
     rng = np.random.default_rng(15)
@@ -378,6 +379,7 @@ def test_runs_that_do_not_go_together_are_refused(write: Write) -> None:
         run([*together, *together])
 
 
+@pytest.mark.slow
 def test_a_run_without_a_sound_reading_is_set_apart(write: Write) -> None:
     paths = write([(gyroscope("G"), np.zeros((5, 3))), (accelerometer("A"), np.zeros((5, 3)))])
     with LogWriter(

@@ -145,6 +145,7 @@ def test_what_two_axes_tell_is_used(tmp_path: Path) -> None:
     assert low < np.sum(squares) < high
 
 
+@pytest.mark.slow
 def test_turns_that_clip_are_left_out_and_named(tmp_path: Path) -> None:
     """A turn's rate is 2.19 times the mean one at its peak (35 / 16, the smooth step's slope): within 1 s those of more
     than 114 degrees may clip at 250 dps, and only those.

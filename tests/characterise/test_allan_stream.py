@@ -106,6 +106,7 @@ def peak_of(rows: int) -> int:
     return peak
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow() -> None:
     """Sixteen times the rows, hardly a byte more than the deeper levels' first values (64 KiB each); below 10 MB."""
     peak_of(10_000)  # what is imported when first needed

@@ -50,6 +50,7 @@ def test_writes_and_overwrites_nothing(log_path: Path, tmp_path: Path, capsys: p
     assert (folder / "characterise.json").read_text() != "mine"
 
 
+@pytest.mark.slow
 def test_without_matplotlib(
     log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

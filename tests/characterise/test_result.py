@@ -33,6 +33,7 @@ def test_is_plain_json(result: dict[str, Any]) -> None:
     assert [item["name"] for item in result["sensors"]] == ["A", "E", "G"]
 
 
+@pytest.mark.slow
 def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
     assert result["stretch"] == {
         "phase": "static",

@@ -56,6 +56,7 @@ def test_a_turn_leads_to_the_pose_that_was_meant(after):
     assert math.cos(angle) == pytest.approx(after[2])
 
 
+@pytest.mark.slow
 def test_a_rocked_box_is_turned_as_its_gyroscopes_say():
     """Gravity, turned by the integral of the rate, is what is felt; shaking acts along the axis."""
     motion = {"start_s": 1.0, "end_s": 9.0, "axis": [1.0, 0.0, 0.0], "angle_rad": 0.5, "rock_hz": 0.7}

@@ -76,6 +76,7 @@ def test_a_walk_that_one_axis_shows_is_that_axis_s_and_no_bound(still: Path, tmp
     assert found["gyroscope_random_walk"] == pytest.approx(3.0 * np.radians(1 / 114.3), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_more_sensors_are_a_file_each(still: Path, tmp_path: Path) -> None:
     """From a characterisation in which the accelerometer stands twice."""
     with open_log(still) as log:

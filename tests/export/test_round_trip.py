@@ -135,6 +135,7 @@ def test_any_log_comes_back(tmp_path: Path, write: Callable[[Path], Path]) -> No
         assert everything(back(tmp_path / f"any.{suffix}")) == was
 
 
+@pytest.mark.slow
 def test_what_is_no_log_does_not_come_back(run: Path, fused: Path) -> None:
     for suffix in FORMATS:
         export(run, run.with_name(f"si.{suffix}"), units="si")
@@ -158,6 +159,7 @@ def test_nothing_is_overwritten_and_nothing_left(run: Path) -> None:
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_there_and_back(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:

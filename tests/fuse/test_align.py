@@ -151,7 +151,7 @@ def missing(kind: str) -> list[Part]:
     return parts
 
 
-@pytest.mark.parametrize("technique", some(TECHNIQUES, 2))
+@pytest.mark.parametrize("technique", some(TECHNIQUES, 1))
 @pytest.mark.parametrize(
     "kind",
     [

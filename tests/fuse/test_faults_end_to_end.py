@@ -322,6 +322,7 @@ def test_live_is_what_fusing_the_log_gives(tmp_path: Path) -> None:
     assert [event.sentence for event in found] == [event.sentence for event in events]
 
 
+@pytest.mark.slow
 def test_one_after_the_other_gets_stuck(tmp_path: Path) -> None:
     """The last one can't be told from a box at rest; before that it is said that nobody is checked any more."""
 

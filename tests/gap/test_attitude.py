@@ -83,6 +83,7 @@ def leaning(motion: PoseSequence) -> PoseSequence:
     return posed(ups / np.linalg.norm(ups, axis=1)[:, None])
 
 
+@pytest.mark.slow
 def test_what_is_felt_is_estimated_from_the_campaign_itself() -> None:
     """The motion's own directions don't matter where they are only an estimate; they do where they are known."""
     motion = posed(directions(9))
@@ -93,6 +94,7 @@ def test_what_is_felt_is_estimated_from_the_campaign_itself() -> None:
     assert np.abs(means_left(campaign, known)).max() > 0.02
 
 
+@pytest.mark.slow
 def test_held_out_halves_are_judged_by_the_parameters_of_the_others() -> None:
     """The first halves give the biases, the second ones the directions, by these: 1 mg is 5 standard errors of 250 rows
     at each of two sensors. By biases that are 30 mg off along all axes of A1 alone, they don't agree.

@@ -122,6 +122,7 @@ def test_replicates_are_draws_of_their_number() -> None:
     assert np.nanmean(one != other) > 0.8
 
 
+@pytest.mark.slow
 def test_several_replicates_are_the_same_as_one_by_one(both: tuple[Bench, Campaign]) -> None:
     """Whether or not their rows have the same times, and though the sensor beside them is simulated once."""
     bench, _ = both
@@ -175,6 +176,7 @@ def test_what_is_added_and_taken_out_is_simulated() -> None:
     np.testing.assert_allclose(louder.rms, np.hypot(before.rms, 0.12), rtol=0.15)  # 1000 rows
 
 
+@pytest.mark.slow
 def test_a_kind_that_is_removed_is_not_drawn() -> None:
     """Of an accelerometer on +z the scale of the population shows in z's level, and without it doesn't."""
     bench, _ = prepared([("static", Still(seconds=2))], ["A1"])

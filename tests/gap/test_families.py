@@ -137,6 +137,7 @@ def test_members_stand_with_the_familys_models(
             np.testing.assert_array_equal(one.likelihood.location[at], pair.likelihood.location[where])
 
 
+@pytest.mark.slow
 def test_causes_of_members_together(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
     """Without any nothing is gained; those that aren't there lose."""
     bench, pair, alone = swapped

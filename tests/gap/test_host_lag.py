@@ -16,6 +16,7 @@ from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from tests.gap.made import simulation
+from tests.selection import some
 
 SHAKEN = HandShake(peak_g=0.5, peak_dps=150.0, still_s=5, motion_s=20)
 SENSORS = ("A1", "A2", "G1", "G2")
@@ -31,7 +32,7 @@ def lags(folder: Path, *effects: Effect) -> tuple[HostLag, ...]:
 
 @pytest.mark.parametrize(
     ("effect", "late_s", "rate"),
-    [(ClockError(-4000.0), 0.0, 4e-3), (ClockError(9000.0), 0.0, -9e-3), (Skew(0.03), 0.03, 0)],
+    some([(ClockError(-4000.0), 0.0, 4e-3), (ClockError(9000.0), 0.0, -9e-3), (Skew(0.03), 0.03, 0)], 1),
 )
 def test_lag(tmp_path: Path, effect: Effect, late_s: float, rate: float) -> None:
     """A clock that is fast by 4000 ppm is 4 ms ahead after a second."""

@@ -29,6 +29,7 @@ from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
 from tests.gap.test_bench import LINE, prepared
 from tests.gap.test_refine import found_in
+from tests.selection import some
 
 Floats = npt.NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def test_a_little_that_is_left_is_explained_in_part() -> None:
 
 @pytest.mark.parametrize(
     ("times", "is_left", "is_unlikely"),
-    [(0.8, False, False), (1.2, True, False), (1.4, True, False), (1.8, True, True)],
+    some([(0.8, False, False), (1.2, True, False), (1.4, True, False), (1.8, True, True)], 3),
 )
 def test_what_is_far_beyond_any_replicate_makes_a_recording_unlikely(
     times: float, is_left: bool, is_unlikely: bool

@@ -166,6 +166,7 @@ CROSSED = {"B1": (AxisError("-X+Y-Z"),), "B2": (AxisError("-X+Y-Z"),)}
 """As two have it whose plugs are crossed, half a turn about Y apart from each other: most of three feel it alike."""
 
 
+@pytest.mark.slow
 def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
     """Two of three contradict five of seven labels: two sensors are turned, or five labels wrong and the third sensor
     turned. A label that is wrong besides is found, by all three.

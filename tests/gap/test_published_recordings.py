@@ -20,7 +20,6 @@ from imuarray.gap.recording.row_timing import row_timing
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from tests.gap.test_described import where
-from tests.selection import some
 
 RECORDINGS = Path(os.environ.get("IMUARRAY_RECORDINGS") or Path(__file__).parents[3] / "shared" / "data")
 MAPS = Path(__file__).parents[2] / "configs" / "imports"
@@ -30,9 +29,10 @@ SOURCES = {
     "sunsided_mag": RECORDINGS / "sunsided" / "mag.csv.gz",
 }
 
-pytestmark = pytest.mark.skipif(
-    not all(source.exists() for source in SOURCES.values()), reason="the recordings are not here"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not all(source.exists() for source in SOURCES.values()), reason="the recordings are not here"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_maps_have_twenty_lines_at_most(name: str) -> None:
     assert len((MAPS / f"{name}.toml").read_text().splitlines()) <= 20
 
 
-@pytest.mark.parametrize("name", some(SOURCES, 1))
+@pytest.mark.parametrize("name", SOURCES)
 def test_a_box_that_never_moved_has_one_attitude(recordings: dict[str, Recording], name: str) -> None:
     """The sensor that warms by 18 degC in it is heated, however slowly; the two of the other box rest in a room."""
     recording = recordings[name]
@@ -110,7 +110,6 @@ def named(found: Diagnosis, effect: str, sensor: str) -> Cause:
     return cause
 
 
-@pytest.mark.slow
 def test_even_codes_and_heat_are_named(recordings: dict[str, Recording]) -> None:
     """Slope by R scripts of the source's authors and by block means: -1.72 mg/degC, with curvature."""
     found = diagnosed(recordings["freeimu_thermal"])
@@ -121,14 +120,12 @@ def test_even_codes_and_heat_are_named(recordings: dict[str, Recording]) -> None
     assert not any(one.effect == "random_walk" and "Acc" in one.sensors for one in found.causes)
 
 
-@pytest.mark.slow
 def test_codes_in_fours_and_the_line_of_the_gyroscope_are_named(recordings: dict[str, Recording]) -> None:
     found = diagnosed(recordings["sunsided_mpu"])
     assert named(found, "quantisation", "Acc").parameters["step_lsb"] == 4
     assert named(found, "tone", "Gyro").parameters["frequency_hz"] == pytest.approx(31.4, abs=0.15)
 
 
-@pytest.mark.slow
 def test_the_lines_of_the_magnetometer_are_named(recordings: dict[str, Recording]) -> None:
     found = diagnosed(recordings["sunsided_mag"])
     lines_hz = [cause.parameters["frequency_hz"] for cause in found.causes if cause.effect == "tone"]

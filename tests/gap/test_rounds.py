@@ -68,14 +68,17 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
 
 @pytest.mark.parametrize(
     ("shares", "gains", "waiting"),
-    [
-        ((0.0, 0.0), (9.0, 8.0), ["G2"]),  # the odd one out makes the other look odd
-        ((0.0, 0.0), (8.0, 9.0), ["G1"]),
-        ((1.0, 0.0), (8.0, 9.0), ["G2"]),  # the first has not been asked yet whether it is the one
-        ((0.0, 1.0), (8.0, 7.0), ["G1"]),
-        ((1.0, 1.0), (8.0, 9.0), []),
-        ((0.0, None), (8.0, 9.0), []),  # the other took nothing
-    ],
+    some(
+        [
+            ((0.0, 0.0), (9.0, 8.0), ["G2"]),  # the odd one out makes the other look odd
+            ((0.0, 0.0), (8.0, 9.0), ["G1"]),
+            ((1.0, 0.0), (8.0, 9.0), ["G2"]),  # the first has not been asked yet whether it is the one
+            ((0.0, 1.0), (8.0, 7.0), ["G1"]),
+            ((1.0, 1.0), (8.0, 9.0), []),
+            ((0.0, None), (8.0, 9.0), []),  # the other took nothing
+        ],
+        1,
+    ),
 )
 def test_what_shows_beside_others_waits(
     two_lines: SearchResult, shares: tuple[float, float | None], gains: tuple[float, float], waiting: list[str]

@@ -53,6 +53,7 @@ def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
                 assert recorded.rows(*span) == len(ours[0])
 
 
+@pytest.mark.slow
 def test_statistics_are_the_same(tmp_path: Path) -> None:
     """To rounding: the log's blocks are the simulator's chunks."""
     simulated, path = sources_of(tmp_path / "log.h5")

@@ -16,6 +16,7 @@ def campaign() -> Campaign:
     return Campaign((*campaign_of("static").logs, *campaign_of("motion").logs, *campaign_of("turn-on").logs))
 
 
+@pytest.mark.slow
 def test_every_probe_speaks_somewhere(campaign: Campaign) -> None:
     found = statistics(campaign)
     assert {key.probe for key in found.keys} == set(PROBES)

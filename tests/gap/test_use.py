@@ -153,6 +153,7 @@ def test_heat_shows_a_curved_drift() -> None:
     assert found["drift over heating", "G1"][1] == "deg/s"
 
 
+@pytest.mark.slow
 def test_names_are_those_of_the_simulation() -> None:
     for kind in ("static", "tumble", "heating"):
         assert figures(kind, {}).keys() == figures(kind, {"G1": BASE["G1"]}).keys()

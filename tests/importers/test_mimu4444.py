@@ -104,6 +104,7 @@ def test_a_gap_has_no_rows_a_flag_and_an_event(tmp_path: Path, out: Path) -> Non
         assert log.events[1] == (80_000_000, "", "lost", "3 packets missing before packet 6")
 
 
+@pytest.mark.slow
 def test_a_broken_packet_is_lost_and_garbage_alone_loses_nothing(tmp_path: Path, out: Path) -> None:
     wrong = bytearray(run([2]))
     wrong[60] ^= 1
@@ -132,6 +133,7 @@ def test_a_counter_that_jumps_is_noted(tmp_path: Path, out: Path) -> None:
         assert "0.984 s by the counter, 0.016 s by the packet numbers" in log.events[1].message
 
 
+@pytest.mark.slow
 def test_events_are_bounded_and_counted(tmp_path: Path, out: Path) -> None:
     summary = import_file(source(tmp_path, run(range(0, 502, 2))), out, block_bytes=1000)
     assert (summary.rows, summary.lost, summary.events) == (251, 250, {"lost": 250})
@@ -230,6 +232,7 @@ def test_the_rate_of_the_extract(extract: Path) -> None:
     assert np.diff(time[:500]).max() < 16_001_000
 
 
+@pytest.mark.slow
 def test_the_extract_holds_twenty_static_orientations(extract: Path) -> None:
     with open_log(extract) as log:
         poses = np.array(

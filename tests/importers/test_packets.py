@@ -95,6 +95,7 @@ def test_a_sound_packet_within_a_sound_one_is_part_of_its_payload() -> None:
     assert read(stream, 4096) == ([5], [0, 10], [0, 0])
 
 
+@pytest.mark.slow
 def test_a_broken_packet_at_the_edge_of_a_block() -> None:
     """Framed alike, the first ends in a sound packet after 40 bytes, so it is garbage; the second is a broken one."""
     start = bytes.fromhex("aa000064")

@@ -43,7 +43,8 @@ def test_it_is_as_the_dataset(small: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "rows"), [(slice(1, 4), "rows 1 to 3 are"), (2, "row 2 is"), (-1, "row 4 is"), (..., "rows 0 to 4 are")]
+    ("key", "rows"),
+    some([(slice(1, 4), "rows 1 to 3 are"), (2, "row 2 is"), (-1, "row 4 is"), (..., "rows 0 to 4 are")], 3),
 )
 def test_damaged_rows_are_named(small: Path, key: object, rows: str) -> None:
     with open_log(flip_a_bit(small, "sensors/Acc/counts")) as log, pytest.raises(LogError) as refused:

@@ -16,6 +16,7 @@ import pytest
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
+from tests.selection import some
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits memory and time as Unix does")
 
@@ -78,7 +79,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("count", [12, pytest.param(800, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some(KINDS, 2))
 def test_none_does_harm(small: Path, tmp_path: Path, kind: str, count: int) -> None:
     make, extra = KINDS[kind]
     folder = tmp_path / "fuzz"
@@ -95,6 +96,7 @@ def test_none_does_harm(small: Path, tmp_path: Path, kind: str, count: int) -> N
     assert int(said[3]) < (400 if count < 100 else 2048)
 
 
+@pytest.mark.slow
 def test_a_heap_that_never_ends_is_refused(small: Path, tmp_path: Path) -> None:
     """HDF5 alone would go round in it for ever: an object of no size, one of nearly 2^64 bytes."""
     data = small.read_bytes()

@@ -121,6 +121,7 @@ def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits
             assert (seen.is_rebuilt, len(seen["Acc"]), seen.losses) == (False, 10 * commits, ())
 
 
+@pytest.mark.slow
 def test_it_is_read_and_not_changed(run: Path) -> None:
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
     assert is_marked_open(run)
@@ -193,6 +194,7 @@ def test_without_its_journal_it_is_not_called_whole(run: Path, capsys: pytest.Ca
     check_damaged(run, 210)
 
 
+@pytest.mark.slow
 def test_with_a_flipped_bit_in_the_journal_the_rows_behind_it_are_saved(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -318,6 +320,7 @@ def test_with_everything_damaged_it_is_refused(run: Path) -> None:
         open_log(run)
 
 
+@pytest.mark.slow
 def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None:
     """As a kill between the last two steps of its end leaves it."""
     journal = journal_of(run).read_bytes()
@@ -330,6 +333,7 @@ def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None
     assert not journal_of(run).exists()
 
 
+@pytest.mark.slow
 def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -372,6 +376,7 @@ class TestVerify:
         recover(run)
         return run
 
+    @pytest.mark.slow
     def test_good(self, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["verify", str(finished), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)

@@ -387,6 +387,7 @@ def finished_bytes(folder: Path, writer: Writer) -> bytes:
     return (folder / "run.h5").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_log_that_could_not_be_finished_never_passes_as_finished(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -118,6 +118,7 @@ def parts_made_by(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
     return made
 
 
+@pytest.mark.slow
 def test_who_appends_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = parts_made_by(monkeypatch)
     with rotating(tmp_path / "run.h5") as log:

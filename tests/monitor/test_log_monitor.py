@@ -222,6 +222,7 @@ def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Lo
     assert (seen.missed, sensor(seen, "Acc").missed) == (43, 0)
 
 
+@pytest.mark.slow
 def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: Path) -> None:
     """A machine that needs 1.4 periods for every frame: its rows come evenly, and no event tells yet what it missed."""
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0)

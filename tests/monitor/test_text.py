@@ -222,6 +222,7 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_barometer_that_is_read_four_times_a_second_is_not_silent(log_path: Path) -> None:
     """However long its newest row is ago within its period, from the first second on."""
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:

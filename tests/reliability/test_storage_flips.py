@@ -202,6 +202,7 @@ COUNT = [10, pytest.param(300, marks=pytest.mark.slow)]
 
 @pytest.mark.parametrize("count", COUNT)
 class TestFlips:
+    @pytest.mark.slow
     def test_in_the_journal_beside_its_file(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """Nothing that the file has is lost: three of five batches."""
         kinds = flips(logs.unfinished, JOURNAL, tmp_path, places(count, 1), 1, [RUN])
@@ -214,17 +215,20 @@ class TestFlips:
         kinds = flips(logs.unfinished, JOURNAL, tmp_path, places(count, 2), 2)
         assert kinds["whole"] + kinds["missing, told"] == count
 
+    @pytest.mark.slow
     def test_in_the_file_of_an_unfinished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """The journal has all of it: nothing is lost, wherever the file is hit."""
         kinds = flips(logs.unfinished, RUN, tmp_path, places(count, 3), 3, [JOURNAL])
         assert kinds["whole"] == count
 
+    @pytest.mark.slow
     def test_in_the_file_of_an_unfinished_log_without_its_journal(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """The rows of one commit are lost; refused if HDF5 can't read its own structures."""
         kinds = flips(logs.unfinished, RUN, tmp_path, places(count, 4), 4)
         assert kinds["missing, told"] + kinds["refused"] == count
         assert kinds["refused"] <= 0.1 * count + 3 * (0.09 * count) ** 0.5
 
+    @pytest.mark.slow
     def test_in_a_finished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """A damaged row is a LogError for who reads it, a damaged sensor is left out, a text that is another is told;
         refused only if the root of the file is hit. This log is short: half of it are structures of HDF5.

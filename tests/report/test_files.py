@@ -130,6 +130,7 @@ def test_other_files_are_refused_with_what_is_allowed(tmp_path: Path, name: str,
         kind_of(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_and_a_missing_file_is_named(made: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("mine")

@@ -169,6 +169,7 @@ def test_bad_input_is_told_in_one_line(
     assert not list(tmp_path.glob("*.h5"))
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run.h5"
     assert simulate("martin2013", "--seconds", 2, "-o", run) == 0

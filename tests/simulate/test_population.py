@@ -68,6 +68,7 @@ def test_draws_are_those_of_repeated_normals(sensor: MakeSensor) -> None:
     assert np.abs(axes).max() < 4.4 / np.sqrt(2000)  # 4.4 sigma: three pairs, one false alarm in 30 000 seeds
 
 
+@pytest.mark.slow
 def test_what_is_shared_goes_through_all_sensors_of_a_chip_and_no_other(sensor: MakeSensor) -> None:
     """Correlation over 3 x 1500 arrays at 4.4 sigma: one false alarm in 30 000 sets of seeds."""
     spread = Spread(sigma=1.0, limit=8.0, shared=0.7)

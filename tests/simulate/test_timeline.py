@@ -49,6 +49,7 @@ def test_rows_come_when_the_recorder_reads_them(array: ArrayConfig, recorded: Pa
             assert np.abs(np.diff(stamps) - np.diff(times)).max() < 400_000, name
 
 
+@pytest.mark.slow
 def test_the_barometer_gives_as_many_rows(array: ArrayConfig, recorded: Path) -> None:
     lines = poll(array, 48.0, 20.0)
     with open_log(recorded) as log:

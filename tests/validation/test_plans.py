@@ -38,6 +38,7 @@ def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None
     assert {limit for limit in limits if not math.isnan(limit)} == {0.5, 1.0, 2.0, 5.0, 20.0}
 
 
+@pytest.mark.slow
 def test_halves_and_sets_share_no_seed() -> None:
     size = Size(controls=4, singles=1, severities=(5.0,))
     halves = [cases(half, size, seed) for half in ("development", "sealed") for seed in (0, 1, 99)]

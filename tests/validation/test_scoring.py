@@ -51,6 +51,7 @@ def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
     assert set(score.failed) >= {*rows[1:]} and rows[0] not in score.failed
 
 
+@pytest.mark.slow
 def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
     for detected, limits in ((False, 0.5), (True, 2.0), (True, 2.0), (False, 2.0), (True, 5.0)):
         made.both("single", RIPPLE if detected else NO_GAP, put("mains_ripple", limits))
@@ -196,6 +197,7 @@ def test_two_at_once(made: Made, causes: list[dict[str, Any]], named: bool) -> N
     assert score.row("two on one sensor, both named").mark == "n.a."
 
 
+@pytest.mark.slow
 def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
     """Two mechanisms that have the same name on two sensors of a chip may be told as one cause."""
     made.both("pair", said(cause("tone"), cause("scale")), put("mains_ripple"), put("reference_voltage"))
@@ -229,6 +231,7 @@ def test_a_table_without_a_name_is_what_it_resembles() -> None:
     assert extra_of({"frequency_hz": 7.0}, [["tone"]]) == ({"tone"}, set())
 
 
+@pytest.mark.slow
 def test_closure_against_the_oracle(made: Made) -> None:
     """Off by 0.05, by 0.06 (and outside its interval), nothing said, and a pair; without oracle and gap none counts."""
     for claimed, interval, oracle in (
@@ -253,6 +256,7 @@ def test_closure_against_the_oracle(made: Made) -> None:
     assert isnan(score.closures[2].claimed)
 
 
+@pytest.mark.slow
 def test_closure_that_is_claimed_wrongly(made: Made) -> None:
     """0.1 and 0.6 for wrong causes; a right one, and one that claims nothing, don't count."""
     for effect, closed in (("scale", 0.1), ("scale", 0.6), ("tone", 0.9), ("scale", None)):
@@ -277,6 +281,7 @@ def test_closure_where_only_wrong_causes_are_left(made: Made) -> None:
     assert shares(figures(made).row("closure claimed without the right cause")) == (pytest.approx(0.2), 3)
 
 
+@pytest.mark.slow
 def test_probabilities_of_all_causes_told(made: Made) -> None:
     """0.9 right, 0.9 at another sensor and so wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3.
     Unknown mechanisms and removals have no right name, and do not count.

@@ -69,6 +69,7 @@ def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
         assert matched_statistic([plain], [loud]) < LIMIT
 
 
+@pytest.mark.slow
 def test_noise_that_is_drawn_anew_is_no_effect(tmp_path: Path) -> None:
     with logs(tmp_path, *(noise(seed) for seed in range(6))) as (plain, *others):
         assert max(matched_statistic([plain], [other]) for other in others) < LIMIT

@@ -97,6 +97,7 @@ def test_the_truth_tells_everything(tmp_path):
     assert "multiplexer hung" in truth["logs"][0]["notes"][0]
 
 
+@pytest.mark.slow
 def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
     """Who comes first in a segment and has no twin isn't acknowledged: the order is repeated before others are read."""
     array = load_array(configs() / "martin2013.toml").only(("ADXL1", "BMA1", "BMA3", "Gyro1", "Gyro3"))
@@ -106,6 +107,7 @@ def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
     assert hang["sensors"] == ["BMA3", "Gyro3"]
 
 
+@pytest.mark.slow
 def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
     case = Case.of(ARRAY, SHORT[:1])
     with pytest.raises(ValueError, match="beside the logs"):
@@ -130,6 +132,7 @@ def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
         assert log.truth is None
 
 
+@pytest.mark.slow
 def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
     moved = Experiment(
         "motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0, reference_hz=500.0

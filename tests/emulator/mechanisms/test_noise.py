@@ -36,6 +36,7 @@ def test_more_shot_noise_is_of_more_carriers():
     assert CarrierShotNoise.at(2.0) == CarrierShotNoise(carriers=4 * CarrierShotNoise().carriers)
 
 
+@pytest.mark.slow
 def test_a_bank_of_traps_has_the_mean_of_its_traps_correlations():
     bank = TrappedCharges(rms_dps=1.0, traps=6, fastest_s=0.01, slowest_s=0.5)
     found = errors(bank, "Gyro", every(10, 30000))

@@ -89,6 +89,7 @@ def test_a_reading_near_the_end_is_taken_for_a_bound() -> None:
     assert estimate[FORCE].triad_box[0, 0] == pytest.approx(12.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_through_the_end_of_the_range_and_back() -> None:
     """A ramp from 8 to 12 and back, 20 000 readings. Errors are as large as is told: 3000 to 5000 squares of an axis,
     99.9 % of the time within 10 %; where the narrow one is clipped its bound makes them smaller than the wide one's;

@@ -31,7 +31,7 @@ def test_a_bias_is_in_the_fit_whatever_it_is() -> None:
     assert not list(bias.guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))
 
 
-@pytest.mark.parametrize(("kind", "sensor", "within"), [("tumble", "A1", 0.002), ("motion", "G1", 0.02)])
+@pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.002), ("motion", "G1", 0.02)], 1))
 def test_scale(kind: str, sensor: str, within: float) -> None:
     """Motion is compared with that of one other sensor; some of it is beyond the range."""
     (trial,) = scale.guesses(evidence_of(kind, sensor, {sensor: (Scale((0.05, -0.08, 0.06)),)}))

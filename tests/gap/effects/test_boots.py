@@ -107,6 +107,7 @@ def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
     assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}
 
 
+@pytest.mark.slow
 def test_boots_are_alike() -> None:
     evidence = evidence_of("turn-on", "A1", seed=5)
     for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET, BIAS):

@@ -253,6 +253,7 @@ def test_an_offset_moves_the_carries(carry: int, missing: int, at: int) -> None:
     assert first.effects == (effect,)
 
 
+@pytest.mark.slow
 def test_most_codes_are_missing() -> None:
     """Two of 16 come, which looks like two of four, or of eight, and like bits that are dead."""
     trials = list(quantisation.guesses(shown("static", "A1", _missing(16, 14))))

@@ -26,6 +26,7 @@ from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
 from tests.gap.made import BASE, simulation
+from tests.selection import some
 
 TORN_S = (8.004, 13.004, 21.004)
 TORN_G = 128 / 2048
@@ -72,7 +73,7 @@ def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
     return np.asarray(np.asarray(status) & flag != 0)
 
 
-@pytest.mark.parametrize(("sensor", "kind"), [("G1", "new"), ("G2", "stale")])
+@pytest.mark.parametrize(("sensor", "kind"), some([("G1", "new"), ("G2", "stale")], 1))
 def test_rows_that_are_held(made: Made, sensor: str, kind: str) -> None:
     """By a noise of some counts three rows are not equal by chance; the flag is as it was."""
     found = [trial for trial in stuck.guesses(shown(made, sensor)) if trial.whole]

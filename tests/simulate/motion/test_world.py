@@ -18,6 +18,7 @@ from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.world import Stimulus, World
+from tests.selection import some
 
 G = 9.80665
 S = 10**9
@@ -52,12 +53,15 @@ def test_its_stimulus_is_what_the_emulator_takes() -> None:
 
 @pytest.mark.parametrize(
     "motion",
-    [
-        Still("-X", drift_degc_per_h=100.0),
-        Tumble(0.3, 0.2, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)),
-        Heating(scale=1e-3),
-        HandShake(still_s=0.5, motion_s=1.0),
-    ],
+    some(
+        [
+            Still("-X", drift_degc_per_h=100.0),
+            Tumble(0.3, 0.2, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)),
+            Heating(scale=1e-3),
+            HandShake(still_s=0.5, motion_s=1.0),
+        ],
+        3,
+    ),
 )
 def test_shows_exactly_the_motion_at_any_instant(motion: Still | Tumble | Heating | HandShake) -> None:
     """Forwards, then here and there: what is kept from the call before never shows at a wrong time."""

@@ -148,6 +148,7 @@ def test_more_readings_never_harm(seed: int, axes: int) -> None:
         assert np.linalg.eigvalsh(larger - smaller).min() > -1e-7 * scale
 
 
+@pytest.mark.slow
 def test_the_posterior_mean_reaches_the_bound() -> None:
     """300 arrays drawn from the law: the errors of the frames' best estimate have the covariance that is stated.
 

@@ -75,6 +75,7 @@ def test_density_of_white_noise_and_of_a_line() -> None:
     assert density[:, 2].max() == pytest.approx(1000 / sqrt(2) / sqrt(1.5 * RATE / SEGMENT), rel=0.02)
 
 
+@pytest.mark.slow
 def test_correlogram_of_first_order_noise() -> None:
     """0.4^lag; a lag's standard error is below 0.004, five of them are allowed."""
     random = np.random.default_rng(13)

@@ -204,6 +204,7 @@ def test_what_two_units_foretell_of_a_third() -> None:
     assert about_zero(np.array([3.0, -4.0]), known=3).sigma == pytest.approx(sqrt(12.5) * sqrt(4 / 3))
 
 
+@pytest.mark.slow
 def test_virtual_units_can_be_drawn_and_share_what_the_design_has() -> None:
     model = parse_model(fit_text())
     header = header_of(array["Gyro1"], {})
