@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 
 from imuarray.calibrate.segments import thermometer_of
 from imuarray.calibrate.thermal import calibrate_thermal
@@ -53,23 +52,18 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
     return folder / "run.h5"
 
 
-def slow(*values: str) -> ParameterSet:
-    """A case of the slow half."""
-    return pytest.param(*values, marks=pytest.mark.slow)
-
-
 @pytest.mark.parametrize(
     ("sensor", "more", "kind"),
     some(
         [
-            slow('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
-            slow('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
             ('temperature_column = "kelvin"\nthermometer = { unit = "K", lsb_per_degc = 50 }\n', "", "chip"),
-            slow("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
-            slow("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
+            ('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
+            ('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
+            ("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
+            ("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
             ("", '[reference]\ntemperature = { column = "kelvin", unit = "K" }\n', "reference"),
         ],
-        1,
+        2,
     ),
 )
 def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, tmp_path: Path) -> None:
