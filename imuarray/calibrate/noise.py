@@ -76,16 +76,14 @@ class _Track:
         self.rows += rows
 
 
-def noise_lines(stretches: Stretches, clock: Clock, rms_lsb: Floats, false_alarm: float) -> tuple[NoiseLine, ...]:
-    """The lines of every axis, strongest first; a line's share is that of its sine in the variance `rms_lsb`^2.
+def noise_lines(
+    stretches: Stretches, whole: Spectrum, clock: Clock, rms_lsb: Floats, false_alarm: float
+) -> tuple[NoiseLine, ...]:
+    """The lines of every axis, strongest first, from the spectrum of the `whole` and those of windows; a line's share
+    is that of its sine in the variance `rms_lsb`^2.
 
     `false_alarm` is the chance that an axis without lines shows one.
     """
-    lengths = [rows.stop - rows.start for _, rows in stretches]
-    longest = min(max(lengths), max(SEGMENT_ROWS, sum(lengths) // _AVERAGED), SEGMENT)
-    if clock.rate_hz <= 0 or longest < SEGMENT_ROWS:
-        return ()
-    whole = _spectrum(stretches, clock, _power_of_two(longest))
     tracks = _tracks(_windows(stretches), clock, false_alarm)
     results: list[NoiseLine] = []
     for index, rms in enumerate(rms_lsb):
@@ -100,19 +98,27 @@ def noise_lines(stretches: Stretches, clock: Clock, rms_lsb: Floats, false_alarm
     return tuple(results)
 
 
+def _welch(stretches: Stretches, clock: Clock) -> Welch | None:
+    """The spectrum of all stretches, without a reading so far; None where none is long enough."""
+    lengths = [rows.stop - rows.start for _, rows in stretches]
+    longest = min(max(lengths), max(SEGMENT_ROWS, sum(lengths) // _AVERAGED), SEGMENT)
+    if clock.rate_hz <= 0 or longest < SEGMENT_ROWS:
+        return None
+    return Welch(clock.rate_hz, _power_of_two(longest), columns=3)
+
+
 def _power_of_two(rows: float) -> int:
     return int(2 ** np.floor(np.log2(rows)))
 
 
-def _spectrum(stretches: Stretches, clock: Clock, segment_rows: int) -> Spectrum:
+def _spectrum(sensor: SensorLog, rows: slice, clock: Clock, segment_rows: int) -> Spectrum:
+    """Return the spectrum of the sound readings of some rows."""
     welch = Welch(clock.rate_hz, segment_rows, columns=3)
-    for sensor, rows in stretches:
-        for part in readings(sensor, rows, clock.limit_ns):
-            for is_first, run in runs_of(part):
-                if is_first:
-                    welch.end_run()
-                welch.update(run)
-        welch.end_run()
+    for part in readings(sensor, rows, clock.limit_ns):
+        for is_first, run in runs_of(part):
+            if is_first:
+                welch.end_run()
+            welch.update(run)
     return welch.result()
 
 
@@ -135,10 +141,10 @@ def _tracks(windows: Stretches, clock: Clock, false_alarm: float) -> Sequence[Se
         return ((), (), ())
     tracks: list[list[_Track]] = [[], [], []]
     total = 0
-    for window in windows:
-        rows = window[1].stop - window[1].start
+    for sensor, window in windows:
+        rows = window.stop - window.start
         segment = min(max(_power_of_two(rows / _WINDOW_SEGMENTS), SEGMENT_ROWS), _WINDOW_ROWS)
-        spectrum = _spectrum([window], clock, segment)
+        spectrum = _spectrum(sensor, window, clock, segment)
         total += rows
         for index in range(3):
             for line in find_lines(spectrum, index, false_alarm).lines:
@@ -221,19 +227,22 @@ def scatter_of(stretches: Stretches, false_alarm: float) -> Scatter | None:
     """
     clock = clock_of(stretches)
     products = Autocovariance(lags=1, columns=3, segment_rows=SEGMENT_ROWS)
-    pooled = _PooledSquares()
+    pooled, welch = _PooledSquares(), _welch(stretches, clock)
     for sensor, rows in stretches:
         for part in readings(sensor, rows, clock.limit_ns):
             pooled.add(part)
             for is_first, run in runs_of(part):
-                if is_first:
-                    products.end_run()
-                products.update(run)
+                for sums in (products, welch) if welch is not None else (products,):
+                    if is_first:
+                        sums.end_run()
+                    sums.update(run)
         products.end_run()
+        if welch is not None:
+            welch.end_run()
     if pooled.freedom == 0:
         return None
     rms = pooled.rms_lsb()
-    lines = noise_lines(stretches, clock, rms, false_alarm)
+    lines = () if welch is None else noise_lines(stretches, welch.result(), clock, rms, false_alarm)
     return Scatter(rms, pooled.rms_sem_lsb(), _neighbours(products), lines)
 
 
