@@ -21,6 +21,7 @@ from imuarray.report.gap_curves import curves_section
 from imuarray.report.gap_figures import can_compare, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure
 from imuarray.report.gap_sheet import SmallFigure
+from imuarray.report.gap_words import MEANINGS
 from imuarray.report.page import Figure, Level, Section, Table, Verdict, write_page
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
@@ -72,17 +73,22 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     """Is the simulator good enough, and what does it lack."""
     gap = diagnosis.gap
     effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
+    if len(effects) == 1 and (meaning := MEANINGS.get(effects[0].replace(" ", "_"))):
+        effects = [f"{effects[0]} ({meaning})"]
     names = ", ".join(effects[:_NAMED]) + (f" and {len(effects) - _NAMED} more" if len(effects) > _NAMED else "")
     levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they look like what it makes.",
-        "explained": f"The simulator is not good enough as it is, but with {names} it is.",
+        "explained": f"The simulator is not good enough as it is; with {names} in it, it is.",
         "partly explained": f"The simulator is not good enough; {names or 'no cause'} explains only a part of it."
         if len(effects) < 2
         else f"The simulator is not good enough; {names} explain only a part of it.",
         "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
     }[diagnosis.verdict]
-    figures = [(str(len(diagnosis.causes)), "causes"), (share(diagnosis.unknown), "probability of something unknown")]
+    figures = [
+        (str(len(diagnosis.causes)), "cause" if len(diagnosis.causes) == 1 else "causes"),
+        (share(diagnosis.unknown), "probability of something unknown"),
+    ]
     if gap.closed is not None:
         figures[:0] = [
             (number(gap.before, 2), f"gap in standard deviations; without one {number(gap.floor, 2)}"),
