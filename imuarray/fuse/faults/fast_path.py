@@ -69,6 +69,7 @@ class WindowSeries:
     ) -> None:
         self._rows, self._gain = np.ascontiguousarray(rows), np.ascontiguousarray(white.gain)
         self._frames = time.shape[1]
+        values = np.ascontiguousarray(values, float)
         self.out, self.included, self._all = out, ~out, not out.any()
         self.observable = white.observable
         self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains

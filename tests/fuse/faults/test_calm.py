@@ -95,6 +95,16 @@ def test_compiled_windows_are_those_of_numpy(quantity: str, case: str, monkeypat
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-10, atol=1e-12 * scale, err_msg=name)
 
 
+def test_columns_may_lie_one_after_the_other_in_memory() -> None:
+    """As of frames that somebody took from a table."""
+    run = simulated("static", 25.0)["specific_force"]
+    usual, turned = run.monitor(), run.monitor()
+    watched(usual, run.frames)
+    watched(turned, replace(run.frames, values=np.asfortranarray(run.frames.values)))
+    for name, wanted in learnt(usual).items():
+        np.testing.assert_array_equal(learnt(turned)[name], wanted, err_msg=name)
+
+
 @pytest.mark.skipif(not COMPILED, reason="installed without a C compiler")
 def test_compiled_windows_refuse_arrays_of_another_size() -> None:
     from imuarray.fuse.faults._windows import advance
