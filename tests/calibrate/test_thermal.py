@@ -464,3 +464,24 @@ def test_a_published_curved_ramp(tmp_path: Path) -> None:
     assert sem < 2 and abs(slope + 32.9) < 4 * sem
     assert thermal.quadratic_lsb_per_degc2[2] > 0
     assert slope < -28.2 < slope + 2 * thermal.quadratic_lsb_per_degc2[2] * (28.9 - thermal.reference_degc)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not RECORDING.exists(), reason="the published recording is not here")
+def test_the_other_slopes_of_the_published_ramp(tmp_path: Path) -> None:
+    """Slopes by straight lines through means of 500 rows, as the recording's notes give them (0.281 and -0.094 mg per
+    degC at 16384 LSB per g; the gyroscope's in LSB). A straight line through a ramp that was warm most of the time has
+    the slope of its warm half, so that the doubt about the curvature, over 9 degC, belongs to each comparison.
+    """
+    data = tmp_path / "thermal.csv"
+    data.write_bytes(gzip.decompress(RECORDING.read_bytes()))
+    mapping = Path(__file__).parents[2] / "configs" / "imports" / "freeimu_thermal.toml"
+    assert main(["import", str(data), "--map", str(mapping), "-o", str(tmp_path / "run.h5")]) == 0
+    sensors = run(tmp_path / "run.h5").calibration.sensors
+    straight = {"Acc": (0.281 * 16.384, -0.094 * 16.384), "Gyro": (-0.061, 0.455, -0.037)}
+    for name, slopes in straight.items():
+        thermal = sensors[name].thermal
+        assert thermal is not None and thermal.quadratic_sem_lsb_per_degc2 is not None
+        sems = np.hypot(thermal.slope_sem_lsb_per_degc, 9.0 * 2 * thermal.quadratic_sem_lsb_per_degc2)
+        sigmas = (thermal.slope_lsb_per_degc - [*slopes, *[np.nan] * (3 - len(slopes))]) / sems
+        assert np.nanmax(np.abs(sigmas)) < 4, (name, sigmas)
