@@ -18,7 +18,7 @@ from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver
 from imuarray.log import open_log
 from imuarray.log.writer import Block, LogWriter
-from tests.acquire.test_stream import stream
+from tests.acquire.streams import stream
 from tests.bus.serial_bench import Bench
 from tests.selection import some
 

@@ -16,7 +16,7 @@ import pytest
 from imuarray.acquire.recording import Summary
 from imuarray.array import ArrayConfig
 from imuarray.log import open_log
-from tests.acquire.test_stream import LOST, MS, SUSPECT, events, logged, on_the_wire, stream
+from tests.acquire.streams import LOST, MS, SUSPECT, events, logged, on_the_wire, stream
 from tests.bus.serial_bench import Bench
 from tests.selection import some
 

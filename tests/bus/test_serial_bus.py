@@ -19,8 +19,8 @@ from imuarray.bus.protocol import Pca9544a
 from imuarray.bus.serial_bus import SerialBus
 from imuarray.bus.serial_link import ANSWER, LinkError, PollList, Request, framed
 from imuarray.errors import BusUrlError
+from tests.bus.conversations import CONVERSATIONS, DEVICE, MUX, ON_CHANNEL, ON_TRUNK
 from tests.bus.serial_bench import Bench, Handle
-from tests.bus.test_contract import CONVERSATIONS, DEVICE, MUX, ON_CHANNEL, ON_TRUNK
 
 ARRAY = parse_array(ON_TRUNK)
 DEVID = Request(DEVICE, b"\x00", 1)

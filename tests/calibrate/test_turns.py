@@ -12,34 +12,12 @@ from scipy.stats import chi2
 from imuarray.calibrate import Tumble, calibrate_tumble
 from imuarray.calibrate.turns import TOLERANCE, _missed, _Turn
 from imuarray.log import open_log
-from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, gyroscope, ideal
 from tests.calibrate.tumbled import Tumbled, attitudes, record
-
-ACCELEROMETERS = ("BMA1", "BMA2")
-GYROSCOPES = ("Gyro1", "Gyro3")
-SCALE = (0.02, -0.03, 0.015)
-LEAN = Misalignment((0.5, -1.0, 0.8, 0.3, -0.6, 1.2))
-G_SENSITIVITY = (0.10, -0.05, 0.02, 0.03, 0.08, -0.06, -0.04, 0.01, 0.07)
-"""dps per g."""
-
-
-def effects(noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
-    """Ideal accelerometers but for noise and bias; gyroscopes with errors of all kinds that a tumble tells."""
-    still = {name: (WhiteNoise((noise_g,) * 3), Bias((0.1, -0.05, 0.02))) for name in ACCELEROMETERS}
-    turning = (
-        WhiteNoise((noise_dps,) * 3),
-        Bias((0.5, -0.7, 0.3)),
-        Scale(SCALE),
-        LEAN,
-        GSensitivity(G_SENSITIVITY),
-    )
-    return {**still, **dict.fromkeys(GYROSCOPES, turning)}
+from tests.calibrate.turned import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SCALE, about, effects
 
 
 def planted(sensitivity: float, orientation: Floats) -> Floats:
@@ -85,15 +63,6 @@ def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
             assert off.max() < 6
     low, high = chi2.ppf((0.0005, 0.9995), 9 * len(squares)) / len(squares)
     assert low < np.mean(squares) < high
-
-
-def about(axes: str, count: int, rng: np.random.Generator) -> Rotation:
-    """Attitudes from one to the next by 50 to 150 degrees about one of these box axes after the other, either way."""
-    made = [Rotation.random(random_state=rng)]
-    for step in range(count - 1):
-        axis = np.eye(3)["XYZ".index(axes[step % len(axes)])]
-        made.append(made[-1] * Rotation.from_rotvec(rng.choice([-1, 1]) * np.radians(rng.uniform(50, 150)) * axis))
-    return Rotation.concatenate(made)
 
 
 def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:

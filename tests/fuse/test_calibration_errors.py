@@ -17,8 +17,8 @@ from imuarray.fuse.frames import matrices
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
-from tests.calibrate.test_turns import ACCELEROMETERS, about, effects
 from tests.calibrate.tumbled import Tumbled, record
+from tests.calibrate.turned import ACCELEROMETERS, about, effects
 from tests.fuse.arrays import at_once
 from tests.fuse.conftest import DPS, Floats, Part, WriteRun, calibration, joined, pointing
 

@@ -29,7 +29,7 @@ from imuarray.log.sensor_log import recorded_header
 from imuarray.simulate import Simulation, load_model, plan_of, write_log
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.simulation import effects_of
-from tests.fuse.test_stream import pushed, read, same
+from tests.fuse.pushed_rows import pushed, read, same
 from tests.selection import some
 
 Floats = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ from imuarray.calibrate import Calibration
 from imuarray.fuse import causal_temperatures
 from imuarray.fuse.element_temperature import CausalThermometer
 from tests.fuse.conftest import Floats
-from tests.fuse.test_thermal import BAROMETER, HEADERS
-from tests.fuse.test_thermal import known as with_slopes
+from tests.fuse.warm_runs import BAROMETER, HEADERS
+from tests.fuse.warm_runs import known as with_slopes
 
 
 def fed(seconds: Floats, degc: Floats, lags_s: list[float], cuts: int = 7) -> CausalThermometer:

@@ -16,11 +16,11 @@ from imuarray.fuse.alignment import Rows, cut
 from imuarray.log import Block, Log, open_log
 from imuarray.log.sensor_log import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined
-from tests.fuse.test_thermal import ELEMENT, heating
-from tests.fuse.test_thermal import known as with_slopes
+from tests.fuse.pushed_rows import AXES, pushed, read, same
+from tests.fuse.warm_runs import ELEMENT, heating
+from tests.fuse.warm_runs import known as with_slopes
 from tests.selection import some
 
-AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
 QUANTITIES = ("specific_force", "angular_rate")
 
 
@@ -51,57 +51,12 @@ def turned(seconds: Floats) -> Floats:
     return np.asarray(30 * np.cos(2 * np.pi * np.outer(seconds, [0.9, 1.1, 0.4])))
 
 
-def read(log: Log) -> dict[str, Block]:
-    """All rows of every sensor."""
-    found = {}
-    for name, sensor in log.sensors.items():
-        degrees = sensor.temperature_counts
-        compensated = {
-            column: np.asarray(sensor.compensated(column)[:])
-            for column in ("temperature", "pressure")
-            if sensor.quantity == "pressure"
-        }
-        found[name] = Block(
-            np.asarray(sensor.time[:]),
-            np.asarray(sensor.counts[:]),
-            np.asarray(sensor.status[:]),
-            None if degrees is None else np.asarray(degrees[:]),
-            compensated,
-        )
-    return found
-
-
-def pushed(stream: FusionStream, rows: dict[str, Block], seed: int, most_s: float) -> Iterator[FusedBlock]:
-    """Pieces of random lengths; no sensor more than a piece ahead of the others."""
-    rng = np.random.default_rng(seed)
-    done, reached = dict.fromkeys(rows, 0), dict.fromkeys(rows, 0)
-    while left := [name for name, block in rows.items() if done[name] < len(block.time)]:
-        name = min(left, key=lambda name: reached[name])
-        time = rows[name].time
-        until = int(time[done[name]] + rng.uniform(0, most_s) * 1e9)
-        stop = max(done[name] + 1, int(np.searchsorted(time, until)))
-        yield from stream.push(name, cut(rows[name], slice(done[name], stop)))
-        done[name], reached[name] = stop, int(time[stop - 1])
-    yield from stream.finish()
-
-
 def in_steps(stream: FusionStream, rows: dict[str, Block], until_s: float, step_s: float = 0.1) -> Iterator[FusedBlock]:
     """As a recording writes them: every sensor's rows of a stretch of time."""
     for start_ns in range(0, round(until_s * 1e9), round(step_s * 1e9)):
         for name, block in rows.items():
             first, last = np.searchsorted(block.time, [start_ns, start_ns + round(step_s * 1e9)])
             yield from stream.push(name, cut(block, slice(int(first), int(last))))
-
-
-def same(one: list[FusedBlock], other: list[FusedBlock]) -> None:
-    """To rounding: 1e-9 of the largest value."""
-    for quantity in one[0].triads:
-        (time, triad), (again, second) = (joined(blocks, quantity) for blocks in (one, other))
-        assert (time == again).all()
-        assert (np.isnan(triad) == np.isnan(second)).all()
-        assert np.nanmax(np.abs(triad - second)) < 1e-9 * np.nanmax(np.abs(triad))
-        used, also = (np.concatenate([block.used[quantity] for block in blocks]) for blocks in (one, other))
-        assert (used == also).all()
 
 
 @pytest.fixture(scope="module")

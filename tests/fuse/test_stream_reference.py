@@ -12,7 +12,7 @@ from imuarray.fuse import FusedBlock, live
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from tests.fuse.conftest import G, Part, calibration, pointing
-from tests.fuse.test_stream import AXES, pushed
+from tests.fuse.pushed_rows import AXES, pushed
 from tests.selection import examples
 
 PERIOD_NS = 10_000_000

@@ -11,7 +11,7 @@ from imuarray.cli import main
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
 from imuarray.log import open_log
-from tests.importers.test_odd_recordings import G, counts_of, lines_of, several_tables, walk
+from tests.importers.recordings import G, counts_of, lines_of, several_tables, walk
 
 COUNTS = counts_of(walk())
 SI = np.hstack([COUNTS[:, :3] / 4096 * G, np.radians(COUNTS[:, 3:] / 131)])

@@ -13,7 +13,7 @@ from imuarray.log.format import Event
 from imuarray.monitor.figures import THEMES
 from tests.monitor.chromium import CHROMIUM, browser
 from tests.monitor.conftest import ACC, EPOCH, HEADERS, Logger, rows
-from tests.monitor.test_server import served
+from tests.monitor.served import served
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
 

@@ -6,13 +6,9 @@ import asyncio
 import json
 import re
 import signal
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,27 +18,13 @@ from imuarray.monitor.access import HEADERS, is_own, new_token, refusal
 from imuarray.monitor.log_monitor import LogMonitor
 from imuarray.monitor.server import address_of
 from imuarray.monitor.shared_snapshots import SharedSnapshots
-
-ROOT = Path(__file__).parents[2]
+from tests.monitor.served import served
 
 
 class Answer(NamedTuple):
     status: int
     headers: dict[str, str]
     text: str
-
-
-@contextmanager
-def served(path: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """The address of a page of the log at `path`, from a process of its own."""
-    program = [sys.executable, "-m", "imuarray", "monitor", str(path), "--port", "0", "--every", "0.2", *options]
-    process = subprocess.Popen(program, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip(), process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> Answer:
