@@ -70,7 +70,7 @@ def draw_figure(target: str | PathLike[str] | BytesIO, figure: Figure, **options
     that is drawn beforehand, which takes as long again as drawing.
     """
     engine, dpi = figure.get_layout_engine(), figure.dpi
-    if engine is None:
+    if engine is None or not figure.axes:
         figure.savefig(target, **options)
         return
     try:

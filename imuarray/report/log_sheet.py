@@ -21,6 +21,9 @@ from imuarray.units import READABLE
 _EVENTS = 30
 """Maximum number of events that are listed."""
 
+_ALLAN_S = 30.0
+"""Least time at rest for an Allan curve: it then has means of several seconds."""
+
 _TERMS = ("white", "flicker", "random walk")
 """Terms of the Allan fit: N, B and K."""
 
@@ -125,22 +128,21 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
         if sentences
         else "Nothing stands out: no line, no clipping, no odd codes."
     )
+    seconds = stretch["end_s"] - stretch["start_s"]
     parts: list[Table | Figure] = [_noise_table(result)]
-    if drawn:
-        parts += [
-            Figure(
-                allan_figure(result),
-                "Straight lines of slope -1/2 are white noise; where a curve flattens or rises, averaging longer gains"
-                " nothing: the bias wanders.",
-                "Allan deviation of every axis against averaging time",
-            ),
-            Figure(
-                spectrum_figure(result),
-                "A flat spectrum is white noise, a fall at high frequency a filter, a peak a line that fusion should"
-                " know of.",
-                "Spectral density of every axis against frequency",
-            ),
-        ]
+    if seconds < _ALLAN_S:
+        words += (
+            f" {seconds:.0f} s are too short for an Allan curve; a minute at rest shows white noise, hours the drift."
+        )
+    elif drawn:
+        caption = (
+            "Straight lines of slope -1/2 are white noise; where a curve flattens or rises, averaging longer gains"
+            " nothing: the bias wanders."
+        )
+        parts.append(Figure(allan_figure(result), caption, "Allan deviation of every axis against averaging time"))
+    if drawn and (drawing := spectrum_figure(result)).axes:  # none of too few rows
+        caption = "A flat spectrum is white noise, a fall at high frequency a filter, a peak a line for fusion to know."
+        parts.append(Figure(drawing, caption, "Spectral density of every axis against frequency"))
     return Section(f"{log.path.name}: noise", words, parts)
 
 

@@ -49,6 +49,8 @@ def recording_verdict(log: Log) -> Verdict:
         faults=faults,
         stopped="" if ended else f"the log is {log.state}",
     )
+    if not rows:
+        return Verdict(f"{log.path.name} holds no reading.", "bad", ((f"{len(sensors)}", "sensors"), ("0", "readings")))
     health = health_of(seen)
     words = {"green": "is healthy", "amber": "is usable, with losses", "red": "is not as it should be"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
@@ -155,7 +157,7 @@ def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed
     figures.append((f"{count}", "sensors that went into it"))
     if ratios:
         figures.append((f"{max(ratios):.2g}", "scatter over the error that it claims"))
-    level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good"
+    level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good" if texts else "neutral"
     quiet = f"scatters by {' and '.join(texts)} at rest" if texts else "has no frames at rest"
     honest = ", more than it says; give fuse a calibration with measured noise" if level == "doubtful" else ""
     return Verdict(f"{path.name}, fused by {head.technique}, {quiet}{honest}.", level, tuple(figures[:_FIGURES]))

@@ -51,7 +51,8 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
         "cal.toml: calibration",
         "fused.h5: fused by mean",
     ]
-    assert text.count("<img") == text.count("alt=") == 6
+    assert text.count("<img") == text.count("alt=") == 4  # no Allan curve, no spectrum: a face lasts two seconds
+    assert "2 s are too short for an Allan curve" in text
     assert not re.search(r'(src|href)="(?!#|data:)', text)  # it needs nothing beside it
 
 

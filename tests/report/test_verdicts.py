@@ -69,6 +69,15 @@ def test_is_the_recording_healthy(tmp_path: Path, arguments: tuple[object, ...],
     assert len(verdict.figures) == 5
 
 
+def test_a_log_without_readings(tmp_path: Path) -> None:
+    verdict = recorded(tmp_path / "run.h5", 0, 0)
+    assert (verdict.level, verdict.sentence) == ("bad", "run.h5 holds no reading.")
+
+
+def test_a_sensor_that_never_gave_a_reading_is_silent(tmp_path: Path) -> None:
+    assert "Gyro silent for 10 s" in recorded(tmp_path / "run.h5", 1000, 0).sentence
+
+
 def test_gaps_are_told_in_the_section_too(tmp_path: Path) -> None:
     recorded(tmp_path / "run.h5", 1000, 1000, 8)
     with open_log(tmp_path / "run.h5") as log:
