@@ -346,7 +346,7 @@ class SampleBuffer:
         for first, last in self._suspect:
             status[first:last] |= SUSPECT
         if not self.driver.tells_fresh:
-            status |= self._repeated(decoded.counts)
+            status |= self._repeated(self._bytes(count)[:, self.driver.reading])
         times = np.array(self._times_ns[:count], np.int64) - epoch_ns
         self.newest_ns = self._times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
@@ -383,11 +383,11 @@ class SampleBuffer:
             if last is None or last > count
         ]
 
-    def _repeated(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
-        """Return STALE where a triad equals the one before it, the only evidence of a chip without a data-ready bit."""
-        before = np.concatenate([counts[:1] - 1 if self._last is None else self._last, counts[:-1]])
-        self._last = counts[-1:]
-        return np.where((counts == before).all(axis=1), STALE, 0).astype(np.uint16)
+    def _repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
+        """Return STALE where the bytes of a reading equal those before, the only evidence without a data-ready bit."""
+        before = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
+        self._last = readings[-1:]
+        return np.where((readings == before).all(axis=1), STALE, 0).astype(np.uint16)
 
 
 def _frozen_s(sensor: SensorConfig) -> float:
