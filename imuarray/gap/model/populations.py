@@ -95,7 +95,7 @@ _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
 )
 """Further populations for sensors with these units."""
 
-PRINTED = frozenset({"scale", "thermal_bias"})
+PRINTED = frozenset({"scale", "thermal_bias", "g_sensitivity"})
 """Kinds for which the data sheets' populations are used where there are any."""
 
 
@@ -139,10 +139,11 @@ def response_tolerance(header: SensorHeader) -> Floats:
 
     In the units of `FittedParameters.response`: for an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
     BMA-76, plus the deviation of local gravity, which a log at rest cannot separate from it) and the sine of the
-    misalignment elsewhere, for a gyroscope the g-sensitivity; 0 for other sensors.
+    misalignment elsewhere, for a gyroscope the g-sensitivity (INV-66, else the usual one); 0 for other sensors.
     """
     if header.unit == "dps":
-        return np.full((3, 3), TOLERANCE_SIGMAS * G_SENSITIVITY_SIGMA)
+        usual = TOLERANCE_SIGMAS * G_SENSITIVITY_SIGMA
+        return np.full((3, 3), _reach(header, "g_sensitivity", "response_dps_per_g", usual))
     if header.quantity != "specific_force":
         return np.zeros((3, 3))
     angle = math.sin(math.radians(TOLERANCE_SIGMAS * ANGLE_SIGMA_DEG))
