@@ -148,11 +148,11 @@ def _type_name(kind: Any) -> str:
 
 
 def _chips() -> Pages:
-    from imuarray.chips import CHIPS
+    from imuarray.chips import CHIPS, die_of
 
     rows, made = [], {}
     for name, spec in CHIPS.items():
-        facts = importlib.import_module(f"imuarray.facts.{'hmc5883' if name == 'hmc5883l' else name}")
+        facts = importlib.import_module(f"imuarray.facts.{'hmc5883' if name == 'hmc5883l' else die_of(name)}")
         first = _first_paragraph(facts.__doc__ or "")
         rows.append((name, f"{name}.md", first))
         settings = [

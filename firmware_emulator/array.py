@@ -16,7 +16,8 @@ from typing import Any, Self
 
 from firmware_emulator.board import Board, BoardKind, named
 from firmware_emulator.chip import Chip, Target
-from firmware_emulator.chips import CHIPS
+from firmware_emulator.chips import CHIPS, HALVES
+from firmware_emulator.chips.mpu6050 import Mpu6050
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.wire import Wire
@@ -108,9 +109,22 @@ def open_array(
     parts = board(array.name, begun, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
-    chips = {sensor.name: powered_chip(parts, sensor, now_ns, switches) for sensor in array.sensors}
+    chips: dict[str, Chip] = {}
+    dies: dict[tuple[str | int | None, int], Chip] = {}
     branches: dict[int, list[Target]] = {}
     for sensor in array.sensors:
+        place = sensor.bus or sensor.channel, sensor.address
+        die = dies.get(place)
+        if isinstance(die, Mpu6050) and sensor.chip in HALVES:  # on the wire already
+            die.take_element(HALVES[sensor.chip], parts.element(sensor))
+            chips[sensor.name] = die
+            if parts.device(sensor, die) is not die:
+                first = next(name for name, chip in chips.items() if chip is die)
+                raise ValueError(
+                    f"sensor {sensor.name}: it is one chip with {first}; faults of the chip are given there"
+                )
+            continue
+        chips[sensor.name] = dies[place] = powered_chip(parts, sensor, now_ns, switches)
         device = parts.device(sensor, chips[sensor.name])
         if sensor.channel is None:
             wires[sensor.bus or TRUNK].connect(device)

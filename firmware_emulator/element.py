@@ -31,6 +31,8 @@ SENSED: dict[str, tuple[str, float]] = {
     "adxl345": ("force_box", 1 / STANDARD_GRAVITY),
     "bma180": ("force_box", 1 / STANDARD_GRAVITY),
     "l3g4200d": ("rate_box", 180 / math.pi),
+    "mpu6050_acc": ("force_box", 1 / STANDARD_GRAVITY),
+    "mpu6050_gyro": ("rate_box", 180 / math.pi),
     "bmp180": ("force_box", 0.0),  # has no axes
     "hmc5883": ("field_box", 1.0),
     "hmc5883l": ("field_box", 1.0),

@@ -126,6 +126,41 @@ def l3g4200d(range_dps: float) -> Tolerances:
     )
 
 
+def mpu6050_acc(_: float) -> Tolerances:
+    """INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
+    warmer = 45.0  # from 25 degC to the end of the range over which the change is printed
+    return Tolerances(
+        bias=(typical(0.050), typical(0.050), typical(0.080)),
+        slope_per_degc=(typical(0.035 / warmer), typical(0.035 / warmer), typical(0.060 / warmer)),
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(400e-6 * math.sqrt(44.0),) * 3,
+        noise_full_scale=2.0,
+        noise_bandwidth_hz=44.0,
+        scale_slope_per_degc=typical(2e-4),
+        thermometer_degc=typical(1.0),
+    )
+
+
+def mpu6050_gyro(_: float) -> Tolerances:
+    """INV-60 ... INV-66."""
+    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
+    return Tolerances(
+        bias=(typical(20.0),) * 3,
+        slope_per_degc=(typical(20.0 / warmer),) * 3,
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(0.005 * math.sqrt(42.0),) * 3,
+        noise_full_scale=250.0,
+        noise_bandwidth_hz=42.0,
+        scale_slope_per_degc=typical(0.02 / warmer),
+        g_sensitivity=typical(0.1),
+        thermometer_degc=typical(1.0),
+    )
+
+
 def hmc5883l(range_gauss: float) -> Tolerances:
     """HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
     return Tolerances(
@@ -165,6 +200,8 @@ TOLERANCES = {
     "adxl345": adxl345,
     "bma180": bma180,
     "l3g4200d": l3g4200d,
+    "mpu6050_acc": mpu6050_acc,
+    "mpu6050_gyro": mpu6050_gyro,
     "bmp180": bmp180,
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,

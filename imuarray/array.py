@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from os import PathLike
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from imuarray.axes import Matrix, orientation_of
-from imuarray.chips import CHIPS, ChipSpec
+from imuarray.chips import CHIPS, HALVES, ChipSpec, die_of, half_of
 from imuarray.errors import ConfigError
 from imuarray.spelling import guess
 from imuarray.toml_files import parse_toml, read_text
@@ -49,6 +49,14 @@ class SensorConfig(BaseModel):
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_half(cls, values: Any) -> Any:
+        """Take a range of g or of dps for the half of a six-axis chip that is meant: `chip = "mpu6050"` is either."""
+        if isinstance(values, dict) and values.get("chip") in HALVES:
+            return {**values, "chip": half_of(values["chip"], values.get("range"))}
+        return values
+
     @model_validator(mode="after")
     def _possible(self) -> Self:
         """Refuse settings that this chip does not have, all at once."""
@@ -63,8 +71,11 @@ class SensorConfig(BaseModel):
         return self
 
     def _check_chip(self) -> None:
-        if self.chip not in CHIPS:
-            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join(CHIPS)}")
+        if self.chip in HALVES:  # neither half has this range
+            ranges = tuple(limit for half in HALVES[self.chip] for limit in CHIPS[half].sensitivity)
+            _one_of("range", self.range, ranges, "g")
+        elif self.chip not in CHIPS:
+            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join((*CHIPS, *HALVES))}")
 
     def _check_address(self) -> None:
         if (spec := CHIPS.get(self.chip)) is not None:
@@ -216,13 +227,38 @@ def _check_places(array: ArrayConfig, where: str) -> None:
         if count > 1:
             raise ConfigError(f"{where}: {count} sensors are called {name!r}; names are unique")
     taken: dict[tuple[int | str | None, int], SensorConfig] = {}
+    halves: dict[int, list[str]] = {}
     for sensor in array.sensors:
         if sensor.channel is not None and array.mux is None:
             raise ConfigError(f"{where}: sensor {sensor.name!r}: channel {sensor.channel}, but [array] has no mux")
         _check_against_trunk(array, sensor, where)
         rival = taken.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
         if rival is not sensor:
-            raise ConfigError(f"{where}: sensors {rival.name!r} and {sensor.name!r} both sit at {sensor.place}")
+            _check_halves(rival, sensor, where, halves.setdefault(id(rival), [rival.chip]))
+
+
+def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: list[str]) -> None:
+    """Refuse two sensors in one place unless they are the two halves of one chip, which share place, direction, data
+    rate and filter; `here` lists the halves that are taken, and grows.
+    """
+    pair = f"{where}: sensors {first.name!r} and {second.name!r}"
+    if die_of(first.chip) != die_of(second.chip) or second.chip in here:
+        raise ConfigError(f"{pair} both sit at {second.place}")
+    here.append(second.chip)
+    die = die_of(first.chip)
+    for key in ("axes", "position_mm", "chip_rate_hz"):
+        if getattr(first, key) != getattr(second, key):
+            raise ConfigError(f"{pair} are one {die}: {key.removeprefix('chip_')} is the same for both")
+    numbers = [
+        sensor.spec.allowed_bandwidths_hz(sensor.chip_rate_hz).index(sensor.chip_bandwidth_hz)
+        for sensor in (first, second)
+    ]
+    if numbers[0] != numbers[1]:
+        wanted = second.spec.allowed_bandwidths_hz(second.chip_rate_hz)[numbers[0]]
+        raise ConfigError(
+            f"{pair} are one {die}, which has one filter: with bandwidth_hz {first.chip_bandwidth_hz:g} of the first"
+            f" goes {wanted:g} of the second, not {second.chip_bandwidth_hz:g}"
+        )
 
 
 def _check_against_trunk(array: ArrayConfig, sensor: SensorConfig, where: str) -> None:

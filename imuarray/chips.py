@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, mpu6050
 from imuarray.units import Quantity
 
 
@@ -48,6 +48,9 @@ class ChipSpec:
 
 
 _ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact powers of two: ADX-36
+
+_MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16, 20, 25, 40, 50, 100, 125, 200, 250))
+"""1 kHz over whole numbers up to 256 (INV-11), of which these give whole or short figures."""
 
 _HMC5883_RATES_HZ = (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0)  # HMC-28
 
@@ -88,6 +91,28 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             default_bandwidth_hz=25.0,
             has_fifo=True,
+            has_thermometer=True,
+        ),
+        "mpu6050_acc": ChipSpec(
+            quantity="specific_force",
+            unit="g",
+            addresses=mpu6050.ADDRESSES,
+            sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # INV-40
+            rates_hz=_MPU6050_RATES_HZ,
+            default_rate_hz=500.0,
+            bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
+            default_bandwidth_hz=44.0,
+            has_thermometer=True,
+        ),
+        "mpu6050_gyro": ChipSpec(
+            quantity="angular_rate",
+            unit="dps",
+            addresses=mpu6050.ADDRESSES,
+            sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-41
+            rates_hz=_MPU6050_RATES_HZ,
+            default_rate_hz=500.0,
+            bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
+            default_bandwidth_hz=42.0,
             has_thermometer=True,
         ),
         "bmp180": ChipSpec(
@@ -141,3 +166,16 @@ SENSITIVITIES: Mapping[str, Mapping[float, float]] = MappingProxyType(
     {name: spec.sensitivity for name, spec in CHIPS.items()}
 )
 """Counts per unit by range, by chip."""
+
+HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType({"mpu6050": ("mpu6050_acc", "mpu6050_gyro")})
+"""Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
+
+
+def die_of(chip: str) -> str:
+    """The name of the die of which `chip` is a half; `chip` itself where it is a whole one."""
+    return next((die for die, halves in HALVES.items() if chip in halves), chip)
+
+
+def half_of(die: str, full_scale: object) -> str:
+    """The half of `die` that has this range (in g or dps, of which no figure is in both); `die` where none has."""
+    return next((half for half in HALVES.get(die, ()) if full_scale in CHIPS[half].sensitivity), die)

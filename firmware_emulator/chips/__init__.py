@@ -1,6 +1,7 @@
 """The chips: what reading and writing each register does, and when a conversion is finished."""
 
 from collections.abc import Callable
+from functools import partial
 
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips.adxl345 import Adxl345
@@ -8,13 +9,19 @@ from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
 from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
+from firmware_emulator.chips.mpu6050 import ACCELEROMETER, GYROSCOPE, Mpu6050
 
 CHIPS: dict[str, Callable[..., Chip]] = {
     "adxl345": Adxl345,
     "bma180": Bma180,
     "l3g4200d": L3g4200d,
+    "mpu6050_acc": partial(Mpu6050, half=ACCELEROMETER),
+    "mpu6050_gyro": partial(Mpu6050, half=GYROSCOPE),
     "bmp180": Bmp180,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883l,
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
+
+HALVES: dict[str, str] = {"mpu6050_acc": ACCELEROMETER, "mpu6050_gyro": GYROSCOPE}
+"""Chips of which two sensors in one place are one die."""

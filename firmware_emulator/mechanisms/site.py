@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from firmware_emulator.chip import Chip, Triple
-from firmware_emulator.element import Matrix, stream
+from firmware_emulator.element import SENSED, Matrix, stream
 from firmware_emulator.mechanisms.element import Chain
 from firmware_emulator.mechanisms.line import Links
 from firmware_emulator.world import World
@@ -52,7 +52,7 @@ class Site:
 
     def by_unit(self, g: float, dps: float) -> float:
         """`g` for an accelerometer, `dps` for a gyroscope."""
-        return g if self.chip in ACCELEROMETERS else dps
+        return g if SENSED[self.chip][0] == "force_box" else dps
 
     def unit_random(self, key: str) -> np.random.Generator:
         """Random numbers of this part, the same after every power-up."""

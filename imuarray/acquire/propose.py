@@ -13,21 +13,24 @@ import tomli_w
 from imuarray.acquire.detect import MUX, Detection
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
+from imuarray.chips import HALVES
 from imuarray.drivers import DRIVERS
 from imuarray.errors import SensorError
 from imuarray.printable import printable
 
 _SETTINGS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "adxl345": ("ADXL", {"range": 16, "rate_hz": 400}),  # at 1600 Hz and above only even codes come: ADX-47
-        "bma180": ("BMA", {"range": 4, "bandwidth_hz": 150}),
-        "l3g4200d": ("Gyro", {"range": 500, "rate_hz": 400, "bandwidth_hz": 50}),
-        "bmp180": ("BMP", {}),
-        "hmc5883l": ("HMC", {"range": 1.3, "rate_hz": 15}),
-        "hmc5883": ("HMC", {"range": 1.2, "rate_hz": 15}),
+        "adxl345": ("ADXL{}", {"range": 16, "rate_hz": 400}),  # at 1600 Hz and above only even codes come: ADX-47
+        "bma180": ("BMA{}", {"range": 4, "bandwidth_hz": 150}),
+        "l3g4200d": ("Gyro{}", {"range": 500, "rate_hz": 400, "bandwidth_hz": 50}),
+        "mpu6050_acc": ("IMU{}_acc", {"range": 4, "rate_hz": 500, "bandwidth_hz": 44}),
+        "mpu6050_gyro": ("IMU{}_gyro", {"range": 500, "rate_hz": 500, "bandwidth_hz": 42}),
+        "bmp180": ("BMP{}", {}),
+        "hmc5883l": ("HMC{}", {"range": 1.3, "rate_hz": 15}),
+        "hmc5883": ("HMC{}", {"range": 1.2, "rate_hz": 15}),
     }
 )
-"""By chip: how its sensors are called, and settings that a hand-held or driven box can live with."""
+"""By chip: how its sensors are called, by number, and settings that a hand-held or driven box can live with."""
 
 _ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883")})
 """Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
@@ -70,7 +73,10 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
 def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> str:
     """The text of a configuration for the detections of `explore`; SensorError if there is no known chip."""
     chips = [
-        (_ALIKE.get(line.found, (line.found,))[0], line) for line in detections if line.found != MUX and not line.owner
+        (chip, line)
+        for line in detections
+        if line.found != MUX and not line.owner
+        for chip in HALVES.get(line.found, _ALIKE.get(line.found, (line.found,))[:1])
     ]
     if not chips:
         advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
@@ -85,7 +91,7 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
         prefix, settings = _SETTINGS[chip]
         numbers[prefix] += 1
         number = str(numbers[prefix]) if counts[chip] > 1 or chip != "bmp180" else "180"
-        text += _sensor(f"{prefix}{number}", chip, line, settings)
+        text += _sensor(prefix.format(number), chip, line, settings)
     return text
 
 

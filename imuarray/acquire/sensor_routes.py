@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
+from imuarray.chips import die_of
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts.registers import Setting
@@ -160,7 +161,7 @@ def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[
         theirs = [
             {other.value for other in twin.driver.watched if other.register == setting.register}
             for twin in twins
-            if twin.sensor.chip == route.sensor.chip
+            if die_of(twin.sensor.chip) == die_of(route.sensor.chip)
         ]
         mine = {setting.value, setting.register.reset & setting.mask}
         if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):

@@ -26,6 +26,8 @@ _FULL = 0.5
 CHIP_DEGC: dict[str, tuple[float, float]] = {
     "bma180": (24.0, 0.5),  # BMA-63
     "l3g4200d": (0.0, -1.0),  # L3G-60: falls by a count per degree, and has no zero
+    "mpu6050_acc": (35.0 + 521 / 340, 1 / 340),  # INV-42
+    "mpu6050_gyro": (35.0 + 521 / 340, 1 / 340),
 }
 """Degrees at count 0, and degrees per count, of the chips' own thermometers."""
 

@@ -10,6 +10,7 @@ from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
+from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
 
 __all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
 
@@ -17,6 +18,8 @@ DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,
     "bma180": Bma180,
     "l3g4200d": L3g4200d,
+    "mpu6050_acc": Mpu6050Accelerometer,
+    "mpu6050_gyro": Mpu6050Gyroscope,
     "bmp180": Bmp180,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,

@@ -58,6 +58,8 @@ THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
     {
         "bma180": Thermometer(24.0, 2.0),  # BMA-63
         "l3g4200d": Thermometer(47.0, -1.0),  # falls by 1 per degC; its zero is a part's own, this one is ours (L3G-60)
+        "mpu6050_acc": Thermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
+        "mpu6050_gyro": Thermometer(35.0 + 521 / 340, 340.0, 16),
     }
 )
 

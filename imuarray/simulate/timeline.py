@@ -25,7 +25,16 @@ from imuarray.log.missed_frames import frames_in
 
 _CLOCK_NS = 2500
 _SWITCH_CLOCKS = 19
-_BURST_CLOCKS = {"adxl345": 99, "bma180": 90, "l3g4200d": 99, "bmp180": 0, "hmc5883": 81, "hmc5883l": 81}
+_BURST_CLOCKS = {
+    "adxl345": 99,
+    "bma180": 90,
+    "l3g4200d": 99,
+    "mpu6050_acc": 153,
+    "mpu6050_gyro": 153,
+    "bmp180": 0,
+    "hmc5883": 81,
+    "hmc5883l": 81,
+}
 """SCL clocks of one burst as the drivers read it: nine a byte, START and STOP (BUS-01)."""
 
 _SOON = 1.1

@@ -18,12 +18,20 @@ SENSORS = {
     "adxl345": "address = 0x53\nrange = 4\nrate_hz = 400\n",
     "bma180": "address = 0x40\nrange = 4\n",
     "l3g4200d": "address = 0x68\nrange = 500\nrate_hz = 400\nbandwidth_hz = 50\n",
+    "mpu6050_acc": "address = 0x68\nrange = 4\n",
+    "mpu6050_gyro": "address = 0x68\nrange = 500\n",
     "bmp180": "address = 0x77\n",
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
 }
-DEAD_WITHOUT = {"adxl345": (0x31, 0x80), "bma180": (0x0D, 0x04), "l3g4200d": (0x23, 0x06)}
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14): a chip that ignores them is dead."""
+DEAD_WITHOUT = {
+    "adxl345": (0x31, 0x80),
+    "bma180": (0x0D, 0x04),
+    "l3g4200d": (0x23, 0x06),
+    "mpu6050_acc": (0x1C, 0xE0),
+    "mpu6050_gyro": (0x1B, 0xE0),
+}
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14): without them it is dead."""
 
 
 class Slow:

@@ -28,13 +28,14 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "mpu6050", "pca9544a")
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
 READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.bus.protocol", "firmware_emulator.mux")
 INERT: dict[tuple[str, str, str], str] = {
     ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20"): "update_image clears itself when the download of power-on ends",
+    ("mpu6050", "PWR_MGMT_1 reset", "0x40 -> 0xc0"): "DEVICE_RESET clears itself when the reset of power-on ends",
 }
 """By chip, fact and change: why no conversation can notice it."""
 

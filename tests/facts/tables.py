@@ -9,16 +9,18 @@ from types import ModuleType
 
 from imuarray.facts.registers import Field, Register
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "mpu6050", "pca9544a")
 
 # By chip: addresses that can't be written, addresses that are only written, all the others. Column "acc" of the maps:
-# ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, PCA-03.
+# ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, INV-10
+# ... INV-27 (FIFO_COUNT: see SOURCES.md), PCA-03.
 READ_ONLY = {
     "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x0D)},
     "bmp180": {0xAA, 0xD0, 0xF6, 0xF7, 0xF8},
     "hmc5883": {*range(0x03, 0x0D)},
     "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
+    "mpu6050": {*range(0x3A, 0x49), 0x72, 0x73, 0x75},
     "pca9544a": set(),
 }
 WRITE_ONLY = {
@@ -27,6 +29,7 @@ WRITE_ONLY = {
     "bmp180": {0xE0},
     "hmc5883": set(),
     "l3g4200d": set(),
+    "mpu6050": set(),
     "pca9544a": set(),
 }
 WRITABLE = {
@@ -35,14 +38,16 @@ WRITABLE = {
     "bmp180": {0xF4},
     "hmc5883": {0x00, 0x01, 0x02},
     "l3g4200d": {*range(0x20, 0x26), 0x2E, 0x30, *range(0x32, 0x39)},
+    "mpu6050": {*range(0x0D, 0x11), *range(0x19, 0x1D), 0x23, 0x37, 0x38, 0x63, *range(0x6A, 0x6D), 0x74},
     "pca9544a": {0x00},
 }
-ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, L3G-01, PCA-01
+ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, L3G-01, INV-01, PCA-01
     "adxl345": {0x53, 0x1D},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
     "hmc5883": {0x1E},
     "l3g4200d": {0x68, 0x69},
+    "mpu6050": {0x68, 0x69},
     "pca9544a": {0x70, 0x71, 0x72, 0x73, 0x74, 0x75, 0x76, 0x77},
 }
 RESERVED_WITHOUT_FIELDS = {  # by address, in registers of which no field is named: ADX-19, L3G-24 (15-bit thresholds)
@@ -55,6 +60,7 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
     "bmp180": {0xAA},
     "hmc5883": {0x09},
     "l3g4200d": {*range(0x26, 0x2E), 0x2F},
+    "mpu6050": {*range(0x0D, 0x11), 0x3A, 0x72, 0x73, 0x74},
 }
 
 

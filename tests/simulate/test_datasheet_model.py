@@ -86,6 +86,33 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("nonlinearity", "quadratic", 2 * 0.2 * PERCENT / 250),  # L3G-73
         ),
     ),
+    "mpu6050_acc": (
+        4.0,
+        (
+            typical("bias", "offset", 50 * MG)._replace(axes=(0, 1)),  # INV-51
+            typical("bias", "offset", 80 * MG)._replace(axes=(2,)),
+            typical("thermal_bias", "slope", 35 * MG / 45)._replace(axes=(0, 1)),  # INV-52
+            typical("thermal_bias", "slope", 60 * MG / 45)._replace(axes=(2,)),
+            typical("scale", "error", 3 * PERCENT),  # INV-53
+            typical("thermal_scale", "slope", 0.02 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.5 * PERCENT / 4),  # INV-54
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),  # INV-55
+            typical("thermometer", "offset_degc", 1.0)._replace(axes=(0,)),  # INV-42
+        ),
+    ),
+    "mpu6050_gyro": (
+        500.0,
+        (
+            typical("bias", "offset", 20.0),  # INV-61
+            typical("thermal_bias", "slope", 20.0 / (25 + 40)),  # INV-62
+            typical("scale", "error", 3 * PERCENT),  # INV-63
+            typical("thermal_scale", "slope", 2 * PERCENT / (25 + 40)),
+            typical("nonlinearity", "quadratic", 2 * 0.2 * PERCENT / 500),  # INV-64
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),  # INV-65
+            typical("g_sensitivity", "response", 0.1)._replace(axes=tuple(range(9))),  # INV-66
+            typical("thermometer", "offset_degc", 1.0)._replace(axes=(0,)),
+        ),
+    ),
     "hmc5883l": (
         4.0,
         (
@@ -230,6 +257,8 @@ ALSO = {
     "adxl345": {"misalignment", "scale", "bias", "thermal_bias"},
     "bma180": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "l3g4200d": {"bias", "thermal_bias"},  # scale, alignment, g-sensitivity: not specified (L3G-75, L3G-76)
+    "mpu6050_acc": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
+    "mpu6050_gyro": {"misalignment", "scale", "bias", "thermal_bias", "thermometer", "g_sensitivity"},
     "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
     "hmc5883": {"misalignment", "scale"},
 }
