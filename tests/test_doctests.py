@@ -12,6 +12,7 @@ import pytest
 import imuarray as ia
 from imuarray.acquire import record
 from imuarray.calibrate import calibrate_noise
+from tests.selection import some
 
 ROOT = Path(__file__).parents[1]
 SHOWN = (
@@ -52,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return here
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", some(SHOWN, 8))
 def test_the_example_runs(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     shown, around = resolved(name)

@@ -170,7 +170,7 @@ def wandering(rng: np.random.Generator, kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", some(["walk", "drift", "warming up"], 1))
-@pytest.mark.parametrize("groups", [2, 4])
+@pytest.mark.parametrize("groups", some([2, 4], 1))
 def test_slow_errors_pass_for_a_stimulus_no_more_often_than_said(kind: str, groups: int) -> None:
     """At 5 % of 400; the limit is passed by a rate of exactly 5 % once in a thousand."""
     rng = np.random.default_rng(groups)

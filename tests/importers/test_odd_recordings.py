@@ -342,6 +342,14 @@ SLOW = (
     "a clock of milliseconds, said so",
     "gravity taken out",
     "only even codes",
+    "stalls",
+    "another range's sensitivity",
+    "a header that comes again",
+    "NUL bytes of a power cut",
+    "a last table of zeros",
+    "a counter that begins anew",
+    "blank cells of a slower sensor",
+    "exchanged signs",
 )
 """Of the slow half, so that the quick one stays quick."""
 
