@@ -193,6 +193,18 @@ def low_pass(cutoff_hz: float) -> Change:
     return Change(analog)
 
 
+def low_pass_since(cutoff_hz: float, since_s: float, log: int = 0) -> Change:
+    """What was white goes through a filter of one pole from a moment on, row by row: less is left of it."""
+
+    def analog(rows: Rows) -> None:
+        if rows.log == log:
+            decay = np.exp(-2 * np.pi * cutoff_hz / rows.rate_hz)
+            late = rows.time_s >= since_s
+            rows.noise[late] = lfilter([1 - decay], [1, -decay], rows.noise[late], axis=0)
+
+    return Change(analog)
+
+
 def line(
     frequency_hz: float, amplitude: float, axis: int = 1, since_s: float = 0.0, logs: Sequence[int] = (0, 1)
 ) -> Change:
@@ -254,11 +266,17 @@ def in_fours(axis: int, logs: Sequence[int]) -> Change:
     return Change(digital=digital)
 
 
-def shared_noise(rms: float, sign: int = 1, seed: int = 5) -> Change:
-    """White noise that is the same in every unit that has this change, along their own axes, but for its sign."""
+def shared_noise(
+    rms: float, sign: int = 1, seed: int = 5, since_s: float = 0.0, logs: Sequence[int] = (0, 1)
+) -> Change:
+    """White noise that is the same in every unit that has this change, along their own axes, but for its sign; from a
+    moment on, in these logs.
+    """
 
     def analog(rows: Rows) -> None:
-        rows.signal += sign * np.random.default_rng((seed, rows.log)).normal(0, rms, rows.signal.shape)
+        noise = sign * np.random.default_rng((seed, rows.log)).normal(0, rms, rows.signal.shape)
+        if rows.log in logs:
+            rows.signal += np.where(rows.time_s[:, None] >= since_s, noise, 0.0)
 
     return Change(analog)
 

@@ -320,3 +320,20 @@ def test_of_two_that_gain_as_much_the_one_that_leaves_less(bench: Bench) -> None
     equal = replace(simple, squared_scores=100.0)
     simple_odds, better_odds = round_of(bench, "G1", equal, better).log_odds
     assert better_odds < simple_odds
+
+
+def test_a_later_cause_is_no_more_probable_than_what_it_was_detected_with(bench: Bench) -> None:
+    """A line with even odds is taken first. With it in the model a second effect has hardly a rival: by itself it would
+    be the more probable one.
+    """
+    alone = confirmed(bench, "G1", LINE, nats(0.0))
+    with_line = replace(standing(bench, "G1", 5.0), models={"G1": replace(bench.models()["G1"], added=(LINE,))})
+    second = confirmed(bench, "G1", Stuck(0.5, 0.1), nats(15.0), score=0.5)
+    rounds = round_of(bench, "G1", alone), Round(with_line, (second,), -1.0, second)
+    first, later = causes(bench, "G1", *rounds)
+    assert (first.effect, later.effect) == ("tone", "stuck")
+    assert first.share < later.share
+    assert later.probability == first.probability
+    assert (first.preceding, later.preceding) == (0, 1)
+    (only,) = causes(bench, "G1", round_of(bench, "G1", second))
+    assert only.probability > first.probability

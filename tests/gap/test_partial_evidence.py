@@ -49,6 +49,13 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Ma
         {name: sampled.shared_noise(0.035) for name in ("G1", "G3")},
         {},
     ),
+    "noise that two of three units share since a moment": (
+        "common_mode",
+        ("G1", "G3"),
+        {name: sampled.shared_noise(0.06, since_s=33.0, logs=(0,)) for name in ("G1", "G3")},
+        {},
+    ),
+    "a low-pass since a moment": ("bandwidth", ("G2",), {"G2": sampled.low_pass_since(25.0, 31.0)}, {}),
     "codes of one axis come in fours in one log": ("quantisation", ("G2",), {"G2": sampled.in_fours(1, (0,))}, {}),
     "another level for a part of the time": ("bias", ("G1",), {"G1": sampled.shifted(0.06, 17.3, 29.0)}, {}),
     "another level since a moment": ("bias", ("G3",), {"G3": sampled.shifted(-0.1, 33.1, axis=2)}, {}),

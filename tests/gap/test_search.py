@@ -338,3 +338,15 @@ def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
         FittedHypothesis(one, {}, gain) for one, gain in ((stays, 30.0), (stays, 29.0), (stays, 28.0), (drifts, 27.0))
     ]
     assert [one.gain for one in likeliest(tried, 4)] == [30.0, 29.0, 27.0]
+
+
+def test_trials_of_both_parts_are_not_crowded_out_by_those_of_one() -> None:
+    """Gains on other data can't be compared: the best of either kind is pursued."""
+    own = [
+        FittedHypothesis(Hypothesis((effect,)), {}, gain)
+        for effect, gain in ((Tone(1.0, 9.0), 40.0), (Tone(1.0, 30.0), 39.0))
+    ]
+    late = [FittedHypothesis(Hypothesis((Bias(1.0),), whole=True), {}, gain) for gain in (25.0, 24.0)]
+    assert [one.gain for one in likeliest([*own, *late], 2)] == [40.0, 39.0, 25.0]
+    assert [one.gain for one in likeliest([*own, *late], 4)] == [40.0, 39.0, 25.0, 24.0]
+    assert likeliest(late, 1) == late[:1]

@@ -64,7 +64,23 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
         replace(joint, probability=calibrated_probability(joint.share, joint.all_closed))
         for joint in _merged(bench, single)
     ]
-    return tuple(sorted(merged, key=lambda cause: (-cause.probability, -cause.gain)))
+    return _ranked(merged)
+
+
+def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """The causes, the most probable first.
+
+    A cause that was detected with another cause of the same sensor in the model is no more probable than that one,
+    without which it would explain something else, and comes after it. Rivals of one round are alike in this.
+    """
+    limited: list[Cause] = []
+    for cause in sorted(causes, key=lambda cause: cause.preceding):
+        earlier: dict[int, float] = {}  # the most probable of what each round offers
+        for other in limited:
+            if other.preceding < cause.preceding and set(other.sensors) & set(cause.sensors):
+                earlier[other.preceding] = max(earlier.get(other.preceding, 0.0), other.probability)
+        limited.append(replace(cause, probability=min(cause.probability, *earlier.values(), 1.0)))
+    return tuple(sorted(limited, key=lambda cause: (-cause.probability, cause.preceding, -cause.gain)))
 
 
 def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluation, ...]:
@@ -162,7 +178,13 @@ def _cause(
         each,
         taken.trial.needs_both,
         share,
+        preceding=_changes(before),
     )
+
+
+def _changes(state: UnitState) -> int:
+    """The most changes that a sensor's model has in a state of the search."""
+    return max((len(model.added) + len(model.removed) for model in state.models.values()), default=0)
 
 
 def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:

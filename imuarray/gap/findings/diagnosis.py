@@ -62,7 +62,8 @@ class Cause:
     `sensors` and `axes` concerned (no axes: all); `parameters` by their names with units, of the first sensor where
     they differ (`each` has all); `closed` is the share of these sensors' gap that it closes on data to which it was not
     fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training part alone doesn't show
-    it, so that it was detected, and its closed share measured, on both parts together.
+    it, so that it was detected, and its closed share measured, on both parts together. `preceding`: the number of
+    changes of the sensors' models, earlier causes, in whose presence it was detected.
     """
 
     effect: str
@@ -80,6 +81,7 @@ class Cause:
     needs_both: bool = False
     share: float = nan
     all_closed: float | None = None
+    preceding: int = 0
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:

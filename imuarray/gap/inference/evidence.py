@@ -70,7 +70,8 @@ class Evidence:
 
     `rows_of`: the log of each row of a probe, -1 for several. `is_refitted`: noise, bias and slope are fitted to this
     evidence; otherwise they come from an earlier recording and may have changed. `spells`: stretches in which the
-    sensor reads differently from the rest of the log. All evidence is from within `when`.
+    sensor reads differently from the rest of the log. `twins` are the phases of others of the same chip, under the base
+    model with the parameters `twin_fitted`. All evidence is from within `when`.
     """
 
     header: SensorHeader
@@ -90,6 +91,8 @@ class Evidence:
     rows_of: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     is_refitted: bool = True
     spells: tuple[Spell, ...] = ()
+    twins: Mapping[str, tuple[PhaseEvidence, ...]] = field(default_factory=dict)
+    twin_fitted: Mapping[str, FittedParameters] = field(default_factory=dict)
     when: When = ALWAYS
 
     def within(self, logs: Collection[int]) -> Evidence:
@@ -114,6 +117,7 @@ class Evidence:
             resets=tuple((log, reset) for log, reset in self.resets if log in logs),
             rows_of={probe: tuple(at for at in own if at in logs) for probe, own in self.rows_of.items()},
             spells=(),
+            twins={name: tuple(phase for phase in phases if phase.log in logs) for name, phases in self.twins.items()},
         )
 
     def during(self, spell: Spell) -> Evidence:
@@ -203,16 +207,12 @@ def evidence_of(
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
     left = residual(train.campaign, [motion for _, motion in logs], base)
-    seen = tuple(
-        PhaseEvidence(boot, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
-        for boot, log, bare in zip(train.logs, train.campaign.logs, left.logs, strict=True)
-        for raw, without in zip(log.phases, bare.phases, strict=True)
-        if sensor in raw.sensors
-    )
+    seen = _phases_of(sensor, train, left)
     header = seen[0].raw.header
     others = tuple(
         other for other in bench.base.headers.values() if other.quantity == header.quantity and other.name != sensor
     )
+    twins = [other.name for other in others if other.chip == header.chip]
     series = train.campaign.series().get("turn-on", ())
     numbered = zip(train.logs, train.campaign.logs, strict=True)
     events = [(number, log.events[sensor]) for number, log in numbered if sensor in log.events]
@@ -234,6 +234,18 @@ def evidence_of(
         _logs_by_probe(scored),
         bench.is_refitted,
         tuple(_spells(bench, train, sensor, base)),
+        {name: phases for name in twins if (phases := _phases_of(name, train, left))},
+        {name: bench.base.fitted[name] for name in twins},
+    )
+
+
+def _phases_of(sensor: str, train: Side, left: Campaign) -> tuple[PhaseEvidence, ...]:
+    """The phases of a sensor as recorded and with the model's prediction subtracted (`left`)."""
+    return tuple(
+        PhaseEvidence(number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
+        for number, log, bare in zip(train.logs, train.campaign.logs, left.logs, strict=True)
+        for raw, without in zip(log.phases, bare.phases, strict=True)
+        if sensor in raw.sensors
     )
 
 

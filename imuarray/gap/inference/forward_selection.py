@@ -150,8 +150,21 @@ def searched(
 
 
 def likeliest(tried: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    """The best trials that gain enough and are not far behind, at most two of each form."""
-    ranked = sorted((trial for trial in tried if trial.models is not None), key=lambda trial: -trial.gain)
+    """The best trials that gain enough and are not far behind, at most two of each form.
+
+    Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
+    the best of the other kind is added.
+    """
+    several = [trial for trial in tried if trial.models is not None]
+    kept = _likeliest(several, count)
+    kinds = {trial.trial.needs_both for trial in kept}
+    for needs_both in {True, False} - kinds if kinds else ():
+        kept += _likeliest([trial for trial in several if trial.trial.needs_both == needs_both], 1)
+    return kept
+
+
+def _likeliest(tried: Sequence[FittedHypothesis], count: int) -> list[FittedHypothesis]:
+    ranked = sorted(tried, key=lambda trial: -trial.gain)
     least = ranked[0].gain - max(_MOST_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     kept: list[FittedHypothesis] = []
     for trial in ranked:

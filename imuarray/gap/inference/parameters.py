@@ -78,7 +78,7 @@ def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
         whose = (trial.shared, trial.sensor, trial.others, trial.members, trial.everywhere)
         target = (trial.removed, whose, trial.whole, trial.free)
         numbers, reach = _numbers(trial)
-        of_form = kept.setdefault((trial.form, target, trial.fitted, len(numbers)), [])
+        of_form = kept.setdefault((trial.form, target, trial.fitted, trial.opposite_fitted, len(numbers)), [])
         if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in of_form):
             of_form.append((numbers, reach))
             kept_trials.append(trial)

@@ -286,20 +286,18 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
-        known = {(trial.name, trial.when) for trial in lasting if not trial.shared}
-        alone = [trial for trial in everything if not trial.shared]
+        known = {(trial.name, trial.when, trial.shared) for trial in lasting}
         late = [
-            replace(trial, whole=True) for trial in alone if trial.needs_both or (trial.name, trial.when) not in known
+            replace(trial, whole=True)
+            for trial in everything
+            if trial.needs_both or (trial.name, trial.when, trial.shared) not in known
         ]
-        brief = [trial for trial in everything if trial.shared and trial.needs_both]
-        own = [*(trial for trial in lasting if not trial.shared), *late]
-        guessed[unit] = _Guesses(
-            distinct(
-                trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True) for trial in own
-            ),
-            [*(trial for trial in lasting if trial.shared), *brief],
-            placebo_of(evidence),
-        )
+        every = [
+            trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)
+            for trial in (*lasting, *late)
+        ]
+        alone, shared = (distinct(trial for trial in every if trial.shared == side) for side in (False, True))
+        guessed[unit] = _Guesses(alone, shared, placebo_of(evidence))
     return guessed
 
 

@@ -97,4 +97,12 @@ def _mirrored(trial: Hypothesis) -> Hypothesis:
     if not trial.opposite or len(trial.others) != 1:
         return trial
     (other,) = trial.others
-    return replace(trial, effects=trial.opposite, sensor=other, others=(trial.sensor,), opposite=trial.effects)
+    return replace(
+        trial,
+        effects=trial.opposite,
+        sensor=other,
+        others=(trial.sensor,),
+        opposite=trial.effects,
+        fitted=trial.opposite_fitted,
+        opposite_fitted=trial.fitted,
+    )

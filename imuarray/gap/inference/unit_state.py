@@ -82,8 +82,11 @@ class UnitState:
             effects[trial.sensor] = trial.effects
         else:
             effects.update(dict.fromkeys(trial.members or self.models, trial.effects))
+        opposite = replace(trial, fitted=trial.opposite_fitted)
         return {
-            name: _changed(model, replace(trial, effects=effects[name])) if name in effects else model
+            name: _changed(model, replace(opposite if name in trial.others else trial, effects=effects[name]))
+            if name in effects
+            else model
             for name, model in self.models.items()
         }
 
@@ -121,8 +124,8 @@ class UnitState:
 
 
 def reads_another(model: SensorModel) -> bool:
-    """True if a sensor has another's data, so that nothing of its own shows."""
-    return any(isinstance(effect, ChannelSwap) and effect.kind == "data" for effect in model.added)
+    """True if a sensor has another's data all of the time, so that nothing of its own shows."""
+    return any(isinstance(effect, ChannelSwap) and effect.kind == "data" and not effect.spans for effect in model.added)
 
 
 def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:

@@ -44,7 +44,9 @@ _MOST_STRETCHES = 8
 """The most stretches of one kind that are reported for a log."""
 
 _SAME_STEP = 0.5
-"""A further stretch is of the same kind if its step is this share of the first one's, or more."""
+"""A further stretch is of the same kind if its step is this share of the first one's, or more; one within a stretch
+with the opposite step is a hole in it.
+"""
 
 _SAME_SET = 0.8
 """Two sets of stretches are the same if they agree in this share of the time."""
@@ -167,10 +169,12 @@ def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
         begin, end, gain, step = _clearest(scores)
         if gain < _TOTAL_NATS:
             break
-        if first.any() and step @ first < _SAME_STEP * (first @ first):
+        likeness = float(step @ first) / float(first @ first) if first.any() else 1.0
+        is_hole = likeness < -_SAME_STEP and bool(inside[begin:end].all())
+        if likeness < _SAME_STEP and not is_hole:
             yield ChangedWindows(inside, nats)
             inside, first, nats = np.zeros(len(scores), bool), np.zeros(scores.shape[1]), 0.0
-        inside[begin:end] = True
+        inside[begin:end] = not is_hole
         scores[begin:end] -= step
         first, nats = first if first.any() else step, max(nats, gain)
     if inside.any():

@@ -39,6 +39,9 @@ class Bandwidth(Effect):
     A digital filter behind a converter that samples at `sampled_hz` passes noise that is white up to half of that and
     ends there (infinite: noise has no end): correlations are those of that part of the filter's response, which
     `_MEMORY` rows before each row reproduce (Yule and Walker).
+
+    `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
+    1 is meant; one that comes in at a moment takes noise away.
     """
 
     name: ClassVar[str] = "bandwidth"
@@ -46,13 +49,17 @@ class Bandwidth(Effect):
     share: float = scalar(0.0)
     poles: float = scalar(1.0)
     sampled_hz: float = scalar(math.inf)
+    noise_share: float = scalar(1.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, or other than 1 or 2 poles."""
+        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, or
+        other than 1 or 2 poles.
+        """
         super().__post_init__()
         require("cutoff_hz", self.cutoff_hz, 1e-2)
         require("share", self.share, 0.0, 1.0)
         require("sampled_hz", self.sampled_hz, 1e-2)
+        require("noise_share", self.noise_share, 0.0, 10.0)
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
 
@@ -71,7 +78,8 @@ class Bandwidth(Effect):
         first = np.zeros((len(under) - 1, white.shape[1]))
         first[0] = (1 - over[0]) * white[0]
         noise, _ = lfilter(over, under, white, axis=0, zi=first)
-        return replace(analog, value=self._passed(analog.value, decay), noise=np.asarray(noise, analog.noise.dtype))
+        noise = np.asarray(self.noise_share * noise, analog.noise.dtype)
+        return replace(analog, value=self._passed(analog.value, decay), noise=noise)
 
     def _passed(self, value: Reals, decay: float) -> Reals:
         """The signal (n, 3) after the filter, exactly so for straight lines between rows."""

@@ -20,6 +20,7 @@ from imuarray.gap.statistics.split import Share, Split
 from imuarray.simulate import Motion, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.made import ARRAY, PLANS, RATE_HZ, Effects, phases_of, simulation, temperature_of
 
 Floats = npt.NDArray[np.float64]
@@ -27,9 +28,15 @@ Floats = npt.NDArray[np.float64]
 REPLICATES = 12
 
 TWO_FACES = "heating on two faces"
-"""A plan besides those of `PLANS`."""
+"""A plan besides those of `PLANS`, as is the next."""
 
-_PLANS: Mapping[str, tuple[Motion, ...]] = {**PLANS, TWO_FACES: (Heating(scale=0.02), Heating(scale=0.02, up="-Z"))}
+WARM_TUMBLE = "tumble at 45 degC"
+
+_PLANS: Mapping[str, tuple[Motion, ...]] = {
+    **PLANS,
+    TWO_FACES: (Heating(scale=0.02), Heating(scale=0.02, up="-Z")),
+    WARM_TUMBLE: (Tumble(10.0, 1.0, (45.0,) * 7),),
+}
 
 
 def evidence_of(
@@ -50,6 +57,7 @@ def evidence_of(
     scores = np.clip((found.values - location) / np.maximum(scale, found.resolutions), -100.0, 100.0)
     left, headers = residual(campaign, motions, base), headers_in(campaign)
     own = headers[sensor]
+    twins = [item.name for item in headers.values() if item.chip == own.chip and item.name != sensor]
     return Evidence(
         own,
         base.fitted[sensor],
@@ -60,6 +68,8 @@ def evidence_of(
         (*base.effects(0)[sensor], *modelled),
         runs_in(campaign.series()["turn-on"], sensor) if "turn-on" in campaign.series() else None,
         tuple(item for item in headers.values() if item.quantity == own.quantity and item.name != sensor),
+        twins={name: _seen(campaign, left, name) for name in twins},
+        twin_fitted={name: base.fitted[name] for name in twins},
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from imuarray.gap.inference.effects.channel_swap import CHANNEL_SWAP
 from imuarray.gap.inference.effects.g_sensitivity import G_SENSITIVITY
 from imuarray.gap.inference.effects.nonlinearity import NONLINEARITY
 from imuarray.gap.inference.effects.size_effect import SIZE_EFFECT
+from imuarray.simulate.active_spans import spans_of
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
@@ -92,3 +95,41 @@ def test_nothing_is_shared_or_felt() -> None:
             evidence = evidence_of(kind, sensor, seed=5)
             for candidate in (CHANNEL_SWAP, SIZE_EFFECT, G_SENSITIVITY, NONLINEARITY):
                 assert list(candidate.guesses(evidence)) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "spans"),
+    [
+        ("turn-on", ((1, 0.0, math.inf), (4, 0.0, math.inf))),
+        ("static", ((0, 35.0, math.inf),)),
+        ("static", ((0, 12.0, 30.0),)),
+    ],
+)
+@pytest.mark.parametrize("is_exchange", [True, False])
+def test_readings_of_another_for_a_while(
+    kind: str, spans: tuple[tuple[int, float, float], ...], is_exchange: bool
+) -> None:
+    """G1 lies at 0.5 dps, G2 at -1 dps: in two boots, from a moment on, or for a while, G1 reads as G2 does, and G2 as
+    G1 or itself. Biases are those of the rest.
+    """
+    acting = spans_of(spans)
+    effects = {"G1": (ChannelSwap("G2", spans=acting),)}
+    if is_exchange:
+        effects["G2"] = (ChannelSwap("G1", spans=acting),)
+    *_, trial = CHANNEL_SWAP.guesses(evidence_of(kind, "G1", effects, seed=7))
+    assert (trial.sensor, trial.others, trial.name) == ("G1", ("G2",), "channel_swap")
+    assert [effect.sensor for effect in trial.opposite if isinstance(effect, ChannelSwap)] == ["G1"] * is_exchange
+    np.testing.assert_allclose([span[:2] for span in trial.when.triples], [span[:2] for span in spans], atol=0.5)
+    np.testing.assert_allclose([span[2] for span in trial.when.triples], [span[2] for span in spans], atol=0.5)
+    assert trial.fitted is not None
+    assert trial.fitted.offset == pytest.approx((0.5,) * 3, abs=0.02)
+    assert (trial.opposite_fitted is not None) == is_exchange
+    if trial.opposite_fitted is not None:
+        assert trial.opposite_fitted.offset == pytest.approx((-1.0,) * 3, abs=0.02)
+
+
+def test_a_step_that_is_no_level_of_another_is_no_exchange() -> None:
+    """Half way, or to the other's level on one axis only."""
+    for offset in ((-0.75,) * 3, (-1.5, 0.0, 0.0)):
+        step = Bias(offset, spans=(0.0, 35.0, 1e9))
+        assert list(CHANNEL_SWAP.guesses(evidence_of("static", "G1", {"G1": (step,)}, seed=7))) == []

@@ -4,6 +4,9 @@ the best estimate scatters: factors of 2 to 4, at fixed seeds.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -14,6 +17,8 @@ from imuarray.gap.inference.effects.common_mode import COMMON_MODE
 from imuarray.gap.inference.effects.popcorn_noise import POPCORN_NOISE
 from imuarray.gap.inference.effects.random_walk import RANDOM_WALK
 from imuarray.gap.inference.effects.slow import allan_of, gauss_markov, slower, wander_of, within
+from imuarray.gap.inference.evidence import Spell
+from imuarray.gap.inference.when import Span, When
 from imuarray.simulate.effects.bias_instability import BiasInstability
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
@@ -154,6 +159,26 @@ def test_all_of_a_wander_may_be_shared() -> None:
     apart = slower(evidence, wander)
     effects = [effect for trial in COMMON_MODE.guesses(evidence) for effect in trial.effects]
     assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
+
+
+def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
+    """A quarter of the rows: what the whole log shows of it is twice as large there."""
+    both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))
+    evidence = evidence_of("static", "A1", both, seed=7)
+    (phase,) = evidence.still
+    quarter = replace(phase, raw=replace(phase.raw, rows=phase.raw.rows // 4))
+    when = When((Span(0, 45.0, math.inf),))
+    trials = list(COMMON_MODE.guesses(replace(evidence, spells=(Spell(when, (quarter,)),))))
+    always = [trial for trial in trials if not trial.when.spans]
+    late = [trial for trial in trials if trial.when == when]
+    assert len(always) == len(late) > 0
+    for trial, other in zip(always, late, strict=True):
+        (one,), (its,) = trial.effects, other.effects
+        assert isinstance(one, CommonMode)
+        assert isinstance(its, CommonMode)
+        assert its.rms == pytest.approx(tuple(2 * rms for rms in one.rms), rel=1e-3)
+        assert its.spans
+        assert other.shared
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,9 @@ from imuarray.gap.inference.effects.lines import highest_lines
 from imuarray.gap.inference.effects.quietness import rarity_behind
 from imuarray.gap.inference.effects.tone import TONE, assign_signs
 from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
+from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
+from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.tone import Tone
@@ -166,3 +169,38 @@ def test_a_line_in_antiphase_has_the_sign_of_the_correlations(
 def test_an_axis_without_the_line_says_nothing_of_its_sign() -> None:
     x, y, z = assign_signs((1.0, 0.0, 3.0), np.array([-0.9, -0.9, 0.1]))
     assert (y, x * z) == (0.0, 3.0)
+
+
+def test_a_filter_of_a_spell_takes_noise_away() -> None:
+    """Half of the noise is left; the cutoff is that of the correlation; the filter of the model stays."""
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0),)}, seed=7, modelled=(Bandwidth(30.0),))
+    quiet = {"noise": np.full_like(evidence.values["noise"], math.log(0.5))}
+    none = {"noise": np.zeros_like(quiet["noise"])}
+    spell = replace(
+        evidence,
+        values={**evidence.values, **quiet},
+        expected={**evidence.expected, **none},
+        when=When((Span(0, 20.0, math.inf),)),
+    )
+    first, *_ = BANDWIDTH.guesses(spell)
+    (effect,) = first.effects
+    assert isinstance(effect, Bandwidth)
+    assert effect.noise_share == pytest.approx(0.5)
+    assert effect.cutoff_hz == pytest.approx(15.0, rel=0.1)
+    assert (first.action, first.free) == ("add", ("cutoff_hz", "noise_share"))
+    always, *_ = (trial for trial in BANDWIDTH.guesses(evidence) if trial.effects)
+    assert (always.action, always.free) == ("replace", ("cutoff_hz",))
+
+
+def test_noise_that_grows_at_a_moment_and_stays() -> None:
+    """0.05 dps and, from 30 s of the first log on, 0.1 dps more on one axis, as in the log after it."""
+    grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 30.0, math.inf), (1, 0.0, math.inf))))
+    evidence = evidence_of(("static", "tumble"), "G1", {"G1": (grown,)}, seed=7)
+    trial = next(trial for trial in WHITE_NOISE.guesses(evidence) if trial.when.triples[0][1] > 0)
+    (effect,) = trial.effects
+    assert isinstance(effect, WhiteNoise)
+    assert effect.rms == pytest.approx((0.0, 0.1, 0.0), abs=0.01)
+    assert [log for log, _, _ in trial.when.triples] == [0, 1]
+    assert trial.when.triples[0][1] == pytest.approx(30.0, abs=2.0)
+    assert trial.fitted is not None
+    assert trial.fitted.rms == pytest.approx((0.05, 0.05, 0.05), rel=0.15)

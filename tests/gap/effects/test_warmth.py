@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.thermal_scale import ThermalScale
-from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
+from tests.gap.effects.evidence_of import TWO_FACES, WARM_TUMBLE, evidence_of
 from tests.selection import some
 
 
@@ -55,6 +55,29 @@ def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
     (effect,) = trial.effects
     assert isinstance(effect, ThermalScale)
     assert effect.slope == pytest.approx((0.0, 0.0, 1e-3), rel=0.1)
+
+
+def test_a_scale_that_is_off_in_warmth() -> None:
+    """All faces at 45 degC, 20 above the reference: 1e-3 per degC makes 2 %, which an error of the scale makes too."""
+    put_in = {"A1": (ThermalScale((1e-3, 1e-3, 1e-3)),)}
+    (trial,) = THERMAL_SCALE.guesses(evidence_of((WARM_TUMBLE, "heating"), "A1", put_in, seed=3))
+    (effect,) = trial.effects
+    assert isinstance(effect, ThermalScale)
+    assert effect.slope == pytest.approx((1e-3, 1e-3, 1e-3), rel=0.2)
+
+
+def test_an_axis_of_which_a_part_of_the_slope_lags() -> None:
+    """The other axes and the thermometer do not."""
+    put_in = {"G1": (ThermalLag(20.0, (0.0, 0.1, 0.0)),)}
+    evidence = evidence_of("heating", "G1", put_in, seed=7)
+    trial = next(trial for trial in THERMAL_LAG.guesses(evidence) if "slope" in trial.free)
+    (effect,) = trial.effects
+    assert isinstance(effect, ThermalLag)
+    assert effect.slope == pytest.approx((0.0, 0.1, 0.0), abs=0.01)
+    assert effect.time_constant_s == pytest.approx(20.0, rel=0.3)
+    assert trial.fitted is not None
+    assert trial.fitted.slope == pytest.approx((0.05,) * 3, abs=0.005)
+    assert trial.fitted.offset == pytest.approx((0.5,) * 3, abs=0.03)
 
 
 def test_nothing_follows_temperature() -> None:

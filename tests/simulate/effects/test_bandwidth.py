@@ -144,3 +144,12 @@ def test_noise_behind_a_digital_filter(place: MakePlace, analog: MakeAnalog, pol
     for lag in (1, 2, 3):
         wanted = np.corrcoef(expected[lag:], expected[:-lag])[0, 1]
         assert np.corrcoef(found[lag:], found[:-lag])[0, 1] == pytest.approx(wanted, abs=0.015)
+
+
+def test_a_share_of_the_noise_comes_through(place: MakePlace, analog: MakeAnalog) -> None:
+    white = np.random.default_rng(6).normal(0, 0.3, (500, 3))
+    rows, at = analog(0, 500, noise=white), place(rows_per_s=100.0)
+    whole, half = (Bandwidth(10.0, noise_share=share).analog(rows, at).noise for share in (1.0, 0.5))
+    np.testing.assert_allclose(half, whole / 2)
+    with pytest.raises(ValueError, match=r"noise_share: -1(\.0)?; allowed is 0 to 10"):
+        Bandwidth(10.0, noise_share=-1.0)

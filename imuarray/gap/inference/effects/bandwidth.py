@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -13,6 +14,7 @@ from imuarray.gap.inference.effects.lag import mean_of, odd_lags
 from imuarray.gap.inference.effects.quietness import rarity_behind
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 
 _TRACES = ("lag_1", "lag_2", "lag_3", "allan_2", "allan_8", "band_5", "band_6", "band_1", "noise_excess")
@@ -21,6 +23,8 @@ _LEAST, _MOST = 0.01, 0.995
 """Correlations beyond are no low-pass that rows show."""
 
 _ALIKE = 1.3
+_OF_SPELL = ("cutoff_hz", "noise_share")
+_MOST_NOISE = 10.0
 _UNSEEN = 0.3
 """Correlation from which on rows tell the cutoff themselves."""
 
@@ -34,8 +38,14 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     that it is late, or early, with the signal filtered too.
 
     Rows too slow to show any correlation still show the delay, 1 / (sqrt(2) pi cutoff) of a filter with two poles, and
-    only that: what tells it from a reading that is merely late is how much noise is gone.
+    only that: what tells it from a reading that is merely late is how much noise is gone. A filter of a spell takes its
+    share of the noise away, which the fit to the rest of the log knows nothing of.
     """
+    if evidence.when.spans:
+        yield from (
+            replace(trial, effects=tuple(_quieter(evidence, trial)), free=_OF_SPELL) for trial in _found(evidence)
+        )
+        return
     yield from with_removal(evidence, Bandwidth.name, _found(evidence))
     if not any(isinstance(effect, Bandwidth) and effect.share for effect in evidence.effects):
         yield from _by_delay(evidence)
@@ -59,6 +69,13 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         decay = float(brentq(lambda decay: correlation(decay, 2) - first, 0.0, _NOTHING_LEFT))
         for share in shares:
             yield Hypothesis((Bandwidth(_of_two_poles(decay * evidence.rows_per_s), share, 2.0),), ("cutoff_hz",))
+
+
+def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
+    """The effects of a trial with the share of the noise that the spell has."""
+    share = min(float(np.exp(evidence.typical("noise").mean())), _MOST_NOISE)
+    for effect in trial.effects:
+        yield replace(effect, noise_share=share) if isinstance(effect, Bandwidth) else effect
 
 
 def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:

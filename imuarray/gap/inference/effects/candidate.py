@@ -31,7 +31,7 @@ class Hypothesis:
     its `members` of the chip have it; or (`everywhere`) all that the host reads. `whole`: neither part shows it
     without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
     (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
-    (None: those of the fit). It holds always, or `when` it says (`at`).
+    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`).
     """
 
     effects: tuple[Effect, ...]
@@ -47,6 +47,7 @@ class Hypothesis:
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fitted: FittedParameters | None = None
+    opposite_fitted: FittedParameters | None = None
     when: When = ALWAYS
 
     def at(self, when: When) -> Hypothesis:

@@ -1,16 +1,22 @@
-"""`channel_swap`: readings that are another sensor's, by their noise or by their axes; or two in each other's place."""
+"""`channel_swap`: readings that are another sensor's, by noise, axes or levels; or two in each other's place."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import takes_part
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.effects.turn_on_bias import TRACES as RUN_TO_RUN
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.inference.when import Span, When
+from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 
@@ -21,11 +27,22 @@ _SAME = 0.9
 """Correlation of window means at rest beyond which two sensors' noise is one."""
 
 _NEAR = 0.25
-"""A response is that of another sensor's axes if none of its entries is farther off."""
+"""A response is that of another sensor's axes if none of its entries is farther off; a level is another sensor's if it
+is off by no more of the difference between both.
+"""
+
+_APART = 8.0
+"""Standard deviations of a segment's mean by which the levels of two sensors have to differ to tell which is read."""
+
+_LEAST_ROWS = 4
+_LEVELS = ("mean_halves", "mean_return", "wander", "mean", "level", *RUN_TO_RUN)
+"""Statistics that change where a sensor's level is another's for a part of the time."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Each sensor whose noise is this one's, and each along whose axes this one seems to lie."""
+    """Each sensor whose noise is this one's, each along whose axes this one seems to lie, and each of the chip whose
+    levels this one has for a part of the time.
+    """
     yield from with_removal(evidence, ChannelSwap.name, _hypotheses(evidence))
 
 
@@ -38,12 +55,140 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
             yield Hypothesis((ChannelSwap(other.name),), shared=True, sensor=evidence.header.name, others=(other.name,))
         if odd and other.name not in twins and other.chip == evidence.header.chip and _lies_along(evidence, other):
             yield _crossed(evidence.header.name, other.name)
+    if evidence.is_odd(*_LEVELS, beyond=_BEYOND):
+        for name, phases in evidence.twins.items():
+            yield from _for_a_while(evidence, name, phases)
 
 
 def _crossed(sensor: str, other: str) -> Hypothesis:
     """Their plugs were crossed: each is set up and read in the other's place."""
     one, its = ChannelSwap(other, "place"), ChannelSwap(sensor, "place")
     return Hypothesis((one,), shared=True, sensor=sensor, others=(other,), opposite=(its,))
+
+
+class _Course(NamedTuple):
+    """The segments at rest of a sensor, in order of time: number of the log, time in s, and mean (s, 3) in counts as
+    recorded and less what the model predicts; `noise` (3,) of a mean. `face` (s,) numbers the attitudes.
+    """
+
+    log: Integers
+    time_s: Floats
+    face: Integers
+    mean: Floats
+    deviation: Floats
+    noise: Floats
+
+
+def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
+    """The other sensor's data for a part of the time; with this sensor's data in its place if its levels are so.
+
+    The usual levels are the medians: the part has to be the smaller one.
+    """
+    faces: dict[str, int] = {}
+    own, its = _course(evidence.still, faces), _course(phases, faces)
+    if not len(own.log) or not len(its.log):
+        return
+    usual, other_usual = _usual_levels(own, len(faces)), _usual_levels(its, len(faces))
+    distance = other_usual - usual
+    is_apart = np.asarray((np.abs(distance) > _APART * np.maximum(own.noise, its.noise)).any(axis=1))
+    inside = is_apart[own.face] & (_share(own, usual, distance) > 0.5)
+    if not inside.any() or not _is_at(own, inside, other_usual, distance):
+        return
+    when = _when(own, inside, _share(own, usual, distance))
+    its_inside = np.array([_is_within(when, *moment) for moment in zip(its.log, its.time_s, strict=True)], bool)
+    is_exchange = bool(its_inside.any()) and _is_at(its, its_inside, usual, distance)
+    name = evidence.header.name
+    yield replace(
+        Hypothesis(
+            (ChannelSwap(other),),
+            shared=True,
+            sensor=name,
+            others=(other,),
+            opposite=(ChannelSwap(name),) if is_exchange else (),
+            fitted=_refitted(evidence.fitted, own, inside, evidence.header),
+            opposite_fitted=_refitted(evidence.twin_fitted[other], its, its_inside, phases[0].raw.header)
+            if is_exchange
+            else None,
+        ).at(when),
+        whole=True,
+    )
+
+
+def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
+    """The course of a sensor over its phases at rest; `faces` numbers the attitudes and grows."""
+    parts = []
+    for phase in phases:
+        raw, left = phase.raw.segments, phase.residual.segments
+        held = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
+        face = faces.setdefault(phase.raw.phase.up, len(faces))
+        noise = np.sqrt(raw.steady_variance[held] / raw.rows[held, None])
+        count = int(held.sum())
+        numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, face)
+        parts.append((*numbers, raw.mean[held], left.mean[held], noise))
+    if not any(len(part[0]) for part in parts):
+        none, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
+        return _Course(none, np.zeros(0), none, nothing, nothing, np.zeros(3))
+    log, time_s, face, mean, deviation, noise = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((time_s, log))
+    typical = np.asarray(np.median(noise, axis=0))
+    return _Course(log[order], time_s[order], face[order], mean[order], deviation[order], typical)
+
+
+def _usual_levels(course: _Course, faces: int) -> Floats:
+    """(f, 3) median over the segments of each attitude, nan where there is none."""
+    levels = np.full((faces, 3), np.nan)
+    for face in np.unique(course.face):
+        levels[face] = np.median(course.mean[course.face == face], axis=0)
+    return levels
+
+
+def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
+    """(s,) share of the way from the usual level to the other sensor's that each segment has gone."""
+    way = distance[course.face]
+    gone, square = ((course.mean - usual[course.face]) * way).sum(axis=1), (way**2).sum(axis=1)
+    return np.asarray(np.divide(gone, square, out=np.zeros(len(gone)), where=square > 0))
+
+
+def _is_at(course: _Course, inside: Booleans, levels: Floats, distance: Floats) -> bool:
+    """True if the segments inside lie at these levels."""
+    off = np.median(course.mean[inside] - levels[course.face[inside]], axis=0)
+    way = np.median(np.abs(distance[course.face[inside]]), axis=0)
+    return bool(np.linalg.norm(off) < _NEAR * np.linalg.norm(way))
+
+
+def _when(course: _Course, inside: Booleans, share: Floats) -> When:
+    """The stretches of segments inside; a moment lies where both segments beside it have their share of the step."""
+    spans: list[Span] = []
+    for log in np.unique(course.log).tolist():
+        own = course.log == log
+        within, time_s, shares = inside[own], course.time_s[own], np.clip(share[own], 0.0, 1.0)
+        width_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], within.astype(np.int8), [0]])))
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            begin_s = _moment_s(time_s, shares, begin, width_s, is_begin=True)
+            end_s = _moment_s(time_s, shares, end, width_s, is_begin=False)
+            spans.append(Span(log, begin_s, end_s - begin_s))
+    return When(tuple(spans))
+
+
+def _moment_s(time_s: Floats, shares: Floats, at: int, width_s: float, *, is_begin: bool) -> float:
+    """The moment of a change between segments at - 1 and at; 0 or infinity at the ends of a log."""
+    if at == 0 or at == len(time_s):
+        return 0.0 if at == 0 else math.inf
+    early_s = width_s * (float(shares[at - 1 : at + 1].sum()) - 1)
+    return float(time_s[at - 1 : at + 1].mean()) + (-early_s if is_begin else early_s)
+
+
+def _is_within(when: When, log: int, time_s: float) -> bool:
+    return any(number == log and begin_s <= time_s < end_s for number, begin_s, end_s in when.triples)
+
+
+def _refitted(fitted: FittedParameters, course: _Course, inside: Booleans, header: SensorHeader) -> FittedParameters:
+    """The parameters with the offset of the segments that are not inside."""
+    if inside.all():
+        return fitted
+    x, y, z = (np.array(fitted.offset) + np.median(course.deviation[~inside], axis=0) / header.sensitivity).tolist()
+    return replace(fitted, offset=(x, y, z))
 
 
 def _twins(evidence: Evidence) -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from imuarray.gap.inference.effects.slow import (
     wander_of,
     within,
 )
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Spell
 from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
@@ -36,6 +37,8 @@ _APART, _ALIKE = 5.0, 1.5
 _FOR_EVER_S = 1e6
 _LEAST_DEGC = 1.0
 _LEAST = 4
+_SPELLS = 4
+"""Most spells in which a common course is tried."""
 
 _PAIRED = 5.0
 """Standard deviations by which two units have something in common that others needn't have."""
@@ -51,9 +54,28 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
     and straight lines taken out; its time constant by that of the sensor's wander, in logs and between them, another
     one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
-    others don't share of it.
+    others don't share of it. What lasts within a log is tried in the spells of the sensor, too.
     """
-    yield from with_removal(evidence, CommonMode.name, _found(evidence))
+    always = list(_found(evidence))
+    during = [_during(trial, spell, evidence) for spell in evidence.spells[:_SPELLS] for trial in always]
+    yield from with_removal(evidence, CommonMode.name, [*always, *(trial for trial in during if trial is not None)])
+
+
+def _during(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis | None:
+    """The trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
+    share = sum(phase.raw.rows for phase in spell.seen) / max(sum(phase.raw.rows for phase in evidence.still), 1)
+    if trial.needs_both or not 0 < share < 1:
+        return None
+    effects = [
+        replace(effect, rms=_scaled(effect.rms, 1 / math.sqrt(share))) if isinstance(effect, CommonMode) else effect
+        for effect in trial.effects
+    ]
+    return replace(trial, effects=tuple(effects)).at(spell.when)
+
+
+def _scaled(rms: Triple, by: float) -> Triple:
+    x, y, z = rms
+    return x * by, y * by, z * by
 
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:

@@ -24,10 +24,10 @@ def with_removal(
 ) -> Iterator[Hypothesis]:
     """The trial without effects of this kind, and the `guesses` that add one. Where the model has one already each of
     these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it is both
-    added and put in its place.
+    added and put in its place. What holds for a while is added to what the model always has.
     """
     yield from removals(evidence, name)
-    has = _has(evidence, name)
+    has = _has(evidence, name) and not evidence.when.spans
     for guess in guesses:
         if has:
             yield replace(guess, removed=name)

@@ -1,4 +1,4 @@
-"""`thermal_scale`: slopes over temperature that are opposite on opposite faces."""
+"""`thermal_scale`: slopes over temperature that are opposite on opposite faces, or a scale that is off in warmth."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, levels
 from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.effects.thermal import BEYOND, LEAST_DEGC, TRACES, fitted, warmth
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.thermal_scale import ThermalScale
@@ -18,7 +20,8 @@ _CLEAR = 2.0
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Of an accelerometer, the part of the slope that has the sign of the force. On one face alone it can't be told
-    from a slope of the bias, which is fitted: then nothing is guessed.
+    from a slope of the bias, which is fitted: then nothing is guessed. And the slope that makes the error of the scale
+    at the temperature at which the faces were taken up: no other experiment tells the two apart.
     """
     yield from with_removal(evidence, ThermalScale.name, _hypotheses(evidence))
 
@@ -32,6 +35,22 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     slope = [_slope(table, axis) for axis in range(3)]
     if any(slope):
         yield Hypothesis((ThermalScale((slope[0], slope[1], slope[2])),), ("slope",))
+    x, y, z = _by_scale(evidence, table).tolist()
+    if any((x, y, z)):
+        yield Hypothesis((ThermalScale((x, y, z)),), ("slope",))
+
+
+def _by_scale(evidence: Evidence, table: Levels) -> Floats:
+    """(3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
+    shown, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
+    if shown is None or not known.any():
+        return np.zeros(3)
+    faces, of_face = np.unique(table.felt_g[known], axis=0, return_inverse=True)
+    warm = float(np.mean([warmth(table)[known][of_face.ravel() == at].mean() for at in range(len(faces))]))
+    score = size_of_score(evidence, "force_own")
+    if abs(warm) < LEAST_DEGC or not (score > ODD).any():
+        return np.zeros(3)
+    return np.asarray(np.where(score > DOUBTFUL, np.diag(shown.error) / warm, 0.0))
 
 
 def _slope(table: Levels, axis: int) -> float:

@@ -4,19 +4,25 @@ or that was fitted to an earlier recording and changed since.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.steps import Onset, onsets
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import ALWAYS, in_logs
+from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, since
 from imuarray.simulate.effects.white_noise import WhiteNoise
 
 _BEYOND = 3.0
 _LEAST = 0.1
 """Share of the noise that rounding leaves to the element."""
+
+_GROWN = 1.2
+"""Ratio of variances after and before a moment from which on the noise has grown."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -28,6 +34,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _since(evidence)
     if any(evidence.fitted.rms):
         yield from _more(evidence)
+        if not evidence.when.spans:
+            yield from _from_a_moment(evidence)
     elif evidence.is_odd("motion_residual", beyond=_BEYOND):
         yield from _in_motion(evidence)
 
@@ -55,6 +63,35 @@ def _more(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), fitted=fitted).at(when)
 
 
+def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Noise that grew within a log, also if its phases at rest are too short for spells; and in the logs after it that
+    have as much.
+    """
+    for onset in onsets(evidence)[:1]:
+        before, after = np.square(onset.states.noise_before), np.square(onset.states.noise_after)
+        rms = np.sqrt(np.where(after > _GROWN * before, after - before, 0.0))
+        if rms.any():
+            x, y, z = rms.tolist()
+            a, b, c = np.sqrt(np.maximum(before - _rounding(evidence), _LEAST**2 * before)).tolist()
+            grown = WhiteNoise((x, y, z))
+            fitted = replace(evidence.fitted, rms=(a, b, c))
+            first, later = Span(onset.log, onset.onset_s, math.inf), _as_noisy(evidence, onset, after > _GROWN * before)
+            yield Hypothesis((grown,), ("rms",), fitted=fitted).at(since(first, later) if later else When((first,)))
+
+
+def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
+    """The logs after that of a moment whose noise on the `grown` axes is nearer to that after it."""
+    middle = np.log(onset.states.noise_before * onset.states.noise_after) / 2
+    logs = sorted({phase.log for phase in evidence.still if phase.log > onset.log})
+    level = {log: np.log(evidence.noise) + evidence.within([log]).typical("noise") for log in logs}
+    return [log for log in logs if ((level[log] - middle)[grown] > 0).all()]
+
+
+def _rounding(evidence: Evidence) -> Floats:
+    """(3,) variance of rounding."""
+    return evidence.noise**2 - np.square(evidence.fitted.rms)
+
+
 def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
     moving = [phase.cross for phase in evidence.seen if not phase.is_still and phase.cross is not None]
     window_rows = max(moving[0].window_s * evidence.rows_per_s, 1.0) if moving else 1.0
@@ -68,8 +105,7 @@ def _since(evidence: Evidence) -> Iterator[Hypothesis]:
     if not any(evidence.fitted.rms) or not evidence.is_odd("noise", beyond=_BEYOND):
         return
     ratio = np.where(np.abs(evidence.score("noise")) > _BEYOND, np.exp(evidence.typical("noise")), 1.0)
-    rounding = evidence.noise**2 - np.square(evidence.fitted.rms)
-    x, y, z = np.sqrt(np.maximum((ratio * evidence.noise) ** 2 - rounding, 0.0)).tolist()
+    x, y, z = np.sqrt(np.maximum((ratio * evidence.noise) ** 2 - _rounding(evidence), 0.0)).tolist()
     without = replace(evidence.fitted, rms=(0.0, 0.0, 0.0))
     yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), removed=WhiteNoise.name, fitted=without)
 
