@@ -11,9 +11,10 @@ from scipy.optimize import brentq
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import mean_of, odd_lags
-from imuarray.gap.inference.effects.quietness import rarity_behind
+from imuarray.gap.inference.effects.quietness import cutoff_that_passes, noise_of_logs, rarity_behind, with_noise
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import in_logs
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 
@@ -46,6 +47,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
             replace(trial, effects=tuple(_quieter(evidence, trial)), free=_OF_SPELL) for trial in _found(evidence)
         )
         return
+    yield from _in_quiet_logs(evidence)
     yield from with_removal(evidence, Bandwidth.name, _found(evidence))
     if not any(isinstance(effect, Bandwidth) and effect.share for effect in evidence.effects):
         yield from _by_delay(evidence)
@@ -76,6 +78,18 @@ def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
     share = min(float(np.exp(evidence.typical("noise").mean())), _MOST_NOISE)
     for effect in trial.effects:
         yield replace(effect, noise_share=share) if isinstance(effect, Bandwidth) else effect
+
+
+def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A filter that takes noise away in some logs, by the same share on all axes; whether or not their rows are fast
+    enough to show a correlation.
+    """
+    logs = noise_of_logs(evidence)
+    share = 1.0 if logs is None else float(np.exp((logs.less - logs.more).mean()))
+    cutoff_hz = cutoff_that_passes(evidence, share)
+    if logs is not None and share < 1 and cutoff_hz > 0:
+        effect = Bandwidth(cutoff_hz, poles=2.0, noise_share=share)
+        yield Hypothesis((effect,), _OF_SPELL, fitted=with_noise(evidence, logs.more)).at(in_logs(logs.quiet))
 
 
 def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:

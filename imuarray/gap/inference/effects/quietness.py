@@ -7,8 +7,14 @@ third more or less, and many a part has more from elsewhere, so that it counts a
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import NamedTuple
 
+import numpy as np
+
+from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.model.populations import printed_noise
 from imuarray.simulate.model import noise_bandwidth_hz
 
@@ -17,6 +23,46 @@ _TYPICAL, _TAIL = 0.3, 4.0
 
 _OF_TWO_POLES = math.pi / (2 * math.sqrt(2))
 """Bandwidth of the white noise that a Butterworth filter with two poles passes, by its cutoff."""
+
+BEYOND = 3.0
+"""Standard deviations by which logs of one noise differ from what was fitted to all."""
+
+_LEAST = 0.1
+"""Share of the noise that rounding leaves to the element."""
+
+
+class NoiseOfLogs(NamedTuple):
+    """The `noisy` and the `quiet` logs, by their numbers, and the log (3,) of the noise of each over the fitted one."""
+
+    noisy: tuple[int, ...]
+    quiet: tuple[int, ...]
+    more: Floats
+    less: Floats
+
+
+def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
+    """Divides the logs by their noise; None if all have the fitted one."""
+    logs = sorted({phase.log for phase in evidence.still})
+    alone = {log: evidence.within([log]) for log in logs}
+    noisy = tuple(log for log, own in alone.items() if own.score("noise").max() > BEYOND)
+    if not 0 < len(noisy) < len(logs):
+        return None
+    quiet = tuple(log for log in logs if log not in noisy)
+    more, less = (np.median([alone[log].typical("noise") for log in side], axis=0) for side in (noisy, quiet))
+    return NoiseOfLogs(noisy, quiet, np.asarray(more), np.asarray(less))
+
+
+def with_noise(evidence: Evidence, log_ratio: Floats) -> FittedParameters:
+    """The fitted parameters with a noise that is `log_ratio` (3,) times larger, in logs; rounding stays as it is."""
+    square = evidence.noise**2 * np.exp(2 * log_ratio)
+    rounding = evidence.noise**2 - np.square(evidence.fitted.rms)
+    x, y, z = np.sqrt(np.maximum(square - rounding, _LEAST**2 * square)).tolist()
+    return replace(evidence.fitted, rms=(x, y, z))
+
+
+def cutoff_that_passes(evidence: Evidence, share: float) -> float:
+    """Cutoff of a low-pass of two poles that lets this share of the rms of the chip's noise through; 0 if unknown."""
+    return share**2 * noise_bandwidth_hz(evidence.header) / _OF_TWO_POLES
 
 
 def rarity_behind(evidence: Evidence, cutoff_hz: float) -> float:

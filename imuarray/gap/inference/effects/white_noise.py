@@ -12,17 +12,14 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.quietness import BEYOND, noise_of_logs, with_noise
 from imuarray.gap.inference.effects.steps import Onset, onsets
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, since
 from imuarray.simulate.effects.white_noise import WhiteNoise
 
-_BEYOND = 3.0
-_LEAST = 0.1
-"""Share of the noise that rounding leaves to the element."""
-
-_GROWN = 1.2
-"""Ratio of variances after and before a moment from which on the noise has grown."""
+_GROWN = 0.1
+"""Log of the ratio of noises after and before a moment from which on the noise has grown."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -36,31 +33,26 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _more(evidence)
         if not evidence.when.spans:
             yield from _from_a_moment(evidence)
-    elif evidence.is_odd("motion_residual", beyond=_BEYOND):
+    elif evidence.is_odd("motion_residual", beyond=BEYOND):
         yield from _in_motion(evidence)
 
 
 def _more(evidence: Evidence) -> Iterator[Hypothesis]:
     """The noise of the rest is the smaller one: what was fitted may lie between."""
     if evidence.when.spans:
-        more, less, when = evidence.typical("noise"), np.zeros(3), ALWAYS
-    else:
-        logs = sorted({phase.log for phase in evidence.still})
-        alone = {log: evidence.within([log]) for log in logs}
-        noisy = [log for log, own in alone.items() if own.score("noise").max() > _BEYOND]
-        if not 0 < len(noisy) < len(logs):
-            return
-        quiet = [own.typical("noise") for log, own in alone.items() if log not in noisy]
-        more = np.median([alone[log].typical("noise") for log in noisy], axis=0)
-        less, when = np.median(quiet, axis=0), in_logs(noisy)
-    usual, found = (evidence.noise**2 * np.exp(2 * side) for side in (less, more))
-    rms = np.sqrt(np.maximum(np.nan_to_num(found - usual), 0.0))
-    if rms.any() and evidence.score("noise").max() > _BEYOND:
+        if evidence.score("noise").max() > BEYOND:
+            yield from _grown(evidence, evidence.typical("noise"), np.zeros(3), ALWAYS)
+    elif (logs := noise_of_logs(evidence)) is not None:
+        yield from _grown(evidence, logs.more, logs.less, in_logs(logs.noisy))
+
+
+def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterator[Hypothesis]:
+    """What the larger noise has beyond the smaller one, (3,) each as the log of its ratio to the fitted one."""
+    larger, usual = (evidence.noise**2 * np.exp(2 * side) for side in (more, less))
+    rms = np.sqrt(np.maximum(np.nan_to_num(larger - usual), 0.0))
+    if rms.any():
         x, y, z = rms.tolist()
-        below = np.array(evidence.fitted.rms) ** 2 + usual - evidence.noise**2
-        a, b, c = np.sqrt(np.maximum(below, _LEAST**2 * usual)).tolist()
-        fitted = replace(evidence.fitted, rms=(a, b, c))
-        yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), fitted=fitted).at(when)
+        yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), fitted=with_noise(evidence, less)).at(when)
 
 
 def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -68,15 +60,13 @@ def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
     have as much.
     """
     for onset in onsets(evidence)[:1]:
-        before, after = np.square(onset.states.noise_before), np.square(onset.states.noise_after)
-        rms = np.sqrt(np.where(after > _GROWN * before, after - before, 0.0))
-        if rms.any():
-            x, y, z = rms.tolist()
-            a, b, c = np.sqrt(np.maximum(before - _rounding(evidence), _LEAST**2 * before)).tolist()
-            grown = WhiteNoise((x, y, z))
-            fitted = replace(evidence.fitted, rms=(a, b, c))
-            first, later = Span(onset.log, onset.onset_s, math.inf), _as_noisy(evidence, onset, after > _GROWN * before)
-            yield Hypothesis((grown,), ("rms",), fitted=fitted).at(since(first, later) if later else When((first,)))
+        before, after = (
+            np.log(noise / evidence.noise) for noise in (onset.states.noise_before, onset.states.noise_after)
+        )
+        is_larger = after - before > _GROWN
+        first, later = Span(onset.log, onset.onset_s, math.inf), _as_noisy(evidence, onset, is_larger)
+        when = since(first, later) if later else When((first,))
+        yield from _grown(evidence, np.where(is_larger, after, before), before, when)
 
 
 def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
@@ -85,11 +75,6 @@ def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
     logs = sorted({phase.log for phase in evidence.still if phase.log > onset.log})
     level = {log: np.log(evidence.noise) + evidence.within([log]).typical("noise") for log in logs}
     return [log for log in logs if ((level[log] - middle)[grown] > 0).all()]
-
-
-def _rounding(evidence: Evidence) -> Floats:
-    """(3,) variance of rounding."""
-    return evidence.noise**2 - np.square(evidence.fitted.rms)
 
 
 def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -102,10 +87,11 @@ def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _since(evidence: Evidence) -> Iterator[Hypothesis]:
     """Another noise than in the earlier recording, on the axes on which it is odd."""
-    if not any(evidence.fitted.rms) or not evidence.is_odd("noise", beyond=_BEYOND):
+    if not any(evidence.fitted.rms) or not evidence.is_odd("noise", beyond=BEYOND):
         return
-    ratio = np.where(np.abs(evidence.score("noise")) > _BEYOND, np.exp(evidence.typical("noise")), 1.0)
-    x, y, z = np.sqrt(np.maximum((ratio * evidence.noise) ** 2 - _rounding(evidence), 0.0)).tolist()
+    ratio = np.where(np.abs(evidence.score("noise")) > BEYOND, np.exp(evidence.typical("noise")), 1.0)
+    rounding = evidence.noise**2 - np.square(evidence.fitted.rms)
+    x, y, z = np.sqrt(np.maximum((ratio * evidence.noise) ** 2 - rounding, 0.0)).tolist()
     without = replace(evidence.fitted, rms=(0.0, 0.0, 0.0))
     yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), removed=WhiteNoise.name, fitted=without)
 
