@@ -68,6 +68,7 @@ def evidence_of(
         (*base.effects(0)[sensor], *modelled),
         runs_in(campaign.series()["turn-on"], sensor) if "turn-on" in campaign.series() else None,
         tuple(item for item in headers.values() if item.quantity == own.quantity and item.name != sensor),
+        rows_of=_logs_of(found.keys, sensor),
         twins={name: _seen(campaign, left, name) for name in twins},
         twin_fitted={name: base.fitted[name] for name in twins},
     )
@@ -128,6 +129,15 @@ def _seen(raw: Campaign, left: Campaign, sensor: str) -> tuple[PhaseEvidence, ..
         PhaseEvidence(number, kind, phase.is_still, phase.sensors[sensor], other.sensors[sensor], phase.cross)
         for number, kind, phase, other in pairs
     )
+
+
+def _logs_of(keys: Sequence[Key], sensor: str) -> dict[str, tuple[int, ...]]:
+    """The log of each row of `_by_probe`."""
+    rows: dict[str, dict[tuple[int, str, int], int]] = {}
+    for key in keys:
+        if key.sensor == sensor:
+            rows.setdefault(key.probe, {})[key.log, key.phase, key.phase_number] = key.log
+    return {probe: tuple(places.values()) for probe, places in rows.items()}
 
 
 def _by_probe(keys: Sequence[Key], values: Floats, sensor: str) -> dict[str, Floats]:

@@ -204,3 +204,19 @@ def test_noise_that_grows_at_a_moment_and_stays() -> None:
     assert trial.when.triples[0][1] == pytest.approx(30.0, abs=2.0)
     assert trial.fitted is not None
     assert trial.fitted.rms == pytest.approx((0.05, 0.05, 0.05), rel=0.15)
+
+
+def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> None:
+    """Three times as noisy in the log at rest, as in the tumble before its noise went through a filter: 35 Hz of the
+    chip's noise, of whose power one ninth is left, and of two poles, which pass pi / (2 sqrt(2)) of their cutoff.
+    """
+    noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((0, 0.0, math.inf),)))
+    evidence = evidence_of(("static", "tumble"), "G1", {"G1": (noisy,)}, seed=7)
+    trial = next(trial for trial in BANDWIDTH.guesses(evidence) if trial.when.spans)
+    (effect,) = trial.effects
+    assert isinstance(effect, Bandwidth)
+    assert effect.noise_share == pytest.approx(1 / 3, rel=0.1)
+    assert effect.cutoff_hz == pytest.approx(35 / 9 * 2 * math.sqrt(2) / math.pi, rel=0.2)
+    assert [log for log, _, _ in trial.when.triples] == [1]
+    assert trial.fitted is not None
+    assert trial.fitted.rms == pytest.approx((0.15,) * 3, rel=0.1)

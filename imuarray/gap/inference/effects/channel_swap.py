@@ -120,10 +120,10 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
     for phase in phases:
         raw, left = phase.raw.segments, phase.residual.segments
         held = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
-        face = faces.setdefault(phase.raw.phase.up, len(faces))
+        attitude = faces.setdefault(phase.raw.phase.up, len(faces))
         noise = np.sqrt(raw.steady_variance[held] / raw.rows[held, None])
         count = int(held.sum())
-        numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, face)
+        numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, attitude)
         parts.append((*numbers, raw.mean[held], left.mean[held], noise))
     if not any(len(part[0]) for part in parts):
         none, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
@@ -137,8 +137,8 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
 def _usual_levels(course: _Course, faces: int) -> Floats:
     """(f, 3) median over the segments of each attitude, nan where there is none."""
     levels = np.full((faces, 3), np.nan)
-    for face in np.unique(course.face):
-        levels[face] = np.median(course.mean[course.face == face], axis=0)
+    for number in np.unique(course.face):
+        levels[number] = np.median(course.mean[course.face == number], axis=0)
     return levels
 
 
