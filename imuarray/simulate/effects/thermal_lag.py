@@ -10,8 +10,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
-from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Felt, Motion, Place
 
 _STEPS = 50
 """Steps of the recursion per time constant."""
@@ -29,14 +29,10 @@ class ThermalLag(Effect):
     the time constant (10 ms at least, 10 s at most), for which the recursion is exact. Acts with `thermal_bias` and
     `thermal_scale`, and on what the chip's own thermometer reads. In data: a loop in readings over the temperature of
     another chip, its area growing with the speed of heating.
-
-    With a `slope`, in the sensor's unit per degC, only a part of the bias of each axis lags, not the whole element:
-    slope (T - T_box) is added. A stress in the package that relaxes does so, on one axis and not on the others.
     """
 
     name: ClassVar[str] = "thermal_lag"
     time_constant_s: float = scalar(0.0)
-    slope: Triple = per_axis(suffix="_{u}_per_degc")
 
     def __post_init__(self) -> None:
         """ValueError for a time constant outside 0 to 1e6 s."""
@@ -45,24 +41,12 @@ class ThermalLag(Effect):
 
     def felt(self, felt: Felt, at: Place) -> Felt:
         """Another temperature."""
-        if any(self.slope) or self.time_constant_s == 0.0 or len(felt.time_ns) == 0:
+        if self.time_constant_s == 0.0 or len(felt.time_ns) == 0:
             return felt
-        return replace(felt, temperature_degc=self._lagged_at(felt.time_ns, at.motion))
-
-    def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds the part of the bias that lags."""
-        if not any(self.slope) or self.time_constant_s == 0.0 or len(analog.instant_ns) == 0:
-            return analog
-        time_ns = analog.instant_ns
-        apart = self._lagged_at(time_ns, at.motion) - at.motion.felt(time_ns).temperature_degc
-        value = analog.value
-        return replace(analog, value=value + np.asarray(apart[:, None] * np.array(self.slope), value.dtype))
-
-    def _lagged_at(self, time_ns: Integers, motion: Motion) -> Reals:
-        """(n,) temperature of the element at these times."""
-        nodes_ns = self._nodes_ns(time_ns)
-        since_ns = (time_ns - nodes_ns[0]).astype(float)
-        return np.asarray(np.interp(since_ns, nodes_ns - nodes_ns[0], self._lagged(nodes_ns, motion)))
+        nodes_ns = self._nodes_ns(felt.time_ns)
+        lagged = self._lagged(nodes_ns, at.motion)
+        since_ns = (felt.time_ns - nodes_ns[0]).astype(float)
+        return replace(felt, temperature_degc=np.interp(since_ns, nodes_ns - nodes_ns[0], lagged))
 
     def _step_ns(self) -> int:
         return round(min(max(self.time_constant_s / _STEPS, _SHORTEST_S), _LONGEST_S) * 1e9)

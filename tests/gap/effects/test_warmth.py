@@ -66,20 +66,6 @@ def test_a_scale_that_is_off_in_warmth() -> None:
     assert effect.slope == pytest.approx((1e-3, 1e-3, 1e-3), rel=0.2)
 
 
-def test_an_axis_of_which_a_part_of_the_slope_lags() -> None:
-    """The other axes and the thermometer do not."""
-    put_in = {"G1": (ThermalLag(20.0, (0.0, 0.1, 0.0)),)}
-    evidence = evidence_of("heating", "G1", put_in, seed=7)
-    trial = next(trial for trial in THERMAL_LAG.guesses(evidence) if "slope" in trial.free)
-    (effect,) = trial.effects
-    assert isinstance(effect, ThermalLag)
-    assert effect.slope == pytest.approx((0.0, 0.1, 0.0), abs=0.01)
-    assert effect.time_constant_s == pytest.approx(20.0, rel=0.3)
-    assert trial.fitted is not None
-    assert trial.fitted.slope == pytest.approx((0.05,) * 3, abs=0.005)
-    assert trial.fitted.offset == pytest.approx((0.5,) * 3, abs=0.03)
-
-
 def test_nothing_follows_temperature() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
     for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE):

@@ -100,21 +100,6 @@ def test_in_equilibrium_before_the_beginning_and_where_nothing_changes(place: Ma
     np.testing.assert_allclose(lagged(10.0, lambda s: 0 * s + 31.5, times(0, 100), place), 31.5, rtol=1e-14)
 
 
-def test_a_part_of_a_bias_that_lags(place: MakePlace, analog: MakeAnalog) -> None:
-    """Behind a ramp of 0.1 degC/s by 0.1 tau (1 - exp(-t / tau)), of which each axis has its slope; the element's
-    temperature is as it was.
-    """
-    motion = Constant(temperature_degc=lambda s: 20 + 0.1 * s)
-    seconds, effect = np.arange(0.0, 100.0, 0.5), ThermalLag(12.0, (0.2, 0.0, -0.1))
-    time_ns = (seconds * 1e9).round().astype(np.int64)
-    rows = analog(0, len(seconds), value=1.0, instant_ns=time_ns)
-    after = effect.analog(rows, place(motion=motion))
-    behind = -0.1 * 12.0 * -np.expm1(-seconds / 12.0)
-    np.testing.assert_allclose(after.value, 1 + behind[:, None] * np.array([0.2, 0.0, -0.1]), atol=1e-3)
-    felt = motion.felt(time_ns)
-    assert effect.felt(felt, place(motion=motion)) is felt
-
-
 def test_nothing_else_is_felt_otherwise(place: MakePlace) -> None:
     felt = Constant().felt(times(0, 50))
     after = ThermalLag(3.0).felt(felt, place())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -13,7 +12,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, centred, levels
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
+from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, is_warmed
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 
@@ -26,14 +25,10 @@ _CLEAR = 3.0
 
 _APART = 3.0
 
-_SURE = 4.0
-"""Standard errors from which on a part of an axis's slope lags."""
-
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The time constant by which the lagged reference fits levels and the chip's own thermometer best; another by the
-    coefficient of dT/dt, which is slope times lag. And on the axes on which levels alone show it, the part of the slope
-    that lags: then the element and its thermometer need not be late.
+    coefficient of dT/dt, which is slope times lag.
     """
     yield from with_removal(evidence, ThermalLag.name, _hypotheses(evidence))
 
@@ -47,19 +42,19 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     best_s, slow_s = _best(table), _from_change(evidence)
     if best_s > 0:
         yield Hypothesis((ThermalLag(best_s),), ("time_constant_s",))
-    yield from _by_axes(evidence, table)
     if slow_s > 0 and not 1 / _APART < best_s / slow_s < _APART:
         yield Hypothesis((ThermalLag(slow_s),), ("time_constant_s",))
 
 
 def _best(table: Levels) -> float:
     """0 if none is better than no lag."""
-    times = _times_s(table)
-    if not times:
+    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
+    if span_s <= 0:
         return 0.0
+    times = np.geomspace(span_s / _STEPS * 2, span_s, _TRIED)
     misfit = [_misfit(table, table.degc)] + [_misfit(table, lagged(table, time)) for time in times]
     best = int(np.argmin(misfit))
-    return times[best - 1] if best and misfit[best] < misfit[0] - _CLEAR else 0.0
+    return float(times[best - 1]) if best and misfit[best] < misfit[0] - _CLEAR else 0.0
 
 
 def lagged(table: Levels, time_constant_s: float) -> Floats:
@@ -75,38 +70,6 @@ def lagged(table: Levels, time_constant_s: float) -> Floats:
         element, _ = lfilter([half, half], [1.0, -phi], box, zi=[(1 - half) * box[0]])
         degc[at] = np.interp(table.time_s[at], grid, element)
     return degc
-
-
-def _by_axes(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
-    """The part of the slope that lags on each axis, by the time constant that fits all levels best. The fit of the base
-    model has taken it for a slope without lag.
-    """
-    fits = [(time_s, fitted(_columns(table, time_s), table.mean, table.group)) for time_s in _times_s(table)]
-    scores = [np.abs(fit.coefficient[0] / fit.error[0]) for _, fit in fits]
-    if not fits:
-        return
-    best = int(np.argmax([(score**2).sum() for score in scores]))
-    time_s, fit = fits[best]
-    lags = scores[best] > _SURE
-    if lags.any():
-        coefficient = np.where(lags, fit.coefficient, 0.0)
-        left = np.where(lags, table.mean - _columns(table, time_s) @ coefficient, 0.0)
-        x, y, z = coefficient[0].tolist()
-        a, b, c = (np.array(evidence.fitted.slope) + coefficient[1]).tolist()
-        offset = np.array(evidence.fitted.offset) + np.mean([left[at].mean(axis=0) for at in table.groups()], axis=0)
-        d, e, f = offset.tolist()
-        own = replace(evidence.fitted, slope=(a, b, c), offset=(d, e, f))
-        yield Hypothesis((ThermalLag(time_s, (x, y, z)),), ("time_constant_s", "slope"), fitted=own)
-
-
-def _columns(table: Levels, time_s: float) -> Floats:
-    """(n, 2) lag behind the reference, and the reference, which the base model has taken out."""
-    return np.stack([lagged(table, time_s) - table.degc, warmth(table)], axis=1)
-
-
-def _times_s(table: Levels) -> list[float]:
-    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
-    return np.geomspace(span_s / _STEPS * 2, span_s, _TRIED).tolist() if span_s > 0 else []
 
 
 def _misfit(table: Levels, degc: Floats) -> float:
