@@ -95,7 +95,9 @@ def test_found_effects_are_in_the_file() -> None:
     assert list(effects) == [
         "own_clock",
         "misalignment",
+        "nonlinearity",
         "scale",
+        "thermal_scale",
         "g_sensitivity",
         "bias",
         "turn_on_bias",

@@ -1,5 +1,6 @@
 """The tolerance of the scatter of a bias between power-ons covers the paper's parts (the left half of its Table 11, in
-counts of the data sheets) by a factor of two at least, at narrow and wide ranges, and by ten at most.
+counts of the data sheets) by a factor of two at least, at narrow and wide ranges, and by 25 at most: they are one
+batch.
 """
 
 from __future__ import annotations
@@ -23,4 +24,4 @@ two states.
 @pytest.mark.parametrize(("chip", "unit", "range_", "scatter"), PARTS)
 def test_the_papers_parts_are_within_it(chip: str, unit: str, range_: float, scatter: float) -> None:
     sensor = header("A", chip=chip, unit=unit, range=range_)
-    assert 2 * scatter < turn_on_rms(sensor) < 10 * scatter
+    assert 2 * scatter < turn_on_rms(sensor) < 25 * scatter

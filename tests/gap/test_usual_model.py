@@ -35,7 +35,9 @@ def recipes(model: Model, one: SensorHeader) -> dict[str, object]:
 
 
 def test_figures_are_of_the_chip_at_its_range() -> None:
-    """BMA180: +-2 % at 4 g, 1.5 % at 2 g (BMA-70, BMA-72), two sigma; of gyroscopes the data sheet says nothing."""
+    """BMA180: +-2 % at 4 g, 1.5 % at 2 g (BMA-70, BMA-72), two sigma; of gyroscopes' scale and alignment the data sheet
+    says nothing, but of the slope of the scale (L3G-72) and of nonlinearity (L3G-73).
+    """
     model = usual_model(HEADERS.values())
     assert recipes(model, HEADERS["A1"])["scale"] == ({"error": Spread(sigma=0.01, limit=0.02)},)
     assert recipes(model, HEADERS["A2"])["scale"] == ({"error": Spread(sigma=0.0075, limit=0.015)},)
@@ -46,6 +48,8 @@ def test_figures_are_of_the_chip_at_its_range() -> None:
         "g_sensitivity",
         "turn_on_bias",
         "thermal_bias",
+        "thermal_scale",
+        "nonlinearity",
     }
     for one in HEADERS.values():
         assert recipes(model, one)["misalignment"] == ({"angles_deg": Spread(sigma=0.7)},)

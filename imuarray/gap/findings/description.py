@@ -14,11 +14,11 @@ from imuarray.gap.findings.deviations import StatisticReport
 from imuarray.gap.findings.diagnosis import Cause, Where
 from imuarray.gap.inference.assessment import MORE, Assessment
 from imuarray.gap.inference.comparison import Comparison
-from imuarray.gap.inference.effects.lines import highest_lines, pooled
 from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
 from imuarray.gap.inference.residuals import GroupResidual, group_residuals
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
+from imuarray.gap.statistics.lines import highest_lines, pooled
 from imuarray.gap.statistics.pairs import Pairs, spread_of
 from imuarray.gap.statistics.probes.spectrum import LINE
 from imuarray.gap.statistics.summary import Summary

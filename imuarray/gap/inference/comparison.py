@@ -5,7 +5,7 @@ differ.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -20,13 +20,16 @@ from imuarray.gap.inference.localisation import Localisation, located
 from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.replication import Models, ReplicateRequest
+from imuarray.gap.model.signal_delay import NO_DELAY, can_fit_signal_delays, fit_signal_delays
+from imuarray.gap.model.vibration import fit_vibrations
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Recording, sources_of, temperature_of
+from imuarray.gap.recording.recordings import Experiment, Recording, sources_of, temperature_of
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
+from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scores_by_others
 from imuarray.gap.statistics.split import Split, split_of
 from imuarray.log.format import Phase
@@ -43,6 +46,9 @@ given up in less than one of two hundred cases.
 
 QUEUED = 1.2
 """Least rate of rows, in rates of the frames, of a sensor that is not read once a frame."""
+
+_DELAY_STEPS = 3
+"""Steps of the fit of delays: the delay of readings that wait for a poll is not quite the sum of all delays."""
 
 _PART_ROWS = 128
 """Fewest rows of a phase within a stretch, to have a spectrum."""
@@ -86,10 +92,19 @@ def prepared(
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
-    base = replace(base, queued=_queued_in(recordings))
+    base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(train.campaign, base.headers))
     campaign = _of_fitted(campaign, base)
-    bench = bench_of(campaign, split, experiments, base)
-    return (bench if model is None else settled(bench)), campaign
+    bench = bench_of(campaign, split, [_as_queued(experiment, base.queued) for experiment in experiments], base)
+    return (with_signal_delays(bench, campaign) if model is None else settled(bench)), campaign
+
+
+def _as_queued(experiment: Experiment, queued: Collection[str]) -> Experiment:
+    """The experiment with sensors whose rows are the chip's own readings: none of these waits for a poll."""
+    sensors = {
+        name: (replace(header, rate_hz=0.0) if name in queued else header, line)
+        for name, (header, line) in experiment.plan.sensors.items()
+    }
+    return experiment._replace(plan=replace(experiment.plan, sensors=sensors))
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
@@ -121,10 +136,9 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign, experiments = _summarised(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
-    base = replace(base, queued=_queued_in(recordings))
-    if model is None:
-        return base
-    return settled(bench_of(campaign, split, experiments, base)).base
+    base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(campaign, base.headers))
+    bench = bench_of(campaign, split, [_as_queued(experiment, base.queued) for experiment in experiments], base)
+    return (with_signal_delays(bench, campaign) if model is None else settled(bench)).base
 
 
 class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
@@ -183,6 +197,24 @@ def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
     return Campaign(tuple(logs))
 
 
+def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:
+    """The bench with the delays of the signals fitted to the training part, by so many replicates for each step."""
+    train = bench.split.train(campaign).campaign
+    if not can_fit_signal_delays(train, bench.base.headers, bench.base.queued):
+        return bench
+    for _ in range(_DELAY_STEPS):
+        base = bench.base
+        requests = [(bench.models(), number) for number in range(replicates)]
+        simulated = [bench.split.train(replicate).campaign for replicate in bench.campaigns(requests, held_out=False)]
+        now = {name: parameters.delay for name, parameters in base.fitted.items()}
+        delays = fit_signal_delays(train, simulated, base.headers, base.queued, now)
+        fitted = {
+            name: replace(parameters, delay=delays.get(name, NO_DELAY)) for name, parameters in base.fitted.items()
+        }
+        bench = replace(bench, base=replace(base, fitted=fitted))
+    return bench
+
+
 def settled(bench: Bench, replicates: int = 8) -> Bench:
     """The bench with the base model's ordinary parameters corrected by the difference between the fits of its
     replicates and of the recording, so that the contribution of other effects to noise and level is not counted twice.
@@ -209,6 +241,7 @@ def compared_with_base(
     """
     real, pairs = bench.observed(campaign, bench.base.fitted), bench.pairs()
     real = real if earlier is None else earlier.without_discrepancy(real)
+    real = replace(real, values=_without_flags_never_set(bench.keys, real.values))
     simulated: tuple[StatisticValues, ...] = ()
     looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
     for count, limit in (*looks, (replicates, 0.0)):
@@ -222,6 +255,18 @@ def compared_with_base(
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
+
+
+def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
+    """The statistics (n,) of a recording without the share of repeated rows if no row of any sensor is flagged as one:
+    not every recorder compares readings.
+    """
+    places = np.array([place for place, key in enumerate(keys) if key.probe == "stale"], np.intp)
+    if not len(places) or np.nan_to_num(values[places]).any():
+        return values
+    known = values.copy()
+    known[places] = np.nan
+    return known
 
 
 def observed(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:

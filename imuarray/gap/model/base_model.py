@@ -9,14 +9,16 @@ populations (`imuarray.gap.model.populations`), since no log in one attitude sep
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.model.gravity import Forces, estimated_forces, residual_forces
+from imuarray.gap.model.element_temperature import HeatedRest, fit_lag, with_element_temperatures
+from imuarray.gap.model.gravity import NO_CHANGE, Forces, estimated_forces, residual_forces
 from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
     CUTOFF_TOLERANCE,
@@ -27,7 +29,9 @@ from imuarray.gap.model.populations import (
     response_tolerance,
     usual_model,
 )
-from imuarray.gap.model.rest import FittedParameters, Rest, felt, fitted_to
+from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fitted_to, slope_of
+from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
+from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
     AXES,
@@ -44,9 +48,11 @@ from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.size_effect import with_position
 from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.streams import Streams
+from imuarray.units import STANDARD_GRAVITY
 
 __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual"]
 
@@ -78,6 +84,8 @@ _OVERSAMPLED = 1.05
 _BY_CHANCE = 2.0
 """Squared standard deviations that are added for the error of an estimated correlation."""
 
+_GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
+
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
 
@@ -87,7 +95,8 @@ class Base:
 
     `fitted` parameters of the sensors by name; `model` has the rest of their effects (None: the usual ones), of which
     populations are drawn with the `seed`. A sensor whose clock the model does not give has its own phase at each boot.
-    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does.
+    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `vibrations` of the room
+    are felt by all accelerometers, with another amplitude in each replicate.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -95,6 +104,7 @@ class Base:
     model: Model | None = None
     seed: int = 0
     queued: frozenset[str] = frozenset()
+    vibrations: tuple[Vibration, ...] = ()
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
@@ -115,24 +125,36 @@ class Base:
     def _usual(self) -> Model:
         return usual_model(self.headers.values())
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields without cached results, which are computed again where they are needed."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
     def _drawn(self, header: SensorHeader, units: Streams, replicate: int) -> tuple[Effect, ...]:
         is_slope_known = self.fitted[header.name].is_slope_known
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
         if header.quantity == "specific_force":
-            effects = with_position(effects, header.position_mm)
+            effects = (*with_position(effects, header.position_mm), *self._tones(header, units))
         clock_error = self.fitted[header.name].clock_error
         if math.isfinite(clock_error) and header.name not in self.queued:
             clock = OwnClock(clock_error, math.nan, 1.0)
             effects = tuple(clock if isinstance(effect, OwnClock) else effect for effect in effects)
-        if header.name in self.queued:
+        if header.name in self.queued:  # the row of a reading has the time at which the chip took it
+            effects = tuple(effect for effect in effects if not isinstance(effect, OwnClock))
             return tuple(effect for effect in effects if replicate % 2 or not is_usual(effect, header))
         if replicate % 2 == 0:
             return tuple(effect for effect in effects if not is_usual(effect, header))
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
         slow = CLOCK_SIGMA * min(max(deviate, -TOLERANCE_SIGMAS), TOLERANCE_SIGMAS)
         return tuple(_with_rate_error(effect, slow) for effect in effects)
+
+    def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
+        """The vibrations of the room as an accelerometer of this replicate feels them."""
+        for vibration in self.vibrations:
+            if header.name in vibration.sensors:
+                stream = units.of_unit("", Tone.name, f"{vibration.frequency_hz!r} Hz")
+                yield vibration.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
@@ -144,11 +166,16 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     array's own estimate (`imuarray.gap.model.gravity`). A `model` gives the other effects; what these add to noise or
     level is in the fitted figures as well (`imuarray.gap.inference.comparison.settled` takes it out).
     """
-    headers, forces = headers_in(campaign), estimated_forces(campaign, motions)
+    headers = headers_in(campaign)
+    lags_s = _lags(campaign, motions, headers)
+    campaign = with_element_temperatures(campaign, motions, lags_s)
+    forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
     fitted = {
         name: fitted_to(header, list(_at_rest(campaign, motions, forces, name)), response_tolerance(header))
         for name, header in headers.items()
     }
+    for name, lag_s in lags_s.items():
+        fitted[name] = replace(fitted[name], lag_s=lag_s)
     for name, header in headers.items():
         fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header))
         if model is not None and Bandwidth.name in model.parts(header):
@@ -173,6 +200,7 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     nobody noted is the one that its accelerometers tell on average, by their parameters.
     """
     fitted = base.fitted
+    campaign = with_element_temperatures(campaign, motions, {name: part.lag_s for name, part in fitted.items()})
     forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].force_felt(summary))
     logs = []
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
@@ -224,25 +252,65 @@ def replicate_seed(seed: int, replicate: int) -> int:
 
 def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sensor: str) -> Iterator[Rest]:
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
-        for phase in log.phases:
+        attitudes = attitude_numbers([phase.phase for phase in log.phases])
+        for phase, attitude in zip(log.phases, attitudes, strict=True):
             if not phase.is_still or sensor not in phase.sensors:
                 continue
             summary = phase.sensors[sensor]
             part = summary.segments
             held = part.rows > 0
             if held.any():
-                stimulus = felt(summary, motion, forces.get((number, phase.phase.start_ns)))
+                place = (number, phase.phase.start_ns)
+                stimulus = felt(summary, motion, forces.get(place))
                 alone = part.mean / summary.header.sensitivity - stimulus.felt
-                group = (number, phase.phase.up or phase.phase.name)
+                face = phase.phase.up or phase.phase.name
+                group = (number, face if place not in forces else f"attitude {attitude}")
                 force = np.average(stimulus.force[held], axis=0, weights=part.rows[held])
                 yield Rest(
+                    face,
                     group,
-                    part.rows[held],
-                    part.temperature_degc[held],
+                    part,
                     alone[held],
                     part.steady_variance[held],
                     np.asarray(force),
                 )
+
+
+def _thermal_change(
+    campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]
+) -> Callable[[Summary], Floats]:
+    """Function that gives the change of a sensor's mean reading from 25 degC by the slope within single attitudes."""
+    slopes = {name: slope_of(list(_in_any_attitude(campaign, motions, name))) for name in headers}
+
+    def change(summary: Summary) -> Floats:
+        slope, part = slopes[summary.header.name], summary.segments
+        held = part.rows > 0
+        if slope is None or not held.any():
+            return NO_CHANGE
+        degc = float(np.average(part.temperature_degc[held], weights=part.rows[held]))
+        return np.array(slope) * (degc - REFERENCE_DEGC)
+
+    return change
+
+
+def _in_any_attitude(campaign: Campaign, motions: Sequence[Motion], sensor: str) -> Iterator[Rest]:
+    """The phases at rest as if nobody knew how the box lay: only changes within one attitude mean anything."""
+    nowhere = {
+        (number, part.phase.start_ns): _GRAVITY_UP for number, log in enumerate(campaign.logs) for part in log.phases
+    }
+    return _at_rest(campaign, motions, nowhere, sensor)
+
+
+def _lags(campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]) -> dict[str, float]:
+    """The time constants, in s, with which the sensors' elements follow the temperature of the box."""
+
+    lags_s = {}
+    for name, header in headers.items():
+        rests = list(_in_any_attitude(campaign, motions, name))
+        readings = [HeatedRest(rest.group, rest.segments, motions[rest.group[0]], rest.deviation) for rest in rests]
+        noise = np.sqrt(np.mean([np.median(rest.variance, axis=0) for rest in rests], axis=0)) if rests else np.zeros(3)
+        lags_s[name] = fit_lag(readings, noise / header.sensitivity)
+    return lags_s
 
 
 def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:

@@ -9,7 +9,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.gap.recording.attitude import array_mean, directions, ups_of
+from imuarray.gap.recording.attitude import array_mean, attitude_numbers, directions, shared_readings, ups_of
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.summary import Summary
@@ -21,16 +21,27 @@ from imuarray.units import STANDARD_GRAVITY
 _INSTANTS = 64
 """Instants at which a known force is averaged: a reference has noise."""
 
+NO_CHANGE = np.zeros(3)
+
 Forces = Mapping[tuple[int, int], Floats]
 """Estimated specific force (3,) in m/s2, box frame, by the number of the log and the start of the phase in it."""
 
 
-def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
-    """Forces in the phases whose attitude is estimated, from all phases at rest of the campaign together."""
+def estimated_forces(
+    campaign: Campaign, motions: Sequence[Motion], thermal: Callable[[Summary], Floats] = lambda summary: NO_CHANGE
+) -> Forces:
+    """Forces in the phases whose attitude is estimated, from all phases at rest of the campaign together.
+
+    `thermal` gives the change (3,) of a sensor's mean reading by its temperature, in its unit, which is subtracted: an
+    array whose accelerometers drift alike in the heat does not tilt.
+    """
     rests = list(_rests(campaign, motions))
     if not any(rest.known is None for rest in rests):
         return {}
-    readings = _readings([rest.accelerometers for rest in rests], lambda summary: mean(summary))
+    readings = shared_readings(
+        [rest.attitude for rest in rests],
+        _readings([rest.accelerometers for rest in rests], lambda summary: mean(summary) - thermal(summary)),
+    )
     known_g = np.array([np.full(3, np.nan) if rest.known is None else rest.known for rest in rests])
     noted_g = np.array([rest.nominal for rest in rests])
     return _forces(rests, ups_of(array_mean(readings), known_g, noted_g).up_box)
@@ -43,15 +54,19 @@ def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callabl
     rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
     if not rests:
         return {}
-    return _forces(rests, directions(array_mean(_readings([rest.accelerometers for rest in rests], less)))[0])
+    readings = shared_readings(
+        [rest.attitude for rest in rests], _readings([rest.accelerometers for rest in rests], less)
+    )
+    return _forces(rests, directions(array_mean(readings))[0])
 
 
 class _Rest(NamedTuple):
-    """A phase at rest: its place, its accelerometers by name, the force (3,) in g (None if not known), and the force on
-    the noted face if that is level (nan if none is noted).
+    """A phase at rest: its place, the log and the number of its attitude there, its accelerometers by name, the force
+    (3,) in g (None if not known), and the force on the noted face if that is level (nan if none is noted).
     """
 
     place: tuple[int, int]
+    attitude: tuple[int, int]
     accelerometers: Mapping[str, Summary]
     known: Floats | None
     nominal: Floats
@@ -59,7 +74,8 @@ class _Rest(NamedTuple):
 
 def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
-        for part in log.phases:
+        attitudes = attitude_numbers([part.phase for part in log.phases])
+        for part, attitude in zip(log.phases, attitudes, strict=True):
             there = {
                 name: summary
                 for name, summary in part.sensors.items()
@@ -70,7 +86,7 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
             is_estimated = isinstance(motion, PoseSequence) and motion.is_estimated(part.phase)
             known = None if is_estimated else _mean_force_g(motion, part.phase)
             nominal = np.array(up_vector(part.phase.up)) if part.phase.up in UP_AXES else np.full(3, np.nan)
-            yield _Rest((number, part.phase.start_ns), there, known, nominal)
+            yield _Rest((number, part.phase.start_ns), (number, attitude), there, known, nominal)
 
 
 def _mean_force_g(motion: Motion, phase: Phase) -> Floats:

@@ -33,14 +33,9 @@ BMA-119), but not that of soldering and mounting. The paper's gyroscopes changed
 """
 
 TURN_ON_SHARE = 0.01
-"""Largest usual scatter of an element's bias from one power-on to the next, as a share of the smallest bias that the
-data sheet allows at any range. No data sheet prints it: the paper's parts scatter by up to 0.7 mg and 0.057 dps (the
-left half of its Table 11); the allowed biases are 60 mg and, at 250 dps, 10 dps.
-"""
-
-TURN_ON_SHARE_OF_RANGE: Mapping[str, float] = MappingProxyType({"g": 0.004, "dps": 0.0015})
-"""The same by unit for what the electronics add, which grows with the bias that is allowed at the configured range: 1.6
-mg at 16 g and 0.11 dps at 2000 dps, three times what the paper's parts do there (0.6 mg, 0.036 dps).
+"""Largest usual scatter of a bias from one power-on to the next, as a share of the bias that the data sheet allows at
+the configured range. No data sheet prints it: the paper's parts scatter by up to 0.7 mg and 0.057 dps (the left half of
+its Table 11), other parts by several times as much.
 """
 
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
@@ -95,7 +90,7 @@ _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
 )
 """Further populations for sensors with these units."""
 
-PRINTED = frozenset({"scale", "thermal_bias", "g_sensitivity"})
+PRINTED = frozenset({"scale", "thermal_bias", "thermal_scale", "nonlinearity", "g_sensitivity"})
 """Kinds for which the data sheets' populations are used where there are any."""
 
 
@@ -104,7 +99,8 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
-            if kept := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in PRINTED}:
+            printed = PRINTED - {"thermal_scale"} if header.unit == "gauss" else PRINTED  # its slope has that at rest
+            if kept := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in printed}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
         if missing := {kind: (recipe,) for kind, recipe in _usual(header).items() if kind not in known}:
@@ -156,15 +152,9 @@ def is_usual(effect: Effect, header: SensorHeader) -> bool:
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known: the
-    larger of the element's, which is the same at all ranges, and that of the electronics at the configured range.
-    """
-    ranges = TRIADS[header.chip].sensitivity if header.chip in TRIADS else (header.range,)
-    of_element = min(min(offset_tolerance(replace(header, range=range_))) for range_ in ranges)
-    at_range = min(offset_tolerance(header))
-    if not math.isfinite(of_element) or not math.isfinite(at_range):
-        return TURN_ON_RMS.get(header.unit, 0.0)
-    return max(TURN_ON_SHARE * of_element, TURN_ON_SHARE_OF_RANGE.get(header.unit, 0.0) * at_range)
+    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known."""
+    allowed = min(offset_tolerance(header))
+    return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
 
 def clock_tolerance(header: SensorHeader) -> float:

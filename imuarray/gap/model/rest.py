@@ -16,13 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
+from imuarray.gap.model.element_temperature import LEAST_HEATING_DEGC
+from imuarray.gap.model.signal_delay import NO_DELAY, SignalDelay, cutoff_of
+from imuarray.gap.statistics.segments import Segments
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.signal import Triple
@@ -35,11 +40,6 @@ REFERENCE_DEGC = 25.0
 
 _LEAST_ROWS = 4
 """Fewest rows of a segment whose variance is used."""
-
-_LEAST_DEGC = 3.0
-"""Least span of temperatures, on one face in one log, that determines a slope: over minutes a bias wanders as much as
-it changes in a degree.
-"""
 
 _ADDED, _LARGEST = 0.3, 64.0
 """Least share of a variance that remains if something was added to it; largest factor by which one is scaled."""
@@ -67,7 +67,9 @@ class FittedParameters:
     g for others, within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether
     temperatures differed enough. `cutoff_hz` and `poles` of the chip's own low-pass filter (infinite: white noise),
     which may be a digital one after a converter that samples at `sampled_hz`. `clock_error`: relative error of the rate
-    of the chip's data clock, if repeated rows determine it (otherwise nan).
+    of the chip's data clock, if repeated rows determine it (otherwise nan). `lag_s`: time constant with which the
+    element follows the temperature of the box; offset and slope are over the element's temperature. `delay` of the
+    signal.
     """
 
     rms: Triple
@@ -80,13 +82,20 @@ class FittedParameters:
     poles: float = 1.0
     sampled_hz: float = math.inf
     clock_error: float = math.nan
+    lag_s: float = 0.0
+    delay: SignalDelay = NO_DELAY
 
     def effects(self) -> tuple[Effect, ...]:
         """The parameters as effects of the simulator."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if math.isfinite(self.cutoff_hz):
             noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
-        return *noise, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
+        if self.delay.filter_s:
+            noise = (*noise, Bandwidth(cutoff_of(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
+        if self.delay.stamp_s:
+            noise = (*noise, Skew(self.delay.stamp_s))
+        lag = (ThermalLag(self.lag_s),) if self.lag_s else ()
+        return *noise, *lag, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
     def moved(self, target: FittedParameters, simulated: Sequence[FittedParameters]) -> FittedParameters:
         """These parameters corrected by the mean difference between the `target` and the fits to their simulations
@@ -170,17 +179,29 @@ class FittedParameters:
 
 @dataclass(frozen=True)
 class Rest:
-    """Segments of one phase at rest that have rows: `rows` and temperatures `degc` (s,), readings less the stimulus
-    `deviation` (s, 3) in the sensor's unit, and their variances in counts; `force` (3,) is the mean specific force
-    along the axes, as in `Stimulus`. Phases of one `group` are of one log and face, or pose.
+    """One phase at rest: its `segments`, and of those that have rows the readings less the stimulus, `deviation` (s, 3)
+    in the sensor's unit, and their variances in counts.
+
+    `force` (3,) is the mean specific force along the axes, as in `Stimulus`. Phases of one `face` are averaged; phases
+    of one `group` are of one log and one attitude: only temperature changes their levels.
     """
 
+    face: str
     group: tuple[int, str]
-    rows: Integers
-    degc: Floats
+    segments: Segments
     deviation: Floats
     variance: Floats
     force: Floats
+
+    @property
+    def rows(self) -> Integers:
+        """Rows (s,) of the segments that have any."""
+        return self.segments.rows[self.segments.rows > 0]
+
+    @property
+    def degc(self) -> Floats:
+        """Temperatures (s,) of these segments."""
+        return self.segments.temperature_degc[self.segments.rows > 0]
 
 
 class Stimulus(NamedTuple):
@@ -233,11 +254,11 @@ def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -
     """
     if not phases:
         return FittedParameters(*((0.0, 0.0, 0.0),) * 3)
-    slope = _slope(phases)
+    slope = slope_of(phases)
     faces: dict[str, list[tuple[Floats, Floats]]] = {}
     for phase in phases:
         level = phase.deviation - (phase.degc - REFERENCE_DEGC)[:, None] * (slope or (0.0, 0.0, 0.0))
-        faces.setdefault(phase.group[1], []).append((np.average(level, axis=0, weights=phase.rows), phase.force))
+        faces.setdefault(phase.face, []).append((np.average(level, axis=0, weights=phase.rows), phase.force))
     levels, forces = (
         np.array([np.mean([pair[at] for pair in pairs], axis=0) for pairs in faces.values()]) for at in (0, 1)
     )
@@ -304,15 +325,15 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.median(unbiased, axis=0) - rounding_lsb2(header), 0.0)))
 
 
-def _slope(phases: Sequence[Rest]) -> Triple | None:
-    """Slope of the bias per degC; None if the temperatures of no face of a log differ enough."""
+def slope_of(phases: Sequence[Rest]) -> Triple | None:
+    """Slope of the bias per degC; None if the temperatures of no attitude in a log differ enough."""
     products, squares = np.zeros(3), 0.0
     for group in dict.fromkeys(phase.group for phase in phases):
         members = [phase for phase in phases if phase.group == group]
         rows, degc, deviation = (
             np.concatenate([getattr(phase, name) for phase in members]) for name in ("rows", "degc", "deviation")
         )
-        if np.ptp(degc) >= _LEAST_DEGC:
+        if np.ptp(degc) >= LEAST_HEATING_DEGC:
             warm = degc - np.average(degc, weights=rows)
             products += (rows * warm) @ deviation
             squares += float(rows @ warm**2)

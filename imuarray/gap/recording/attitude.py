@@ -8,11 +8,13 @@ simulated logs as well, although it is known there.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.log.format import Phase
 
 GROSS_G = 0.25
 """An accelerometer that differs from the median of all by so much in any pose is left out of the mean: wrong range,
@@ -30,6 +32,46 @@ _STEPS = 5
 _LEAST_SHARE = 0.1
 """The common bias is taken as 0 along directions in which the poses determine it so much worse than along the best one.
 """
+
+
+_TOUCHED_NS = 1_000_000_000
+"""Shortest time in which a hand turns a box and puts it down."""
+
+_ROUNDING_NS = 2
+"""Two halves of a phase differ by a nanosecond."""
+
+
+def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
+    """The number of the box's attitude in each phase of a log, or in the same half of each, in the order of time.
+
+    It is that of the phase before if the same axis is noted as up and nobody had time to touch the box between them.
+    """
+    numbers: list[int] = []
+    for at, phase in enumerate(phases):
+        is_same = at > 0 and bool(phase.up) and phases[at - 1].up == phase.up and _follows(phases[at - 1], phase)
+        numbers.append(numbers[-1] + (not is_same) if numbers else 0)
+    return numbers
+
+
+def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
+    """The readings (k, s, 3) in k phases, those in phases of one attitude replaced by their mean; nan without any."""
+    shared = readings.copy()
+    for attitude in set(attitudes):
+        members = [at for at, other in enumerate(attitudes) if other == attitude]
+        if len(members) > 1:
+            has_value = np.isfinite(readings[members])
+            with np.errstate(invalid="ignore"):
+                shared[members] = np.where(has_value, readings[members], 0.0).sum(axis=0) / has_value.sum(axis=0)
+    return shared
+
+
+def _follows(before: Phase, phase: Phase) -> bool:
+    """True if a phase, or its half, begins where the one before ends: a half that is missing between them is as long as
+    its other half.
+    """
+    gap_ns = phase.start_ns - before.end_ns
+    missing_ns = (0, before.end_ns - before.start_ns, phase.end_ns - phase.start_ns)
+    return any(-_ROUNDING_NS <= gap_ns - between < _TOUCHED_NS for between in missing_ns)
 
 
 class Ups(NamedTuple):

@@ -11,7 +11,7 @@ from imuarray.axes import up_vector
 from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
-from imuarray.gap.recording.attitude import array_mean, ups_of
+from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -28,6 +28,11 @@ MOST_TILT_DEG = 5.0
 
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
+
+_LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
+"""Changes of force (m/s2, rms) and rate (rad/s, rms) by a track that are motion, and the factor of the variance of the
+track's noise that is taken off before.
+"""
 
 HEATED_DEGC = 3.0
 """A larger change of temperature in a phase at rest is heating: a room changes less in minutes."""
@@ -57,6 +62,8 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
     noted = [_without_false_face(phase, motion) if is_tracked else phase for phase in log.phases]
     still = [phase for phase in noted if is_at_rest(phase)]
     detected, notes = ([], []) if still else _detected_poses(log)
+    if is_tracked:
+        detected = [phase for phase in detected if not moves_by_track(phase, motion)]
     moving = [phase for phase in noted if phase not in still]
     if not is_tracked:
         notes += [f"Phase {phase.name!r} is left out: the log has no track of the box's motion." for phase in moving]
@@ -75,6 +82,23 @@ def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
     rate_dps = np.degrees(np.asarray(motion.felt(times_ns).rate_box, float))
     turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
     return phase._replace(up="") if phase.up and turns else phase
+
+
+def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
+    """True if the box moves in a phase by the track that `motion` follows, beside the noise of that track: sensors that
+    are noisier than a gentle motion take it for rest.
+    """
+    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
+    moment = motion.felt(times_ns)
+    for column, least in ((moment.force_box, _LEAST_FORCE), (moment.rate_box, _LEAST_RATE)):
+        values = np.asarray(column, float)
+        noise = (
+            np.diff(values, n=2, axis=0).var(axis=0) / 6
+        )  # of white noise, in which rows do not depend on each other
+        smooth = np.maximum(values.var(axis=0) - _NOISE_MARGIN * noise, 0.0)
+        if np.sqrt(smooth.max()) > least:
+            return True
+    return False
 
 
 def _what_is_lacking(log: Log) -> str:
@@ -136,7 +160,9 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
             else []
         )
         return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
-    readings = np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
+    readings = shared_readings(
+        attitude_numbers(still), np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
+    )
     known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
     estimates = ups_of(array_mean(readings), np.full_like(known, np.nan), known).up_box.tolist()
     attitudes = [_attitude(*item) for item in zip(still, noted, estimates, strict=True)]

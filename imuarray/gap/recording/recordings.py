@@ -17,7 +17,15 @@ import numpy as np
 from imuarray.arrays import Floats, Reals, Times
 from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
-from imuarray.gap.recording.phases import attitudes_of, is_at_rest, is_heated, kind_of, phases_of, temperature_notes
+from imuarray.gap.recording.phases import (
+    attitudes_of,
+    is_at_rest,
+    is_heated,
+    kind_of,
+    moves_by_track,
+    phases_of,
+    temperature_notes,
+)
 from imuarray.gap.recording.recorder_gaps import RecorderGaps, recorder_gaps
 from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.gap.recording.source import Source, recorded_source
@@ -35,6 +43,12 @@ from imuarray.spelling import guess
 
 Temperature = Callable[[Times], Reals]
 """Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
+
+
+_DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 12.0, 100_000, 16
+"""Standard errors by which a sensor drifts in a phase at rest; most rows of either end that are read, and fewest that
+say anything.
+"""
 
 
 class Experiment(NamedTuple):
@@ -94,7 +108,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     notes = (*left_out, *unknown, *skipped, *assumed, *temperature_notes(motion), *notes_of(timings.items()))
     notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
-    motion = replace(motion, fields=fields)
+    motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
     posed = PoseSequence(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     experiment = Experiment(replace(plan, sensors=sensors), posed)
     return Recording(
@@ -131,17 +145,51 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
 
 
 def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The recordings except heatings without a temperature; all of them if there are no others."""
+    """The recordings except heatings without a temperature, noted or not; all of them if there are no others."""
     known: list[Recording] = []
     notes: list[str] = []
     for recording in recordings:
-        if recording.kind == "heating" and recording.temperature_source == "nothing":
+        if recording.temperature_source != "nothing":
+            known.append(recording)
+        elif recording.kind == "heating":
             notes.append(f"{recording.name} is left out: the box is heated and no temperature is recorded.")
+        elif drifts_together(recording):
+            why = "most sensors drift at the same time, as in the heat, and no temperature is recorded"
+            notes.append(f"{recording.name} is left out: {why}.")
         else:
             known.append(recording)
     if not notes or not known:
         return tuple(recordings)
     return (replace(known[0], notes=(*notes, *known[0].notes)), *known[1:])
+
+
+def drifts_together(recording: Recording) -> bool:
+    """True if most sensors, and at least two, drift by many standard errors in the same phase at rest."""
+    sensors = [recording.log[name] for name in recording.experiment.plan.sensors]
+    for phase in recording.phases:
+        if is_at_rest(phase) and len(sensors) > 1:
+            drifting = [sensor for sensor in sensors if _drift_sigmas(sensor, phase) > _DRIFT_SIGMAS]
+            if len(drifting) > max(1, len(sensors) / 2):
+                return True
+    return False
+
+
+def _drift_sigmas(sensor: SensorLog, phase: Phase) -> float:
+    """Largest change of an axis from the first third of a phase to the last one, in its standard errors, by the scatter
+    of neighbouring readings; 0 for few rows.
+    """
+    times = sensor.time
+    edges_ns = [phase.start_ns, phase.start_ns + (phase.end_ns - phase.start_ns) // 3]
+    edges_ns += [phase.end_ns - (phase.end_ns - phase.start_ns) // 3, phase.end_ns]
+    first, first_stop, last, last_stop = np.searchsorted(times[:], edges_ns).tolist()
+    begin, end = (
+        np.asarray(sensor.counts[start : min(stop, start + _DRIFT_ROWS)], float)
+        for start, stop in ((first, first_stop), (last, last_stop))
+    )
+    if min(len(begin), len(end)) < _LEAST_DRIFT_ROWS:
+        return 0.0
+    variance = sum(np.maximum(np.diff(part, axis=0).var(axis=0) / 2, 1 / 12) / len(part) for part in (begin, end))
+    return float(np.max(np.abs(end.mean(axis=0) - begin.mean(axis=0)) / np.sqrt(variance)))
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
@@ -185,6 +233,14 @@ def sources_of(recording: Recording) -> dict[str, Source]:
             _Comparable(source, header.has_temperature, gap_ends_ns) if strange or len(gap_ends_ns) else source
         )
     return sources
+
+
+def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int], ...]:
+    """The stretches in which the box stands still although the reference that is followed has noise."""
+    if motion.source != "reference":
+        return ()
+    still = [phase for phase in phases if is_at_rest(phase) and not moves_by_track(phase, motion)]
+    return tuple((phase.start_ns, phase.end_ns) for phase in still)
 
 
 class _Comparable:

@@ -41,6 +41,11 @@ burst only if they come `HURRY` times as fast as on average.
 
 HURRY = 10.0
 
+LEAST_HURRY = 1.5
+"""Rows of bursts come at least so many times as fast as on average, or after a gap as usual; others do not make up for
+anything.
+"""
+
 SAME = 0.8
 """Least share of the gaps that follow after the same number of rows for stalls to have a period."""
 
@@ -97,7 +102,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         return RowTiming("steady", rows, 0.0, 0.0)
     seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
     usual_s = float(np.median(np.diff(np.asarray(sensor.time[: 1 << 16], np.int64)))) * 1e-9
-    after, length_s = _gaps(sensor, GAP * usual_s)
+    after, length_s, next_s = _gaps(sensor, GAP * usual_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
     if len(after):
         steady = replace(steady, gaps=len(after), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
@@ -107,8 +112,10 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     before = np.diff(after)
     period_rows = int(np.median(before))
     is_periodic = np.mean(before == period_rows) >= SAME
+    hurry = seconds / (rows - 1) / usual_s
+    makes_up = hurry > LEAST_HURRY or float(np.median(next_s)) < usual_s / LEAST_HURRY
     return RowTiming(
-        "bursts" if _is_burst(length_s, rows_after, seconds / (rows - 1) / usual_s) else "stalls",
+        "bursts" if makes_up and _is_burst(length_s, rows_after, hurry) else "stalls",
         rows,
         seconds,
         usual_s,
@@ -119,9 +126,11 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     )
 
 
-def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
-    """The row before each gap (k,), and its length (k,) in s."""
-    after, length_s = [np.zeros(0, np.int64)], [np.zeros(0)]
+def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats]:
+    """The row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one may
+    only bring the rows back to the grid of the frames.
+    """
+    after, length_s, next_s = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)]
     for block in sensor.blocks():
         first = max(block.start - 1, 0)
         times_ns = np.asarray(sensor.time[first : block.stop], np.int64)
@@ -129,7 +138,8 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
         long = np.flatnonzero(intervals_s > least_s)
         after.append(first + long)
         length_s.append(intervals_s[long])
-    return np.concatenate(after), np.concatenate(length_s)
+        next_s.append(intervals_s[np.minimum(long + 2, len(intervals_s) - 1)])
+    return np.concatenate(after), np.concatenate(length_s), np.concatenate(next_s)
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:

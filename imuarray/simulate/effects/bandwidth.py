@@ -41,7 +41,8 @@ class Bandwidth(Effect):
     `_MEMORY` rows before each row reproduce (Yule and Walker).
 
     `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
-    1 is meant; one that comes in at a moment takes noise away.
+    1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so much
+    slower than the filter that only the delay shows.
     """
 
     name: ClassVar[str] = "bandwidth"
@@ -50,10 +51,11 @@ class Bandwidth(Effect):
     poles: float = scalar(1.0)
     sampled_hz: float = scalar(math.inf)
     noise_share: float = scalar(1.0)
+    signal_only: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, or
-        other than 1 or 2 poles.
+        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, other
+        than 1 or 2 poles, and another `signal_only` than 0 and 1.
         """
         super().__post_init__()
         require("cutoff_hz", self.cutoff_hz, 1e-2)
@@ -62,6 +64,8 @@ class Bandwidth(Effect):
         require("noise_share", self.noise_share, 0.0, 10.0)
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
+        if self.signal_only not in (0.0, 1.0):
+            raise ValueError(f"signal_only: {self.signal_only:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
         """Rows until 1e-12 is left of what was before them."""
@@ -73,6 +77,8 @@ class Bandwidth(Effect):
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self._decay(at)
+        if self.signal_only:
+            return replace(analog, value=self._passed(analog.value, decay))
         over, under = _noise_filter(decay, self.poles, self._band)
         white = analog.noise.astype(float)
         first = np.zeros((len(under) - 1, white.shape[1]))

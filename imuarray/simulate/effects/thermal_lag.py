@@ -43,10 +43,15 @@ class ThermalLag(Effect):
         """Another temperature."""
         if self.time_constant_s == 0.0 or len(felt.time_ns) == 0:
             return felt
-        nodes_ns = self._nodes_ns(felt.time_ns)
-        lagged = self._lagged(nodes_ns, at.motion)
-        since_ns = (felt.time_ns - nodes_ns[0]).astype(float)
-        return replace(felt, temperature_degc=np.interp(since_ns, nodes_ns - nodes_ns[0], lagged))
+        return replace(felt, temperature_degc=self.temperature_degc(felt.time_ns, at.motion))
+
+    def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
+        """The element's temperature (n,) at times (n,), at least one, in a box that does this motion."""
+        if self.time_constant_s == 0.0:
+            return np.asarray(motion.felt(time_ns).temperature_degc)
+        nodes_ns = self._nodes_ns(time_ns)
+        lagged = self._lagged(nodes_ns, motion)
+        return np.asarray(np.interp((time_ns - nodes_ns[0]).astype(float), nodes_ns - nodes_ns[0], lagged))
 
     def _step_ns(self) -> int:
         return round(min(max(self.time_constant_s / _STEPS, _SHORTEST_S), _LONGEST_S) * 1e9)

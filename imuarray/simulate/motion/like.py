@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -26,9 +27,14 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 
 ROOM_DEGC = 25.0
 
-CHIP_S = 10.0
-"""Over so long the readings of a chip's own thermometer are averaged: its steps and its noise are no change of the
-temperature, and what heats a chip takes longer.
+CHIP_S, SHORT_CHIP_S, CHIP_SHARE = 10.0, 2.0, 1 / 15
+"""The readings of a chip's own thermometer are averaged over this time, or over this share of a shorter log, at least
+over the shorter time: its steps and its noise are no change of the temperature, and a heating lasts a part of the log.
+"""
+
+_FEW_READINGS, _SIGNIFICANT = 5, 3.0
+"""Fewest readings of a thermometer that show its noise; the scatter of readings of a temperature that changes, in this
+noise: otherwise a straight line is taken, since the noise of a thermometer is no change of the temperature.
 """
 
 TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
@@ -53,11 +59,14 @@ class LikeLog:
     The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
     what a chip's own thermometer measured, averaged over `CHIP_S`, if its zero is known, else 25 degC. The field is
     that of `fields`, if there are any, else the earth's on that face, also while the box moves; the pressure is that
-    of height 0. The log stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
+    of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of the track: a reference
+    has noise, and a box at rest does not move. The log stays open. LogError for a phase whose `up` is no box axis, or
+    rows that can't be meant.
     """
 
     log: Log
     fields: tuple[PhaseField, ...] = ()
+    rests: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for phase in self.log.phases:
@@ -108,9 +117,9 @@ class LikeLog:
         """By number, first and last of the instants; the ones that were asked for last at the end."""
         return {}
 
-    def __reduce__(self) -> tuple[type[LikeLog], tuple[Log, tuple[PhaseField, ...]]]:
-        """Its log, which opens itself, and what it was told; what was read of the log is not sent."""
-        return LikeLog, (self.log, self.fields)
+    def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
+        """Its log, which opens itself, and the other fields; what was read of the log is not sent."""
+        return LikeLog, (self.log, self.fields, self.rests)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
@@ -131,6 +140,11 @@ class LikeLog:
         if self._moving is None:
             return felt
         values, slopes = self._moving.at(time_ns)
+        if self._means:
+            values, slopes = values.copy(), slopes.copy()
+        for start_ns, end_ns, mean in self._means:
+            is_at_rest = (start_ns <= time_ns) & (time_ns < end_ns)
+            values[is_at_rest], slopes[is_at_rest] = mean, 0.0
         return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
 
     def _on_faces(self, time_ns: Integers) -> Felt:
@@ -185,6 +199,21 @@ class LikeLog:
         return SplineColumns(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
 
     @cached_property
+    def _means(self) -> tuple[tuple[int, int, Reals], ...]:
+        """The rests, each with the mean force and rate (6,) of the track's rows in it; without those that have none."""
+        _, track = self._track
+        if track is None or track.specific_force is None or track.angular_rate is None:
+            return ()
+        time_ns = track.time[:]
+        columns = np.hstack([track.specific_force[:], track.angular_rate[:]])
+        means = []
+        for start_ns, end_ns in self.rests:
+            first, stop = np.searchsorted(time_ns, [start_ns, end_ns]).tolist()
+            if stop > first:
+                means.append((start_ns, end_ns, np.asarray(columns[first:stop].mean(axis=0))))
+        return tuple(means)
+
+    @cached_property
     def _warming(self) -> tuple[TemperatureSource, SplineColumns | None]:
         """What tells the temperature, and the temperature."""
         tracks: tuple[tuple[TemperatureSource, Track | None], ...]
@@ -196,8 +225,21 @@ class LikeLog:
             with suppress(LogError):  # a barometer that was imported without
                 if len(sensor):
                     return "barometer", SplineColumns(sensor.time, (sensor.compensated("temperature"),), sensor.where)
-        chip = chip_thermometer(self.log, CHIP_S)
+        chip = chip_thermometer(self.log, min(CHIP_S, max(SHORT_CHIP_S, CHIP_SHARE * self.seconds)))
         if chip is None:
             return "nothing", None
-        time_ns = np.rint(chip.time_s * 1e9).astype(np.int64)
-        return "chip", SplineColumns(time_ns, (chip.degc,), f"{self.log.path}, temperature_counts")
+        time_s, degc = chip.time_s, chip.degc
+        if not _changes(degc):
+            line = np.polynomial.Polynomial.fit(time_s, degc, 1)
+            time_s = time_s[[0, -1]]
+            degc = line(time_s)
+        time_ns = np.rint(time_s * 1e9).astype(np.int64)
+        return "chip", SplineColumns(time_ns, (degc,), f"{self.log.path}, temperature_counts")
+
+
+def _changes(degc: Reals) -> bool:
+    """True if averaged readings (k,) of a thermometer change by more than their noise, or are too few to tell."""
+    if len(degc) < _FEW_READINGS:
+        return True
+    noise = math.sqrt(float(np.mean(np.diff(degc, n=2) ** 2)) / 6)  # of independent readings
+    return float(np.std(degc)) > _SIGNIFICANT * noise

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
-from imuarray.gap.inference.effects.lines import highest_lines
 from imuarray.gap.inference.effects.quietness import rarity_behind
 from imuarray.gap.inference.effects.tone import TONE, assign_signs
 from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.statistics.lines import highest_lines
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.skew import Skew

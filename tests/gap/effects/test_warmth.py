@@ -29,11 +29,19 @@ def test_a_square() -> None:
 
 
 @pytest.mark.parametrize(("sensor", "time_constant_s"), some([("G1", 1.0), ("G1", 10.0), ("A1", 3.0)], 1))
-def test_a_lag(sensor: str, time_constant_s: float) -> None:
+def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> None:
     evidence = evidence_of("heating", sensor, {sensor: (ThermalLag(time_constant_s),)}, seed=7)
-    first, *_ = (trial.effects[0] for trial in THERMAL_LAG.guesses(evidence))
-    assert isinstance(first, ThermalLag)
-    assert first.time_constant_s == pytest.approx(time_constant_s, rel=0.3)
+    assert evidence.fitted.lag_s == pytest.approx(time_constant_s, rel=0.3)
+    assert list(THERMAL_LAG.guesses(evidence)) == []
+
+
+def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
+    evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(60.0),)}, seed=7)
+    first, *_ = THERMAL_LAG.guesses(evidence)
+    (effect,) = first.effects
+    assert isinstance(effect, ThermalLag)
+    assert effect.time_constant_s == pytest.approx(60.0, rel=0.5)
+    assert first.removed == ThermalLag.name
 
 
 def test_the_lagged_temperature() -> None:

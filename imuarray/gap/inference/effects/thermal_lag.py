@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -30,7 +31,9 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The time constant by which the lagged reference fits levels and the chip's own thermometer best; another by the
     coefficient of dT/dt, which is slope times lag.
     """
-    yield from with_removal(evidence, ThermalLag.name, _hypotheses(evidence))
+    for guess in with_removal(evidence, ThermalLag.name, _hypotheses(evidence)):
+        takes_place = bool(evidence.fitted.lag_s and guess.effects)  # the fitted lag is as long as is usual
+        yield replace(guess, removed=ThermalLag.name) if takes_place else guess
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:

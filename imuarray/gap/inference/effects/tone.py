@@ -13,9 +13,9 @@ from scipy.stats import theilslopes
 from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.lines import HALF_WIDTH, highest_lines, pooled
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
+from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pooled
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.signal import Triple
 

@@ -53,6 +53,19 @@ def delay(cross: Cross, sensor: str) -> Floats:
     return np.asarray(ratio * cross.window_s)
 
 
+def information_on_delay(cross: Cross, sensor: str) -> Floats:
+    """Inverse variance (3,) of each axis's delay, in s^-2, by what the delay leaves unexplained; nan without others."""
+    joint = _joint_moments(cross, sensor)
+    if joint is None:
+        return NOTHING
+    reference = AXES + 3
+    square = joint.changes[reference, reference] / cross.window_s**2
+    left_over = _residual_variance(joint, reference)
+    return np.asarray(
+        cross.windows * np.divide(square, left_over, out=np.zeros(3), where=(left_over > 0) & np.isfinite(square))
+    )
+
+
 def residual(cross: Cross, sensor: str) -> Floats:
     """Log of the variance that the reference doesn't explain, whatever the delay behind it."""
     joint = _joint_moments(cross, sensor)

@@ -1,0 +1,139 @@
+"""Temperature of the sensing elements, which follow the temperature that is measured in the box with a lag.
+
+A chip, its board and the air around them take up to some tens of seconds to warm up, and no data sheet prints it: the
+time constant of each chip is a nuisance parameter, fitted within `LONGEST_LAG_S` to the readings in the heat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, MutableMapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.campaign import Campaign, LogSummary
+from imuarray.gap.statistics.segments import Segments
+from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.motion.felt import Motion
+
+LONGEST_LAG_S = 20.0
+"""Longest usual time constant of a chip in a box; beyond it a lag is an effect."""
+
+LEAST_HEATING_DEGC = 3.0
+"""Least span of temperatures in one attitude of the box that determines a slope, or a lag: over minutes a bias wanders
+as much as it changes in a degree.
+"""
+
+_LAGS_S = (0.0, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 14.0, LONGEST_LAG_S)
+"""Time constants that are tried; between them a parabola through the sums of squares is followed."""
+
+_GAIN = 16.0
+"""Least decrease of chi-squared by a lag, four standard deviations."""
+
+_kept: MutableMapping[Motion, dict[tuple[bytes, float], Floats]] = WeakKeyDictionary()
+
+
+def with_element_temperatures(campaign: Campaign, motions: Sequence[Motion], lags_s: Mapping[str, float]) -> Campaign:
+    """The campaign with the temperatures of the segments of each sensor lagging by its time constant, in s."""
+    if not any(lags_s.values()):
+        return campaign
+    return Campaign(tuple(_log_with(log, motion, lags_s) for log, motion in zip(campaign.logs, motions, strict=True)))
+
+
+class HeatedRest(NamedTuple):
+    """A phase at rest: the `attitude` of the box, which it shares with others, its segments, the motion of the log, and
+    the readings (s, 3) of the segments that have rows, in the sensor's unit.
+    """
+
+    attitude: Hashable
+    segments: Segments
+    motion: Motion
+    readings: Floats
+
+
+def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
+    """Time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the temperature best.
+
+    `rms` (3,) is that of single readings. 0 where no attitude has enough heating, or no lag is significantly better
+    than none.
+    """
+    by_attitude: dict[Hashable, list[HeatedRest]] = {}
+    for rest in rests:
+        by_attitude.setdefault(rest.attitude, []).append(rest)
+    attitudes = [members for members in by_attitude.values() if _is_heated(members)]
+    if not attitudes or not rms.all():
+        return 0.0
+    misfits = np.array([_misfit(attitudes, lag_s, rms) for lag_s in _LAGS_S])
+    best = int(np.argmin(misfits))
+    if not misfits[0] - misfits[best] > _GAIN:
+        return 0.0
+    near = slice(max(best - 1, 0), best + 2)
+    if len(misfits[near]) < 3:
+        return _LAGS_S[best]
+    curve, slope, _ = np.polyfit(_LAGS_S[near], misfits[near], 2)
+    return float(np.clip(-slope / (2 * curve), _LAGS_S[best - 1], _LAGS_S[best + 1])) if curve > 0 else _LAGS_S[best]
+
+
+def _is_heated(rests: Sequence[HeatedRest]) -> bool:
+    degc = np.concatenate([rest.segments.temperature_degc[rest.segments.rows > 0] for rest in rests])
+    return float(np.ptp(degc)) >= LEAST_HEATING_DEGC
+
+
+def _misfit(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats) -> float:
+    """Chi-squared of readings about a straight line over temperature, with one level for each attitude."""
+    products, squares, total = np.zeros(3), 0.0, np.zeros(3)
+    for members in attitudes:
+        held = [rest.segments.rows > 0 for rest in members]
+        rows = np.concatenate([rest.segments.rows[has] for rest, has in zip(members, held, strict=True)])
+        degc = np.concatenate(
+            [lagged_degc(rest.segments, rest.motion, lag_s)[has] for rest, has in zip(members, held, strict=True)]
+        )
+        readings = np.concatenate([rest.readings for rest in members])
+        warm = degc - np.average(degc, weights=rows)
+        apart = readings - np.average(readings, axis=0, weights=rows)
+        products += (rows * warm) @ apart
+        squares += float(rows @ warm**2)
+        total += rows @ apart**2
+    return float(((total - products**2 / squares) / rms**2).sum())
+
+
+def _log_with(log: LogSummary, motion: Motion, lags_s: Mapping[str, float]) -> LogSummary:
+    phases = []
+    for part in log.phases:
+        sensors = {
+            name: replace(summary, segments=_segments_with(summary.segments, motion, lags_s[name]))
+            if lags_s.get(name) and part.is_still
+            else summary
+            for name, summary in part.sensors.items()
+        }
+        phases.append(replace(part, sensors=sensors))
+    return replace(log, phases=tuple(phases))
+
+
+def _segments_with(segments: Segments, motion: Motion, lag_s: float) -> Segments:
+    degc = lagged_degc(segments, motion, lag_s)
+    return replace(segments, temperature_degc=degc, warming_degc_per_s=(segments.temperature_degc - degc) / lag_s)
+
+
+def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
+    """Temperature (s,) of an element of this time constant at the segments' times; nan where a segment has no rows."""
+    if lag_s == 0.0:
+        return segments.temperature_degc
+    of_motion = _kept.setdefault(motion, {})
+    key = segments.time_s.tobytes(), lag_s
+    if key not in of_motion:
+        held = segments.rows > 0
+        degc = np.full(len(held), np.nan)
+        if held.any():
+            at_ns = np.rint(segments.time_s[held] * 1e9).astype(np.int64)
+            degc[held] = ThermalLag(lag_s).temperature_degc(at_ns, motion)
+        if len(of_motion) >= _MOST_KEPT:
+            of_motion.clear()
+        of_motion[key] = degc
+    return of_motion[key]
+
+
+_MOST_KEPT = 2000

@@ -1,0 +1,139 @@
+"""Delays of the chips' own filters, which show where sensors with different cutoffs follow one motion.
+
+A low-pass filter of two poles with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet
+prints the order of the filter or the tolerance of its cutoff, and some print a cutoff that is that of the noise alone:
+the ratio of the delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that sensors of one quantity
+have in common. A sensor that is late by another ratio has another cause.
+
+Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
+period of the chip, which is another nuisance parameter of each such sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.probes.motion import delay, information_on_delay
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.model import noise_bandwidth_hz
+
+_PRIOR = 1.0
+"""Standard deviations of a parameter, in those of its bound: parameters that the motion does not determine are 0."""
+
+MOST_RATIO = 1.5
+"""Largest ratio of the delay to that of two poles at the configured cutoff: three poles, or a cutoff a third lower."""
+
+
+class SignalDelay(NamedTuple):
+    """Delay of a sensor's signal in its filter, and how much older its readings are than their times, both in s."""
+
+    filter_s: float = 0.0
+    stamp_s: float = 0.0
+
+
+NO_DELAY = SignalDelay()
+
+
+def fit_signal_delays(
+    campaign: Campaign,
+    replicates: Sequence[Campaign],
+    headers: Mapping[str, SensorHeader],
+    queued: Collection[str],
+    simulated: Mapping[str, SignalDelay],
+) -> dict[str, SignalDelay]:
+    """Delays of the sensors by the phases in which the box moves; `queued` sensors have rows from a queue.
+
+    A Gauss-Newton step from the delays that the `replicates` were `simulated` with: least squares of the delays behind
+    the other sensors of the quantity, less those of the replicates on average. Empty without such phases.
+    """
+    nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
+    delays: dict[str, SignalDelay] = {}
+    for quantity in dict.fromkeys(header.quantity for header in headers.values()):
+        names = [name for name, header in headers.items() if header.quantity == quantity]
+        late = [name for name in names if name in queued and headers[name].rate_hz > 0]
+        observed = _rows(_crosses(campaign), names, nominal_s, late)
+        seen = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
+        comparable = [delay_s for delay_s in seen if len(delay_s) == len(observed.delay_s)]
+        if not comparable or not len(observed.delay_s):
+            continue
+        ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
+        start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
+        most = np.array([MOST_RATIO, *(1 / headers[name].rate_hz for name in late)])
+        least = np.array([0.0, *(-1 / headers[name].rate_hz for name in late)])
+        ratio, *stamps_s = _solve(observed, np.mean(comparable, axis=0), start, (least, most)).tolist()
+        own = dict(zip(late, stamps_s, strict=True))
+        delays |= {name: SignalDelay(ratio * nominal_s[name], own.get(name, 0.0)) for name in names}
+    return delays
+
+
+def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str]) -> bool:
+    """True if the box moves, and sensors of one quantity have filters that delay differently, or a queue."""
+    nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
+    by_quantity: dict[str, set[float]] = {}
+    for name, header in headers.items():
+        by_quantity.setdefault(header.quantity, set()).add(nominal_s[name])
+    differ = any(len(delays_s) > 1 for delays_s in by_quantity.values())
+    return bool(_crosses(campaign)) and (differ or bool(queued))
+
+
+def cutoff_of(delay_s: float) -> float:
+    """Cutoff in Hz of a filter of two poles that delays by so much."""
+    return 1 / (math.sqrt(2) * math.pi * delay_s)
+
+
+def _nominal_delay_s(header: SensorHeader) -> float:
+    """Delay at the configured cutoff; 0 where none is known."""
+    cutoff_hz = noise_bandwidth_hz(header)
+    return 1 / (math.sqrt(2) * math.pi * cutoff_hz) if cutoff_hz > 0 else 0.0
+
+
+def _crosses(campaign: Campaign) -> list[Cross]:
+    """The joint moments of the phases in which the box moves."""
+    return [part.cross for log in campaign.logs for part in log.phases if part.cross is not None and not part.is_still]
+
+
+class _Delays(NamedTuple):
+    """Delays (n,) of sensors' axes behind the others in s, their information, and what they are for each parameter
+    (n, p): the ratio, and the stamps of each sensor with a queue; nan where there is none.
+    """
+
+    delay_s: Floats
+    information: Floats
+    design: Floats
+
+
+def _rows(
+    crosses: Sequence[Cross], names: Collection[str], nominal_s: Mapping[str, float], late: Sequence[str]
+) -> _Delays:
+    seen, information = [np.zeros(0)], [np.zeros(0)]
+    design = [np.zeros((0, 1 + len(late)))]
+    for cross in crosses:
+        for name in (item.name for item in cross.sensors if item.name in names):
+            if others := cross.others(name, family=False):
+                own = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
+                rest = [[nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others]
+                seen.append(delay(cross, name))
+                information.append(information_on_delay(cross, name))
+                design.append(np.tile(own - np.mean(rest, axis=0), (3, 1)))
+    return _Delays(np.concatenate(seen), np.concatenate(information), np.concatenate(design))
+
+
+def _solve(observed: _Delays, seen_s: Floats, start: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+    """The parameters (p,) within bounds that explain the delays beyond those `seen_s` with the parameters `start`."""
+    behind_s = observed.delay_s - seen_s + observed.design @ start
+    known = np.isfinite(behind_s) & np.isfinite(observed.information)
+    if not known.any():
+        return start
+    weight = np.sqrt(observed.information[known])
+    prior = np.diag(_PRIOR / np.maximum(np.abs(bounds[0]), bounds[1]))
+    matrix = np.vstack([observed.design[known] * weight[:, None], prior])
+    target = np.append(behind_s[known] * weight, np.zeros(len(start)))
+    return np.asarray(lsq_linear(matrix, target, bounds=bounds).x)

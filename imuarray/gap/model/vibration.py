@@ -1,0 +1,142 @@
+"""Vibration of the room, which accelerometers feel at rest: a fan or a refrigerator shakes every table a little.
+
+A faint line in an accelerometer's spectrum is a nuisance quantity as long as the other accelerometers do not contradict
+it: those that would show it, by their noise and their rate, do. A line that only one of several accelerometers has, and
+a strong one, is left to the effects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.characterise.spectrum import Spectrum
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.lines import HALF_WIDTH, Line, highest_lines, pooled
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.tone import Tone
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
+
+MOST_G = 6e-4
+"""Largest usual amplitude along an axis of the box, in g: tables in rooms with machines shake by some tenths of a
+thousandth of g.
+"""
+
+MOST_FACTOR = 1.6
+"""A replicate's amplitude is between 0 and this times the mean one: machines switch on and off."""
+
+_LINES = 4
+"""Lines of one rate that are looked at, the highest first: a machine has harmonics."""
+
+_HIGH = 5.0
+"""Standard deviations by which a line stands above its neighbours."""
+
+_CONTRADICTED, _SURE = 0.25, 4.0
+"""Another accelerometer contradicts a line if it shows less than this share of its power, by so many standard
+deviations.
+"""
+
+_SAME_RATE = 0.01
+"""Relative difference of rates of rows at which lines are at the same frequency."""
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """A line at `frequency_hz`, as rows show it, with amplitudes `amplitude_box_g` (3,) along the axes of the box, and
+    the sensors that feel it.
+    """
+
+    frequency_hz: float
+    amplitude_box_g: tuple[float, float, float]
+    sensors: tuple[str, ...]
+
+    def tone(self, header: SensorHeader, factor: float) -> Tone:
+        """The line as one of the sensors shows it, with amplitudes multiplied by `factor`."""
+        own_g = np.abs(np.array(header.orientation)).T @ np.array(self.amplitude_box_g)
+        x, y, z = (own_g * factor * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]).tolist()
+        return Tone((x, y, z), self.frequency_hz)
+
+
+def fit_vibrations(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[Vibration, ...]:
+    """The faint lines of the accelerometers at rest that no other accelerometer contradicts."""
+    return tuple(vibration for group in _groups(campaign, headers) for vibration in _vibrations(group))
+
+
+class _Spectrum(NamedTuple):
+    """The pooled spectrum of an accelerometer at rest, in counts, and the rate of its rows."""
+
+    header: SensorHeader
+    spectrum: Spectrum
+    rows_per_s: float
+
+    @property
+    def counts_per_g(self) -> float:
+        return self.header.sensitivity * STANDARD_GRAVITY / SI_PER_UNIT[self.header.unit]
+
+    def power_g2(self, place: float) -> tuple[Floats, Floats]:
+        """Power (3,) above the floor at a bin, along its own axes, and its standard deviation by chance."""
+        density, rows = self.spectrum.density, self.spectrum.segment_rows
+        near = np.abs(np.arange(len(density)) - place) <= HALF_WIDTH
+        floor = np.median(density[2:], axis=0)
+        power = np.maximum(density[near] - floor, 0.0).sum(axis=0) / rows
+        chance = floor / rows * np.sqrt(2 * near.sum() / self.spectrum.freedom[near].mean())
+        return power / self.counts_per_g**2, chance / self.counts_per_g**2
+
+
+def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> Iterator[list[_Spectrum]]:
+    """The spectra of accelerometers whose rows come at the same rate, and have the same bins."""
+    groups: list[list[_Spectrum]] = []
+    for name, header in headers.items():
+        rests = [rest for log in campaign.logs for rest in log.still(name) if rest.intervals.count]
+        spectrum = pooled([rest.spectrum for rest in rests])
+        if header.quantity != "specific_force" or spectrum is None:
+            continue
+        longest = max(rests, key=lambda rest: rest.rows)
+        own = _Spectrum(header, spectrum, 1 / longest.intervals.mean_s)
+        for group in groups:
+            first = group[0]
+            is_same_rate = abs(own.rows_per_s / first.rows_per_s - 1) < _SAME_RATE
+            if is_same_rate and spectrum.segment_rows == first.spectrum.segment_rows:
+                group.append(own)
+                break
+        else:
+            groups.append([own])
+    yield from groups
+
+
+def _vibrations(group: Sequence[_Spectrum]) -> Iterator[Vibration]:
+    known: list[float] = []
+    lines = [(own, line) for own in group for line in highest_lines(own.spectrum, _LINES) if line.height.max() > _HIGH]
+    for own, line in sorted(lines, key=lambda item: -float(item[1].height.max())):
+        if any(abs(line.bin - place) <= HALF_WIDTH + 1 for place in known):
+            continue
+        known.append(line.bin)
+        amplitude_box_g = _amplitude_box_g(own, line)
+        if amplitude_box_g.max() <= MOST_G and not any(
+            _contradicts(other, line.bin, amplitude_box_g) for other in group if other is not own
+        ):
+            x, y, z = amplitude_box_g.tolist()
+            hertz = line.bin * own.rows_per_s / own.spectrum.segment_rows
+            yield Vibration(hertz, (x, y, z), tuple(item.header.name for item in group))
+
+
+def _amplitude_box_g(own: _Spectrum, line: Line) -> Floats:
+    """Amplitudes (3,) along the box axes by one accelerometer."""
+    power_g2 = np.maximum(line.power, 0.0) / own.counts_per_g**2
+    return np.asarray(np.abs(np.array(own.header.orientation)) @ np.sqrt(2 * power_g2))
+
+
+def _contradicts(other: _Spectrum, place: float, amplitude_box_g: Floats) -> bool:
+    """True if an accelerometer that would show the line does not."""
+    expected_g2 = (np.abs(np.array(other.header.orientation)).T @ amplitude_box_g) ** 2 / 2
+    power_g2, chance_g2 = other.power_g2(place)
+    axis = int(np.argmax(expected_g2 / np.where(chance_g2 > 0, chance_g2, np.inf)))
+    beside = 2 * expected_g2[axis] / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
+    scatter_g2 = math.sqrt(chance_g2[axis] * (chance_g2[axis] + beside))
+    is_less = expected_g2[axis] - power_g2[axis] > _SURE * scatter_g2
+    return bool(is_less and power_g2[axis] < _CONTRADICTED * expected_g2[axis])

@@ -1,0 +1,101 @@
+"""Nuisance quantities are fitted: the lag of an element, a faint vibration of the room, the delay of a filter, and one
+attitude in several phases of a log; expected values are those that were simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.model.element_temperature import LONGEST_LAG_S
+from imuarray.gap.model.signal_delay import NO_DELAY, fit_signal_delays
+from imuarray.gap.model.vibration import MOST_G, fit_vibrations
+from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.log.format import Phase
+from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.motion.still import Still
+from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation, temperature_of
+
+
+@pytest.mark.parametrize("lag_s", [4.0, 12.0])
+def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> None:
+    base = fit(campaign_of("heating", {"G1": (ThermalLag(lag_s),)}, seed=3), PLANS["heating"])
+    assert base.fitted["G1"].lag_s == pytest.approx(lag_s, rel=0.1)
+    assert base.fitted["G1"].slope == pytest.approx((0.05,) * 3, rel=0.01)
+    assert base.fitted["G2"].lag_s == pytest.approx(0.0, abs=0.2)
+
+
+def test_a_lag_beyond_the_usual_is_left_to_the_effect() -> None:
+    base = fit(campaign_of("heating", {"G1": (ThermalLag(5 * LONGEST_LAG_S),)}, seed=3), PLANS["heating"])
+    assert base.fitted["G1"].lag_s == LONGEST_LAG_S
+
+
+def test_nothing_heated_has_no_lag() -> None:
+    assert {parameters.lag_s for parameters in fit(campaign_of("static"), PLANS["static"]).fitted.values()} == {0.0}
+
+
+def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
+    """Amplitudes along X of the vibrations at 17 Hz fitted to ten minutes at rest in which these accelerometers, which
+    both lie along X, have a line of this amplitude there.
+    """
+    tone, motion = Tone((amplitude_g, 0.0, 0.0), 17.0, phase_deg=30.0), Still(seconds=600)
+    sources = simulated_sources(simulation(motion, dict.fromkeys(names, (tone,)), seed=5))
+    campaign = Campaign((summarise_log("static", sources, phases_of(motion), temperature_of(motion)),))
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
+    fitted = fit_vibrations(campaign, headers)
+    return tuple(item.amplitude_box_g[0] for item in fitted if abs(item.frequency_hz - 17.0) < 0.2)
+
+
+def test_a_faint_line_of_all_accelerometers_is_the_rooms() -> None:
+    (amplitude_g,) = vibrating(4e-4, "A1", "A2")
+    assert amplitude_g == pytest.approx(4e-4, rel=0.15)
+
+
+def test_a_line_of_one_accelerometer_is_its_own() -> None:
+    assert vibrating(4e-4, "A1") == ()
+
+
+def test_a_strong_line_is_no_vibration_of_the_room() -> None:
+    assert vibrating(3 * MOST_G, "A1", "A2") == ()
+
+
+def test_the_delay_of_filters_is_fitted_in_motion() -> None:
+    """Both gyroscopes are configured alike; with 12.5 Hz instead of 35 one of them would be late by 11.6 ms more."""
+    campaign = campaign_of("motion", {"G1": (Bandwidth(12.5, share=1.0, poles=2.0, signal_only=1.0),)}, seed=2)
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
+    headers["G1"] = replace(headers["G1"], bandwidth_hz=12.5)
+    simulated = [campaign_of("motion", seed=seed) for seed in (11, 12, 13)]
+    delays = fit_signal_delays(campaign, simulated, headers, (), dict.fromkeys(headers, NO_DELAY))
+    difference_s = delays["G1"].filter_s - delays["G2"].filter_s
+    own_s = 1 / (math.sqrt(2) * math.pi * 12.5)  # G2 has no filter here
+    assert difference_s == pytest.approx(own_s, rel=0.25)
+
+
+def phases(*ends_s: tuple[float, float, str]) -> list[Phase]:
+    return [Phase(round(start * SECOND), round(stop * SECOND), "static", up) for start, stop, up in ends_s]
+
+
+def test_steps_of_a_heating_share_an_attitude() -> None:
+    """Also their first halves alone, or their second ones; a box that was turned in between has another one."""
+    whole = phases((0, 20, "+Z"), (20, 60, "+Z"), (60, 100, "+Z"), (104, 120, "-X"), (120, 130, "+Z"))
+    assert attitude_numbers(whole) == [0, 0, 0, 1, 2]
+    halves = phases((0, 10, "+Z"), (20, 40, "+Z"), (60, 80, "+Z"), (104, 112, "-X"))
+    assert attitude_numbers(halves) == [0, 0, 0, 1]
+    others = phases((10, 20, "+Z"), (40, 60, "+Z"), (80, 100, "+Z"), (112, 120, "-X"))
+    assert attitude_numbers(others) == [0, 0, 0, 1]
+    assert attitude_numbers(phases((0, 10, "+Z"), (13, 20, "+Z"))) == [0, 1]  # put down again
+    assert attitude_numbers(phases((0, 10, ""), (10, 20, ""))) == [0, 1]  # nobody says so
+
+
+def test_readings_in_one_attitude_are_averaged() -> None:
+    readings = np.array([[[1.0, 0, 0]], [[3.0, 0, np.nan]], [[7.0, 0, 0]]])
+    shared = shared_readings([0, 0, 1], readings)
+    np.testing.assert_array_equal(shared[:, 0], [[2, 0, 0], [2, 0, 0], [7, 0, 0]])
