@@ -41,8 +41,8 @@ class Bandwidth(Effect):
     `_MEMORY` rows before each row reproduce (Yule and Walker).
 
     `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
-    1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so much
-    slower than the filter that only the delay shows.
+    1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so
+    much slower than the filter that only the delay shows.
     """
 
     name: ClassVar[str] = "bandwidth"
@@ -54,8 +54,8 @@ class Bandwidth(Effect):
     signal_only: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, other
-        than 1 or 2 poles, and another `signal_only` than 0 and 1.
+        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, or
+        other than 1 or 2 poles.
         """
         super().__post_init__()
         require("cutoff_hz", self.cutoff_hz, 1e-2)
