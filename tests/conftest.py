@@ -7,6 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gc
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 if sys.dont_write_bytecode:  # as in many containers: every start of the program would compile all its modules
@@ -32,3 +33,11 @@ def pytest_collection_finish() -> None:
     time. They are not frozen, since Hypothesis looks for referrers of its random numbers, which would hide them.
     """
     gc.set_threshold(100_000, 20, 50)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _same_priority() -> Iterator[None]:
+    """The page steps back behind the logger, for good: a test that serves it would slow down all tests after it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "nice", lambda increment: 0, raising=False)
+        yield
