@@ -25,6 +25,8 @@ _LEAST, _MOST = 0.01, 0.995
 
 _ALIKE = 1.3
 _OF_SPELL = ("cutoff_hz", "noise_share")
+_QUIET = 0.7
+"""Largest share of the noise that a filter leaves: half of the power, as one of half the bandwidth does."""
 _MOST_NOISE = 10.0
 _UNSEEN = 0.3
 """Correlation from which on rows tell the cutoff themselves."""
@@ -81,13 +83,13 @@ def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
 
 
 def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A filter that takes noise away in fewer logs than not, by the same share on all axes; whether or not their rows
-    are fast enough to show a correlation. Where most logs are quiet, the others have more noise.
+    """A filter that takes noise away in some logs, by the same share on all axes; whether or not their rows are fast
+    enough to show a correlation. Where little is gone, the other logs rather have more noise.
     """
     logs = noise_of_logs(evidence)
     share = 1.0 if logs is None else float(np.exp((logs.less - logs.more).mean()))
     cutoff_hz = cutoff_that_passes(evidence, share)
-    if logs is not None and len(logs.quiet) < len(logs.noisy) and share < 1 and cutoff_hz > 0:
+    if logs is not None and share < _QUIET and cutoff_hz > 0:
         effect = Bandwidth(cutoff_hz, poles=2.0, noise_share=share)
         yield Hypothesis((effect,), _OF_SPELL, fitted=with_noise(evidence, logs.more)).at(in_logs(logs.quiet))
 
