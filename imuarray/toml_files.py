@@ -103,7 +103,7 @@ def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[
         model.model_validate(known)
     except ValidationError as further:
         listed = {(mistake["loc"], mistake["msg"]) for mistake in mistakes}
-        mistakes += [one for one in further.errors() if (one["loc"], one["msg"]) not in listed]
+        mistakes += [error for error in further.errors() if (error["loc"], error["msg"]) not in listed]
     return mistakes
 
 

@@ -23,8 +23,8 @@ from imuarray.errors import LogError, SourceError
 from imuarray.export.formats import CSV_MAGIC, CSV_VERSION
 from imuarray.importers import Importer, Summary, unreadable
 from imuarray.log import Block, LogWriter, Stimulus
-from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
-from imuarray.log.layout import STIMULI, TRACK_COLUMNS, Columns, Group, sensor_group
+from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.layout import STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
@@ -37,6 +37,9 @@ MAGICS: Mapping[bytes, str] = MappingProxyType(
     {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): _CSV, CSV_HEAD: _CSV}
 )
 """First bytes, and the module that reads such a file."""
+
+COLUMN_UNITS: Mapping[str, str] = MappingProxyType({"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS})
+"""Units in the names of an exported table's columns, by column of the log."""
 
 MAX_HEADER_BYTES = 1 << 26
 """Maximum size of a JSON header with phases and events."""

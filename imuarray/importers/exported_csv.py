@@ -19,14 +19,20 @@ from imuarray.errors import SourceError
 from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, csv_names
 from imuarray.importers import Summary, open_source
 from imuarray.importers.cells import Block, Column, Table, nanoseconds
-from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
+from imuarray.importers.exported import (
+    COLUMN_UNITS,
+    MAX_HEADER_BYTES,
+    Head,
+    checked_head,
+    notes_of,
+    parse_header,
+    write_log,
+)
 from imuarray.importers.mapping import FileTable
-from imuarray.log.format import ARRIVAL
-from imuarray.log.layout import TRACK_UNITS, Columns, Group
+from imuarray.log.layout import Columns, Group
 from imuarray.log.untrusted_input import MAX_TEXT_BYTES
 from imuarray.printable import printable
 
-_UNITS = {"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS}
 _S = 1_000_000_000
 
 
@@ -59,8 +65,8 @@ def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
     """Return what is said of the tables, and leave the file at the row of names; SourceError."""
     if not _has_comments(file):
         described = path.with_suffix(".json")
-        with open_source(described, path) as beside:
-            data = beside.read(MAX_HEADER_BYTES + 1)
+        with open_source(described, path) as metadata:
+            data = metadata.read(MAX_HEADER_BYTES + 1)
         if len(data) > MAX_HEADER_BYTES:
             raise SourceError(f"{described}: a header of more than {MAX_HEADER_BYTES} bytes")
         return parse_header(data, str(described))
@@ -173,7 +179,7 @@ class _Tables:
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
     """Return the table's column names for a column of a log."""
-    return csv_names(name, cells if tail else (), _UNITS.get(name, ""))
+    return csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))
 
 
 def _columns(

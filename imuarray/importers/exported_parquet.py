@@ -16,12 +16,10 @@ from imuarray.errors import ExportError, SourceError
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, csv_names
 from imuarray.export.mcap_file import epoch_ns
 from imuarray.importers import Summary, open_source
-from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
-from imuarray.log.format import ARRIVAL
-from imuarray.log.layout import TRACK_UNITS, Columns, Group
+from imuarray.importers.exported import COLUMN_UNITS, MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
+from imuarray.log.layout import Columns, Group
 from imuarray.printable import printable
 
-_UNITS = {"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS}
 _ROWS = 1 << 16
 _MOST_NOTES = 1 << 20
 _PHASES, _EVENTS = ("start_ns", "end_ns", "name", "up"), ("time_ns", "sensor", "kind", "message")
@@ -114,7 +112,7 @@ def _rows(path: Path, group: Group, cells: tuple[str, ...], epoch: str) -> Itera
     except ExportError:
         zero_ns, time = 0, "time_ns"
     where = {
-        name: [time] if name == "time" else csv_names(name, cells if tail else (), _UNITS.get(name, ""))
+        name: [time] if name == "time" else csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))
         for name, _, tail in group.columns
     }
     if missing := [name for names in where.values() for name in names if name not in there]:

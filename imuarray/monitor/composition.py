@@ -285,7 +285,7 @@ def _observations(
     """What counts for the health of the log."""
     stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
     if source.state == WRITTEN and quiet_s >= _QUIET_S:
-        stopped = f"nothing came for {quiet_s:.0f} s"
+        stopped = f"no reading for {quiet_s:.0f} s"
     heard = [view for view in views if view.silent_s is None]
     return Observations(
         sensors=len(views),
