@@ -206,8 +206,8 @@ def evidence_of(
     """The evidence of a sensor in the recorded training part, with this model; `effects` are those of the model."""
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
-    left = residual(train.campaign, [motion for _, motion in logs], base)
-    seen = _phases_of(sensor, train, left)
+    residuals = residual(train.campaign, [motion for _, motion in logs], base)
+    seen = _phases_of(sensor, train, residuals)
     header = seen[0].raw.header
     others = tuple(
         other for other in bench.base.headers.values() if other.quantity == header.quantity and other.name != sensor
@@ -234,16 +234,16 @@ def evidence_of(
         _logs_by_probe(scored),
         bench.is_refitted,
         tuple(_spells(bench, train, sensor, base)),
-        {name: phases for name in twins if (phases := _phases_of(name, train, left))},
+        {name: phases for name in twins if (phases := _phases_of(name, train, residuals))},
         {name: bench.base.fitted[name] for name in twins},
     )
 
 
-def _phases_of(sensor: str, train: Side, left: Campaign) -> tuple[PhaseEvidence, ...]:
-    """The phases of a sensor as recorded and with the model's prediction subtracted (`left`)."""
+def _phases_of(sensor: str, train: Side, residuals: Campaign) -> tuple[PhaseEvidence, ...]:
+    """The phases of a sensor as recorded and with the model's prediction subtracted (`residuals`)."""
     return tuple(
         PhaseEvidence(number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
-        for number, log, bare in zip(train.logs, train.campaign.logs, left.logs, strict=True)
+        for number, log, bare in zip(train.logs, train.campaign.logs, residuals.logs, strict=True)
         for raw, without in zip(log.phases, bare.phases, strict=True)
         if sensor in raw.sensors
     )

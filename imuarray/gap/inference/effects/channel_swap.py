@@ -118,13 +118,13 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
     """The course of a sensor over its phases at rest; `faces` numbers the attitudes and grows."""
     parts = []
     for phase in phases:
-        raw, left = phase.raw.segments, phase.residual.segments
+        raw, residual = phase.raw.segments, phase.residual.segments
         held = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
         attitude = faces.setdefault(phase.raw.phase.up, len(faces))
         noise = np.sqrt(raw.steady_variance[held] / raw.rows[held, None])
         count = int(held.sum())
         numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, attitude)
-        parts.append((*numbers, raw.mean[held], left.mean[held], noise))
+        parts.append((*numbers, raw.mean[held], residual.mean[held], noise))
     if not any(len(part[0]) for part in parts):
         none, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
         return _Course(none, np.zeros(0), none, nothing, nothing, np.zeros(3))
@@ -145,8 +145,8 @@ def _usual_levels(course: _Course, faces: int) -> Floats:
 def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
     """(s,) share of the way from the usual level to the other sensor's that each segment has gone."""
     way = distance[course.face]
-    gone, square = ((course.mean - usual[course.face]) * way).sum(axis=1), (way**2).sum(axis=1)
-    return np.asarray(np.divide(gone, square, out=np.zeros(len(gone)), where=square > 0))
+    along, square = ((course.mean - usual[course.face]) * way).sum(axis=1), (way**2).sum(axis=1)
+    return np.asarray(np.divide(along, square, out=np.zeros(len(along)), where=square > 0))
 
 
 def _is_at(course: _Course, inside: Booleans, levels: Floats, distance: Floats) -> bool:
