@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,13 @@ from scipy.stats import binom
 
 from imuarray.gap.diagnose import REPLICATES
 from imuarray.gap.findings.deviations import StatisticReport, where_of
-from imuarray.gap.inference.comparison import ENOUGH, Comparison, compared_with_base, settled
+from imuarray.gap.inference.comparison import (
+    ENOUGH,
+    Comparison,
+    _without_flags_never_set,
+    compared_with_base,
+    settled,
+)
 from imuarray.gap.inference.localisation import LEVEL
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, StatisticValues
@@ -274,3 +281,15 @@ def test_limits_of_a_sequential_test_never_rise() -> None:
     given_up = [binom.sf(limit * (count + 1) - 1, count, LEVEL) for count, limit in ENOUGH.items()]
     assert sum(given_up) < 0.005
     assert min(ENOUGH) < REPLICATES
+
+
+def test_a_flag_that_no_row_has_is_missing() -> None:
+    """Of two sensors' shares of repeated rows: kept where one sensor has any, since the recorder compares readings."""
+    keys = [Key(0, name, "", "static", 0, "status", probe) for name in ("A", "B") for probe in ("stale", "lost")]
+    nan = math.nan
+    for values, known in (
+        ([0.0, 0.0, 0.0, 0.0], [nan, 0.0, nan, 0.0]),
+        ([0.0, 0.5, nan, 0.1], [nan, 0.5, nan, 0.1]),
+        ([0.0, 0.0, 0.2, nan], [0.0, 0.0, 0.2, nan]),
+    ):
+        np.testing.assert_array_equal(_without_flags_never_set(keys, np.array(values)), known)

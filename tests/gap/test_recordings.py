@@ -395,3 +395,71 @@ def test_a_box_that_turns_by_its_track_is_not_at_rest_whatever_is_noted(tmp_path
         log.phase(phase(0, 9, "static", "+Z"))
         log.phase(phase(10, 19, "shaken", "+Z"))
     assert [one.up for one in recorded(path).phases] == ["+Z", ""]
+
+
+def turning_log(path: Path, rate: float, noise: float) -> Recording:
+    """Sensors too noisy to show it in a box that turns about the vertical to and fro, as a noisy reference says."""
+    rng = np.random.default_rng(1)
+    time = np.arange(1000, dtype=np.int64) * SECOND // 50
+    turning = rate * np.sin(2 * np.pi * time / (4 * SECOND))[:, None] * np.eye(3)[2]
+    with LogWriter(path, FOREIGN, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor in FOREIGN:
+            level = [0, 0, 2048] if sensor.quantity == "specific_force" else [0, 0, 0]
+            counts = np.rint(rng.normal(level, 40, (1000, 3))).astype(np.int16)
+            warm = np.zeros(1000, np.int16) if sensor.has_temperature else None
+            log.append(sensor.name, Block(time, counts, np.zeros(1000, np.uint16), warm))
+        force = rng.normal([0.0, 0.0, 9.8], 10 * noise, (1000, 3))
+        log.stimulus("reference", Stimulus(time, force, turning + rng.normal(0, noise, (1000, 3)), np.full(1000, 20.0)))
+    return recorded(path)
+
+
+def test_a_track_tells_a_gentle_motion_from_rest(tmp_path: Path) -> None:
+    turned = turning_log(tmp_path / "turned.h5", 0.05, 2e-4)
+    assert [part.name for part in turned.phases] == ["motion"]
+
+
+@pytest.mark.parametrize("noise", [2e-5, 2e-4, 2e-3])
+def test_the_noise_of_a_reference_is_no_motion(tmp_path: Path, noise: float) -> None:
+    still = turning_log(tmp_path / "still.h5", 0.0, noise)
+    rest = still.phases[0]
+    assert [part.name for part in still.phases] == ["pose 1"]
+    felt = still.experiment.motion.felt(np.linspace(rest.start_ns, rest.end_ns - 1, 50).astype(np.int64))
+    assert np.ptp(felt.force_box, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("drifting", "is_left_out"), [(3, True), (1, False), (0, False)])
+def test_a_heating_that_nobody_recorded_is_left_out(tmp_path: Path, drifting: int, is_left_out: bool) -> None:
+    """Most of three sensors drift by 60 counts in a minute beside a noise of 5; one alone may wander."""
+    sensors = [replace(FOREIGN[0], name=name, has_temperature=False) for name in ("A", "B", "C")]
+    plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], sensors)
+    path, rows = tmp_path / "warm.h5", 3000
+    time = np.arange(rows, dtype=np.int64) * SECOND // 50
+    rng = np.random.default_rng(0)
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:01:00Z") as log:
+        for number, sensor in enumerate(sensors):
+            drift = np.linspace(0, 60 * (number < drifting), rows)[:, None]
+            counts = np.rint(rng.normal([0, 0, 2048], 5, (rows, 3)) + drift).astype(np.int16)
+            log.append(sensor.name, Block(time, counts, np.zeros(rows, np.uint16)))
+        log.phase(phase(0, 60, "static", "+Z"))
+    read = recordings_of([open_log(plain), open_log(path)])
+    assert [recording.name for recording in read] == (["plain.h5"] if is_left_out else ["plain.h5", "warm.h5"])
+    assert any("warm.h5 is left out" in note for note in read[0].notes) == is_left_out
+
+
+@pytest.mark.parametrize("warming", [0, 1])
+def test_the_noise_of_a_chips_thermometer_is_no_change_of_the_temperature(tmp_path: Path, warming: int) -> None:
+    """Eight counts a degree, noise of one degree: a straight line, unless it warms up by ten degrees."""
+    known = replace(FOREIGN[0], chip="unheard_of", extra=ThermometerScale(36.5, 8.0).attributes)
+    path, rows = tmp_path / "log.h5", 3000
+    time = np.arange(rows, dtype=np.int64) * SECOND // 50
+    rng = np.random.default_rng(3)
+    with LogWriter(path, [known], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        counts = np.rint(rng.normal([0, 0, 2048], 5, (rows, 3))).astype(np.int16)
+        readings = np.rint(rng.normal(np.linspace(0, 80 * warming, rows), 8)).astype(np.int16)
+        log.append("Acc", Block(time, counts, np.zeros(rows, np.uint16), readings))
+        log.phase(phase(0, 60, "static", "+Z"))
+    seconds = np.arange(5, 56)
+    degc = recorded(path).experiment.motion.felt(seconds * SECOND).temperature_degc
+    assert degc[-1] - degc[0] == pytest.approx(50 / 6 * warming, abs=0.5)
+    straight = np.polyval(np.polyfit(seconds, degc, 1), seconds)
+    assert bool(np.abs(degc - straight).max() < 1e-6) == (not warming)

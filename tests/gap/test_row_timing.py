@@ -173,3 +173,17 @@ def test_bursts_are_compared_at_the_times_of_their_readings(tmp_path: Path) -> N
     assert 2 * abs(np.mean(own * wave)) == pytest.approx(300, rel=0.1)
     first = int(np.searchsorted(arrived_s, times[0] * 1e-9 - 0.2))
     assert own[:100].tolist() in [counts[at : at + 100, 0].tolist() for at in range(first, first + 60)]
+
+
+def test_rows_that_return_to_the_grid_after_a_stall_are_no_burst(tmp_path: Path) -> None:
+    """A frame that begins late and the next one on time are closer together than others, once for each stall; longer
+    stalls are followed by more rows here, as bursts would be.
+    """
+    time_s, at_s = [np.zeros(1)], 0.0
+    for number in range(12):
+        stall_s, rows = 0.8 + 0.05 * number, np.arange(100 + 10 * number) * 0.05
+        time_s += [np.array([at_s + stall_s - 0.02]), at_s + stall_s + rows]
+        at_s += stall_s + rows[-1]
+    timing = timing_of(tmp_path / "log.h5", np.concatenate(time_s))
+    assert timing.kind == "stalls"
+    assert (timing.gaps, timing.usual_s) == (12, pytest.approx(0.05))
