@@ -232,3 +232,12 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
     assert found[True, "y"] == pytest.approx(0.2, abs=0.02)
     assert found[True, "x"] == pytest.approx(0.0, abs=0.02)
     assert found[False, "y"] == pytest.approx(0.0, abs=0.02)
+
+
+def test_readings_of_a_queue_wait_for_no_poll(both: tuple[Bench, Campaign]) -> None:
+    """Also where the queue was seen in earlier recordings: it is part of the base model."""
+    bench, campaign = both
+    drained = bench_of(campaign, bench.split, bench.experiments, replace(bench.base, queued=frozenset({"G1"})))
+    for before, after in zip(bench.experiments, drained.experiments, strict=True):
+        rates_hz = {name: header.rate_hz for name, (header, _) in after.plan.sensors.items()}
+        assert rates_hz == {name: header.rate_hz for name, (header, _) in before.plan.sensors.items()} | {"G1": 0.0}

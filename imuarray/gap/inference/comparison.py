@@ -5,7 +5,7 @@ differ.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -26,7 +26,7 @@ from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Experiment, Recording, sources_of, temperature_of
+from imuarray.gap.recording.recordings import Recording, sources_of, temperature_of
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key
@@ -94,17 +94,7 @@ def prepared(
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
     base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(train.campaign, base.headers))
     campaign = _of_fitted(campaign, base)
-    bench = bench_of(campaign, split, [_as_queued(experiment, base.queued) for experiment in experiments], base)
-    return (with_signal_delays(bench, campaign) if model is None else settled(bench)), campaign
-
-
-def _as_queued(experiment: Experiment, queued: Collection[str]) -> Experiment:
-    """The experiment with sensors whose rows are the chip's own readings: none of these waits for a poll."""
-    sensors = {
-        name: (replace(header, rate_hz=0.0) if name in queued else header, line)
-        for name, (header, line) in experiment.plan.sensors.items()
-    }
-    return experiment._replace(plan=replace(experiment.plan, sensors=sensors))
+    return _corrected(bench_of(campaign, split, experiments, base), campaign), campaign
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
@@ -137,8 +127,7 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     campaign, experiments = _summarised(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
     base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(campaign, base.headers))
-    bench = bench_of(campaign, split, [_as_queued(experiment, base.queued) for experiment in experiments], base)
-    return (with_signal_delays(bench, campaign) if model is None else settled(bench)).base
+    return _corrected(bench_of(campaign, split, experiments, base), campaign).base
 
 
 class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
@@ -195,6 +184,11 @@ def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
         ]
         logs.append(replace(log, phases=tuple(phases)))
     return Campaign(tuple(logs))
+
+
+def _corrected(bench: Bench, campaign: Campaign) -> Bench:
+    """The bench with what of its base model only replicates tell: delays, or what the effects of a given model add."""
+    return with_signal_delays(bench, campaign) if bench.base.model is None else settled(bench)
 
 
 def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:

@@ -132,19 +132,20 @@ class Base:
     def _drawn(self, header: SensorHeader, units: Streams, replicate: int) -> tuple[Effect, ...]:
         is_slope_known = self.fitted[header.name].is_slope_known
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
-        if not any(isinstance(effect, OwnClock) for effect in effects):
-            effects = (_IN_STEP, *effects)
         if header.quantity == "specific_force":
             effects = (*with_position(effects, header.position_mm), *self._tones(header, units))
+        is_odd = bool(replicate % 2)
+        effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
+        if header.name in self.queued:  # the row of a reading has the time at which the chip took it
+            return tuple(effect for effect in effects if not isinstance(effect, OwnClock))
+        if not any(isinstance(effect, OwnClock) for effect in effects):
+            effects = (_IN_STEP, *effects)
         clock_error = self.fitted[header.name].clock_error
-        if math.isfinite(clock_error) and header.name not in self.queued:
+        if math.isfinite(clock_error):
             clock = OwnClock(clock_error, math.nan, 1.0)
             effects = tuple(clock if isinstance(effect, OwnClock) else effect for effect in effects)
-        if header.name in self.queued:  # the row of a reading has the time at which the chip took it
-            effects = tuple(effect for effect in effects if not isinstance(effect, OwnClock))
-            return tuple(effect for effect in effects if replicate % 2 or not is_usual(effect, header))
-        if replicate % 2 == 0:
-            return tuple(effect for effect in effects if not is_usual(effect, header))
+        if not is_odd:
+            return effects
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
         slow = CLOCK_SIGMA * min(max(deviate, -TOLERANCE_SIGMAS), TOLERANCE_SIGMAS)
         return tuple(_with_rate_error(effect, slow) for effect in effects)

@@ -33,7 +33,10 @@ _LAGS_S = (0.0, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 14.0, LONGEST_LAG_S)
 _GAIN = 16.0
 """Least decrease of chi-squared by a lag, four standard deviations."""
 
-_kept: MutableMapping[Motion, dict[tuple[bytes, float], Floats]] = WeakKeyDictionary()
+_MOST_CACHED = 2000
+"""Most phases of a log, times time constants, whose temperatures are cached; replicates have the same times."""
+
+_cache: MutableMapping[Motion, dict[tuple[bytes, float], Floats]] = WeakKeyDictionary()
 
 
 def with_element_temperatures(campaign: Campaign, motions: Sequence[Motion], lags_s: Mapping[str, float]) -> Campaign:
@@ -122,7 +125,7 @@ def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
     """Temperature (s,) of an element of this time constant at the segments' times; nan where a segment has no rows."""
     if lag_s == 0.0:
         return segments.temperature_degc
-    of_motion = _kept.setdefault(motion, {})
+    of_motion = _cache.setdefault(motion, {})
     key = segments.time_s.tobytes(), lag_s
     if key not in of_motion:
         held = segments.rows > 0
@@ -130,10 +133,7 @@ def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
         if held.any():
             at_ns = np.rint(segments.time_s[held] * 1e9).astype(np.int64)
             degc[held] = ThermalLag(lag_s).temperature_degc(at_ns, motion)
-        if len(of_motion) >= _MOST_KEPT:
+        if len(of_motion) >= _MOST_CACHED:
             of_motion.clear()
         of_motion[key] = degc
     return of_motion[key]
-
-
-_MOST_KEPT = 2000

@@ -99,7 +99,8 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
-            printed = PRINTED - {"thermal_scale"} if header.unit == "gauss" else PRINTED  # its slope has that at rest
+            # at rest, the thermal slope of a magnetometer is that of its scale, which is drawn as that of its bias
+            printed = PRINTED - {"thermal_scale"} if header.unit == "gauss" else PRINTED
             if kept := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in printed}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)

@@ -17,13 +17,13 @@ import numpy as np
 
 from imuarray.arrays import Floats, Integers
 from imuarray.gap.model.element_temperature import LEAST_HEATING_DEGC
-from imuarray.gap.model.signal_delay import NO_DELAY, SignalDelay, cutoff_of
+from imuarray.gap.model.signal_delay import NO_DELAY, SignalDelay
 from imuarray.gap.statistics.segments import Segments
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.bandwidth import Bandwidth, two_pole_cutoff_hz
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.thermal_bias import ThermalBias
@@ -91,7 +91,7 @@ class FittedParameters:
         if math.isfinite(self.cutoff_hz):
             noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
         if self.delay.filter_s:
-            noise = (*noise, Bandwidth(cutoff_of(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
+            noise = (*noise, Bandwidth(two_pole_cutoff_hz(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
         if self.delay.stamp_s:
             noise = (*noise, Skew(self.delay.stamp_s))
         lag = (ThermalLag(self.lag_s),) if self.lag_s else ()

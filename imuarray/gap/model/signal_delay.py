@@ -11,7 +11,6 @@ period of the chip, which is another nuisance parameter of each such sensor.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -23,6 +22,7 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.motion import delay, information_on_delay
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
 from imuarray.simulate.model import noise_bandwidth_hz
 
 _PRIOR = 1.0
@@ -84,15 +84,10 @@ def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader
     return bool(_crosses(campaign)) and (differ or bool(queued))
 
 
-def cutoff_of(delay_s: float) -> float:
-    """Cutoff in Hz of a filter of two poles that delays by so much."""
-    return 1 / (math.sqrt(2) * math.pi * delay_s)
-
-
 def _nominal_delay_s(header: SensorHeader) -> float:
     """Delay at the configured cutoff; 0 where none is known."""
     cutoff_hz = noise_bandwidth_hz(header)
-    return 1 / (math.sqrt(2) * math.pi * cutoff_hz) if cutoff_hz > 0 else 0.0
+    return two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
 
 
 def _crosses(campaign: Campaign) -> list[Cross]:

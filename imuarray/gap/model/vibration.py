@@ -88,7 +88,7 @@ class _Spectrum(NamedTuple):
         return power / self.counts_per_g**2, chance / self.counts_per_g**2
 
 
-def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> Iterator[list[_Spectrum]]:
+def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[list[_Spectrum]]:
     """The spectra of accelerometers whose rows come at the same rate, and have the same bins."""
     groups: list[list[_Spectrum]] = []
     for name, header in headers.items():
@@ -106,7 +106,7 @@ def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> Iterator
                 break
         else:
             groups.append([own])
-    yield from groups
+    return groups
 
 
 def _vibrations(group: Sequence[_Spectrum]) -> Iterator[Vibration]:
@@ -136,7 +136,7 @@ def _contradicts(other: _Spectrum, place: float, amplitude_box_g: Floats) -> boo
     expected_g2 = (np.abs(np.array(other.header.orientation)).T @ amplitude_box_g) ** 2 / 2
     power_g2, chance_g2 = other.power_g2(place)
     axis = int(np.argmax(expected_g2 / np.where(chance_g2 > 0, chance_g2, np.inf)))
-    beside = 2 * expected_g2[axis] / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
-    scatter_g2 = math.sqrt(chance_g2[axis] * (chance_g2[axis] + beside))
+    in_phase_g2 = 2 * expected_g2[axis] / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
+    scatter_g2 = math.sqrt(chance_g2[axis] * (chance_g2[axis] + in_phase_g2))
     is_less = expected_g2[axis] - power_g2[axis] > _SURE * scatter_g2
     return bool(is_less and power_g2[axis] < _CONTRADICTED * expected_g2[axis])

@@ -15,6 +15,7 @@ from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Attitude
 
@@ -78,8 +79,7 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
     """The phase without its axis up if by the track the box turns: the axis was that of the first face."""
-    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
-    rate_dps = np.degrees(np.asarray(motion.felt(times_ns).rate_box, float))
+    rate_dps = np.degrees(np.asarray(_sampled(phase, motion).rate_box, float))
     turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
     return phase._replace(up="") if phase.up and turns else phase
 
@@ -88,8 +88,7 @@ def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
     """True if the box moves in a phase by the track that `motion` follows, beside the noise of that track: sensors that
     are noisier than a gentle motion take it for rest.
     """
-    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
-    moment = motion.felt(times_ns)
+    moment = _sampled(phase, motion)
     for column, least in ((moment.force_box, _LEAST_FORCE), (moment.rate_box, _LEAST_RATE)):
         values = np.asarray(column, float)
         noise = (
@@ -99,6 +98,11 @@ def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
         if np.sqrt(smooth.max()) > least:
             return True
     return False
+
+
+def _sampled(phase: Phase, motion: LikeLog) -> Felt:
+    """What the box feels at moments evenly spread over a phase."""
+    return motion.felt(np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64))
 
 
 def _what_is_lacking(log: Log) -> str:
@@ -196,8 +200,7 @@ def is_heated(phases: Sequence[Phase], motion: LikeLog) -> bool:
 
 
 def _change_degc(phase: Phase, motion: LikeLog) -> float:
-    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
-    return float(np.ptp(motion.felt(times_ns).temperature_degc)) if is_at_rest(phase) else 0.0
+    return float(np.ptp(_sampled(phase, motion).temperature_degc)) if is_at_rest(phase) else 0.0
 
 
 def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude], *, heated: bool) -> str:

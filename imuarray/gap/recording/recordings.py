@@ -178,14 +178,9 @@ def _drift_sigmas(sensor: SensorLog, phase: Phase) -> float:
     """Largest change of an axis from the first third of a phase to the last one, in its standard errors, by the scatter
     of neighbouring readings; 0 for few rows.
     """
-    times = sensor.time
-    edges_ns = [phase.start_ns, phase.start_ns + (phase.end_ns - phase.start_ns) // 3]
-    edges_ns += [phase.end_ns - (phase.end_ns - phase.start_ns) // 3, phase.end_ns]
-    first, first_stop, last, last_stop = np.searchsorted(times[:], edges_ns).tolist()
-    begin, end = (
-        np.asarray(sensor.counts[start : min(stop, start + _DRIFT_ROWS)], float)
-        for start, stop in ((first, first_stop), (last, last_stop))
-    )
+    third_ns = (phase.end_ns - phase.start_ns) // 3
+    ends = (phase.start_ns, phase.start_ns + third_ns), (phase.end_ns - third_ns, phase.end_ns)
+    begin, end = (np.asarray(sensor.counts[sensor.between(*end)][:_DRIFT_ROWS], float) for end in ends)
     if min(len(begin), len(end)) < _LEAST_DRIFT_ROWS:
         return 0.0
     variance = sum(np.maximum(np.diff(part, axis=0).var(axis=0) / 2, 1 / 12) / len(part) for part in (begin, end))

@@ -106,6 +106,11 @@ class Bandwidth(Effect):
         return 2 * math.pi * self.cutoff_hz / at.rows_per_s / math.sqrt(self.poles)
 
 
+def two_pole_cutoff_hz(delay_s: float) -> float:
+    """Cutoff in Hz of a Butterworth filter of two poles that delays by `delay_s`; the delay in s for a cutoff in Hz."""
+    return 1 / (math.sqrt(2) * math.pi * delay_s)
+
+
 def correlation(decay: float, poles: float, band: float = math.inf) -> float:
     """Of noise behind the filter, `decay` time constants later; of noise that ends at `band` times the cutoff."""
     if math.isfinite(band):

@@ -16,7 +16,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import in_logs
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
+from imuarray.simulate.effects.bandwidth import Bandwidth, correlation, two_pole_cutoff_hz
 
 _TRACES = ("lag_1", "lag_2", "lag_3", "allan_2", "allan_8", "band_5", "band_6", "band_1", "noise_excess")
 _BEYOND = 2.7
@@ -72,7 +72,9 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if _LEAST < first < _MOST:
         decay = float(brentq(lambda decay: correlation(decay, 2) - first, 0.0, _NOTHING_LEFT))
         for share in shares:
-            yield Hypothesis((Bandwidth(_of_two_poles(decay * evidence.rows_per_s), share, 2.0),), ("cutoff_hz",))
+            yield Hypothesis(
+                (Bandwidth(two_pole_cutoff_hz(1 / (decay * evidence.rows_per_s)), share, 2.0),), ("cutoff_hz",)
+            )
 
 
 def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
@@ -101,13 +103,8 @@ def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     lag_s = mean_of(lags_seen, "lag_s")
     if lag_s > 0 and correlation(1 / (lag_s * evidence.rows_per_s), 2) < _UNSEEN:
-        cutoff_hz = _of_two_poles(1 / lag_s)
+        cutoff_hz = two_pole_cutoff_hz(lag_s)
         yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))
-
-
-def _of_two_poles(decay_per_s: float) -> float:
-    """Cutoff of the Butterworth filter whose noise fades and whose signal lags by that."""
-    return decay_per_s / (math.sqrt(2) * math.pi)
 
 
 BANDWIDTH = Candidate(

@@ -9,9 +9,7 @@ from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.model.populations import PRINTED, is_usual
 
-ORDINARY = frozenset(
-    {"white_noise", "bias", "thermal_bias", "scale", "misalignment", "g_sensitivity", "own_clock"} | PRINTED
-)
+ORDINARY = frozenset({"white_noise", "bias", "misalignment", "own_clock"}) | PRINTED
 """What every sensor has: fitted, or drawn from a population."""
 
 
