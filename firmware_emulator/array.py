@@ -17,9 +17,9 @@ from typing import Any, Self
 from firmware_emulator.board import Board, BoardKind, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import CHIPS, HALVES
-from firmware_emulator.chips.mpu6050 import Mpu6050
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
+from firmware_emulator.six_axis import SixAxis
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
 
@@ -115,8 +115,8 @@ def open_array(
     for sensor in array.sensors:
         place = sensor.bus or sensor.channel, sensor.address
         die = dies.get(place)
-        if isinstance(die, Mpu6050) and sensor.chip in HALVES:  # on the wire already
-            die.take_element(HALVES[sensor.chip], parts.element(sensor))
+        if isinstance(die, SixAxis) and sensor.chip in HALVES:  # on the wire already
+            die.take_element(HALVES[sensor.chip].name, parts.element(sensor))
             chips[sensor.name] = die
             if parts.device(sensor, die) is not die:
                 first = next(name for name, chip in chips.items() if chip is die)

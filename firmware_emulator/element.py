@@ -19,6 +19,8 @@ from zlib import crc32
 import numpy as np
 
 from firmware_emulator.chip import Triple
+from firmware_emulator.chips import HALVES
+from firmware_emulator.six_axis import ACCELEROMETER
 from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, Stimulus, World
 
 Matrix = tuple[Triple, Triple, Triple]
@@ -31,8 +33,10 @@ SENSED: dict[str, tuple[str, float]] = {
     "adxl345": ("force_box", 1 / STANDARD_GRAVITY),
     "bma180": ("force_box", 1 / STANDARD_GRAVITY),
     "l3g4200d": ("rate_box", 180 / math.pi),
-    "mpu6050_acc": ("force_box", 1 / STANDARD_GRAVITY),
-    "mpu6050_gyro": ("rate_box", 180 / math.pi),
+    **{
+        chip: ("force_box", 1 / STANDARD_GRAVITY) if half.name == ACCELEROMETER else ("rate_box", 180 / math.pi)
+        for chip, half in HALVES.items()
+    },
     "bmp180": ("force_box", 0.0),  # has no axes
     "hmc5883": ("field_box", 1.0),
     "hmc5883l": ("field_box", 1.0),

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from firmware_emulator.chip import Chip, Element, Target, Triple
+from firmware_emulator.chips import HALVES
 from imuarray.facts import bma180, l3g4200d
 
 
@@ -61,8 +62,7 @@ LAYOUTS = MappingProxyType(
         "adxl345": Layout(0x32, 0x30, 0x80),  # ADX-27, ADX-50
         "bma180": Layout(0x02, -1, 0, (0, 2, 4)),  # BMA-12, BMA-62
         "l3g4200d": Layout(0x28, 0x27, 0x0F),  # L3G-44, L3G-52
-        "mpu6050_acc": Layout(0x3B, -1, 0),  # INV-30
-        "mpu6050_gyro": Layout(0x43, -1, 0),
+        **{chip: Layout(half.first.address, -1, 0) for chip, half in HALVES.items()},
         "hmc5883": Layout(0x03, -1, 0),  # HMC-15
         "hmc5883l": Layout(0x03, -1, 0),
     }

@@ -1,70 +1,21 @@
 """Which imperfections each unit has: the paper's for its own array, drawn from the data sheets' tolerances for others.
 
-Draws are keyed by (seed, name of the sensor). "Typ" tolerances of Bosch and ST are taken as two sigma and as the
-limit, Analog Devices' as one sigma with the printed minimum and maximum as limits (DEC-51); without printed limits,
-three sigma.
+Draws are keyed by (seed, name of the sensor). The tolerances of a six-axis chip stand beside its registers, in
+`firmware_emulator.chips`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from firmware_emulator import martin2013
 from firmware_emulator.chip import Triple
+from firmware_emulator.chips import HALVES
 from firmware_emulator.element import Matrix, Unit, stream
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A normal distribution around `mean`, cut off `limit` away from it."""
-
-    sigma: float
-    limit: float
-    mean: float = 0.0
-
-    def draw(self, random: np.random.Generator) -> float:
-        """One value."""
-        while True:
-            deviation = float(random.normal(0.0, self.sigma)) if self.sigma else 0.0
-            if abs(deviation) <= self.limit:
-                return self.mean + deviation
-
-
-def typical(limit: float) -> Spread:
-    """A tolerance of Bosch or ST."""
-    return Spread(limit / 2, limit)
-
-
-def one_sigma(sigma: float, limit: float | None = None) -> Spread:
-    """A tolerance of Analog Devices."""
-    return Spread(sigma, 3 * sigma if limit is None else limit)
-
-
-NONE = Spread(0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """How the units of one chip differ, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one."""
-
-    bias: tuple[Spread, Spread, Spread]
-    slope_per_degc: tuple[Spread, Spread, Spread]
-    scale: Spread
-    cross_axis: Spread
-    alignment_deg: Spread
-    noise: Triple
-    noise_full_scale: float
-    noise_bandwidth_hz: float
-    noise_exponent: float = 0.0
-    scale_slope_per_degc: Spread = NONE
-    shift: Spread = NONE
-    shift_from: float = math.inf
-    g_sensitivity: Spread = NONE
-    thermometer_degc: Spread = NONE
-    pressure_pa: Spread = NONE
+from firmware_emulator.tolerances import NONE, Sheet, Spread, Tolerances, one_sigma, typical
 
 
 def adxl345(range_g: float) -> Tolerances:
@@ -126,41 +77,6 @@ def l3g4200d(range_dps: float) -> Tolerances:
     )
 
 
-def mpu6050_acc(_: float) -> Tolerances:
-    """INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
-    warmer = 45.0  # from 25 degC to the end of the range over which the change is printed
-    return Tolerances(
-        bias=(typical(0.050), typical(0.050), typical(0.080)),
-        slope_per_degc=(typical(0.035 / warmer), typical(0.035 / warmer), typical(0.060 / warmer)),
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        alignment_deg=NONE,
-        noise=(400e-6 * math.sqrt(44.0),) * 3,
-        noise_full_scale=2.0,
-        noise_bandwidth_hz=44.0,
-        scale_slope_per_degc=typical(2e-4),
-        thermometer_degc=typical(1.0),
-    )
-
-
-def mpu6050_gyro(_: float) -> Tolerances:
-    """INV-60 ... INV-66."""
-    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
-    return Tolerances(
-        bias=(typical(20.0),) * 3,
-        slope_per_degc=(typical(20.0 / warmer),) * 3,
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        alignment_deg=NONE,
-        noise=(0.005 * math.sqrt(42.0),) * 3,
-        noise_full_scale=250.0,
-        noise_bandwidth_hz=42.0,
-        scale_slope_per_degc=typical(0.02 / warmer),
-        g_sensitivity=typical(0.1),
-        thermometer_degc=typical(1.0),
-    )
-
-
 def hmc5883l(range_gauss: float) -> Tolerances:
     """HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
     return Tolerances(
@@ -196,16 +112,14 @@ def bmp180(_: float) -> Tolerances:
     )
 
 
-TOLERANCES = {
+TOLERANCES: dict[str, Sheet] = {
     "adxl345": adxl345,
     "bma180": bma180,
     "l3g4200d": l3g4200d,
-    "mpu6050_acc": mpu6050_acc,
-    "mpu6050_gyro": mpu6050_gyro,
     "bmp180": bmp180,
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,
-}
+} | {chip: half.sheet for chip, half in HALVES.items()}
 
 
 def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matrix:

@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, mpu6050
+from imuarray.facts.registers import Register
+from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
 
 
@@ -22,11 +25,16 @@ class ChipSpec:
     `sensitivity`: counts per `unit` for each measuring range (in `unit`); empty for a chip without ranges.
     `rates_hz`: data rates that its registers can set (empty: it has one rate of its own, `fixed_rate_hz`).
     `bandwidths_hz`: -3 dB bandwidths for each data rate (key 0.0: whatever the rate); empty where it can't be set.
+    `identity`: the register, with its value, that tells the chip from others at its `addresses`. `label`: the name of a
+    sensor of this chip, by number. `burst_bytes`: length of one reading (0: more than one transaction).
     """
 
     quantity: Quantity
     unit: str
     addresses: tuple[int, ...]
+    identity: Register
+    label: str
+    burst_bytes: int
     sensitivity: Mapping[float, float] = field(default_factory=dict)
     rates_hz: tuple[float, ...] = ()
     default_rate_hz: float = 0.0
@@ -34,9 +42,16 @@ class ChipSpec:
     bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
     default_bandwidth_hz: float = 0.0
     has_fifo: bool = False
-    has_thermometer: bool = False
+    thermometer: ChipThermometer | None = None
     on_demand: bool = False
     """It converts only when asked; its driver keeps the pace."""
+    proposed: Mapping[str, Any] = field(default_factory=dict)
+    """Settings that a hand-held or driven box can live with."""
+
+    @property
+    def has_thermometer(self) -> bool:
+        """Whether its readings come with the temperature of the chip."""
+        return self.thermometer is not None
 
     def rate_hz(self, asked: float | None) -> float:
         """The chip's own update rate under a configuration that asks for `asked` (None: not said)."""
@@ -60,26 +75,37 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             quantity="specific_force",
             unit="g",
             addresses=adxl345.ADDRESSES,
+            identity=adxl345.DEVID,
+            label="ADXL{}",
+            burst_bytes=8,
             sensitivity=dict.fromkeys((2.0, 4.0, 8.0, 16.0), 256.0),  # full resolution, whatever the range: ADX-40
             rates_hz=_ADXL345_RATES_HZ,
             default_rate_hz=100.0,
             has_fifo=True,
+            proposed={"range": 16, "rate_hz": 400},  # at 1600 Hz and above only even codes come: ADX-47
         ),
         "bma180": ChipSpec(
             quantity="specific_force",
             unit="g",
             addresses=bma180.ADDRESSES,
+            identity=bma180.CHIP_ID,
+            label="BMA{}",
+            burst_bytes=7,
             # BMA-70 ... BMA-76
             sensitivity={1.0: 8192.0, 1.5: 5460.0, 2.0: 4096.0, 3.0: 2730.0, 4.0: 2048.0, 8.0: 1024.0, 16.0: 512.0},
             fixed_rate_hz=2400.0,  # BMA-93
             bandwidths_hz={0.0: (10.0, 20.0, 40.0, 75.0, 150.0, 300.0, 600.0, 1200.0)},  # BMA-81 ... BMA-88
             default_bandwidth_hz=150.0,  # BMA-85: the factory's
-            has_thermometer=True,
+            thermometer=THERMOMETERS["bma180"],
+            proposed={"range": 4, "bandwidth_hz": 150},
         ),
         "l3g4200d": ChipSpec(
             quantity="angular_rate",
             unit="dps",
             addresses=l3g4200d.ADDRESSES,
+            identity=l3g4200d.WHO_AM_I,
+            label="Gyro{}",
+            burst_bytes=8,
             sensitivity={250.0: 1 / 0.00875, 500.0: 1 / 0.0175, 2000.0: 1 / 0.07},  # L3G-40 ... L3G-42
             rates_hz=(100.0, 200.0, 400.0, 800.0),
             default_rate_hz=100.0,
@@ -91,34 +117,46 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             default_bandwidth_hz=25.0,
             has_fifo=True,
-            has_thermometer=True,
+            thermometer=THERMOMETERS["l3g4200d"],
+            proposed={"range": 500, "rate_hz": 400, "bandwidth_hz": 50},
         ),
         "mpu6050_acc": ChipSpec(
             quantity="specific_force",
             unit="g",
             addresses=mpu6050.ADDRESSES,
+            identity=mpu6050.WHO_AM_I,
+            label="IMU{}_acc",
+            burst_bytes=14,
             sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # INV-40
             rates_hz=_MPU6050_RATES_HZ,
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=44.0,
-            has_thermometer=True,
+            thermometer=THERMOMETERS["mpu6050"],
+            proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 44},
         ),
         "mpu6050_gyro": ChipSpec(
             quantity="angular_rate",
             unit="dps",
             addresses=mpu6050.ADDRESSES,
+            identity=mpu6050.WHO_AM_I,
+            label="IMU{}_gyro",
+            burst_bytes=14,
             sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-41
             rates_hz=_MPU6050_RATES_HZ,
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=42.0,
-            has_thermometer=True,
+            thermometer=THERMOMETERS["mpu6050"],
+            proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
         ),
         "bmp180": ChipSpec(
             quantity="pressure",
             unit="Pa",
             addresses=bmp180.ADDRESSES,
+            identity=bmp180.CHIP_ID,
+            label="BMP{}",
+            burst_bytes=0,
             rates_hz=(1.0, 2.0, 4.0, 8.0),  # how often it is asked; it converts only when asked (BMP-51)
             default_rate_hz=4.0,
             on_demand=True,
@@ -127,6 +165,9 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             quantity="magnetic_field",
             unit="gauss",
             addresses=hmc5883.ADDRESSES,
+            identity=hmc5883.IDENTITY_A,
+            label="HMC{}",
+            burst_bytes=6,
             # HMC-20 ... HMC-27, first column
             sensitivity={
                 0.88: 1370.0,
@@ -140,11 +181,15 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             rates_hz=_HMC5883_RATES_HZ,
             default_rate_hz=15.0,
+            proposed={"range": 1.3, "rate_hz": 15},
         ),
         "hmc5883": ChipSpec(
             quantity="magnetic_field",
             unit="gauss",
             addresses=hmc5883.ADDRESSES,
+            identity=hmc5883.IDENTITY_A,
+            label="HMC{}",
+            burst_bytes=6,
             # HMC-20 ... HMC-27, second column
             sensitivity={
                 0.9: 1280.0,
@@ -158,6 +203,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             rates_hz=_HMC5883_RATES_HZ,
             default_rate_hz=15.0,
+            proposed={"range": 1.2, "rate_hz": 15},
         ),
     }
 )

@@ -36,9 +36,13 @@ SPEC = ChipSpec(
     quantity="specific_force",
     unit="g",
     addresses=ADDRESSES,
+    identity=WHO_AM_I,
+    label="LIS{}",
+    burst_bytes=7,
     sensitivity={2.0: 1000.0, 4.0: 500.0, 8.0: 250.0, 16.0: 1000 / 12},
     rates_hz=(1.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0),
     default_rate_hz=400.0,
+    proposed={"range": 4, "rate_hz": 400},
 )
 
 
@@ -95,8 +99,8 @@ class Lis3dh:
         return {}
 
 
-# 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, "lis3dh": Lis3dh in imuarray.drivers.DRIVERS, and its
-#    addresses with WHO_AM_I in imuarray.acquire.detect, so that `detect` knows it by sight.
+# 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, by which `detect` knows it by sight, and "lis3dh": Lis3dh in
+#    imuarray.drivers.DRIVERS.
 # 5. firmware_emulator/chips/lis3dh.py: the chip as the wire sees it, written from the data sheet, not from the driver.
 
 # 6. tests/golden/lis3dh_*.jsonl: who writes the facts does not write these. Write, bytes read, source.

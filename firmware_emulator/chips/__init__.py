@@ -4,24 +4,33 @@ from collections.abc import Callable
 from functools import partial
 
 from firmware_emulator.chip import Chip
+from firmware_emulator.chips import mpu6050
 from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
 from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
-from firmware_emulator.chips.mpu6050 import ACCELEROMETER, GYROSCOPE, Mpu6050
+from firmware_emulator.six_axis import Die, Half
+
+DIES: dict[str, Die] = {"mpu6050": mpu6050.DIE}
+"""Six-axis chips by name; each is two entries of `CHIPS`, as in ``mpu6050_acc``."""
+
+HALVES: dict[str, Half] = {
+    f"{name}_{suffix}": half for name, die in DIES.items() for suffix, half in die.halves.items()
+}
+"""Chips of which two sensors in one place are one die."""
 
 CHIPS: dict[str, Callable[..., Chip]] = {
     "adxl345": Adxl345,
     "bma180": Bma180,
     "l3g4200d": L3g4200d,
-    "mpu6050_acc": partial(Mpu6050, half=ACCELEROMETER),
-    "mpu6050_gyro": partial(Mpu6050, half=GYROSCOPE),
+    **{
+        f"{name}_{suffix}": partial(die.build, half=half.name)
+        for name, die in DIES.items()
+        for suffix, half in die.halves.items()
+    },
     "bmp180": Bmp180,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883l,
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
-
-HALVES: dict[str, str] = {"mpu6050_acc": ACCELEROMETER, "mpu6050_gyro": GYROSCOPE}
-"""Chips of which two sensors in one place are one die."""

@@ -1,19 +1,20 @@
 """MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4; INV-*, DEC-40 to -43.
 
-One die with two elements: it is built with one of them and takes the other by `take_element`; a half without element
-feels nothing. Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
+Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
 detection, the low-power cycle, standby of single axes, and the settling of the zero-rate level.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from struct import Struct
 
-from firmware_emulator.chip import Chip, Element, Triple
+from firmware_emulator.chip import Element, Triple
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6050 as facts
 
-ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
 NEVER_NS = 1 << 62
 RESET_NS = 100_000_000  # INV-25
 CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40
@@ -33,7 +34,7 @@ _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 _FIFO = facts.FIFO_R_W.address
 
 
-class Mpu6050(Chip):
+class Mpu6050(SixAxis):
     """The registers and the queue of 1024 bytes; `identity` is what WHO_AM_I says, 0x98 for a clone (INV-03)."""
 
     def __init__(
@@ -46,17 +47,10 @@ class Mpu6050(Chip):
         identity: int = facts.WHO_AM_I.reset,
         trim_code: int = TRIM_CODE,
     ) -> None:
-        self._elements: dict[str, Element] = {half: element}
         self._identity = identity
         self._trim_code = trim_code
         self._queue: deque[int] = deque(maxlen=FIFO_BYTES)
-        super().__init__(address, facts, element, powered_on_ns)
-
-    def take_element(self, half: str, element: Element) -> None:
-        """Put the other element on the die; ValueError if this half has one."""
-        if half in self._elements:
-            raise ValueError(f"two sensors are the {half} of one MPU-6050")
-        self._elements[half] = element
+        super().__init__(address, facts, element, powered_on_ns, half=half)
 
     def power_on(self, at_ns: int) -> None:
         """Asleep, every register at its reset value, the queue empty (INV-10, INV-25)."""
@@ -121,21 +115,16 @@ class Mpu6050(Chip):
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
         scale = facts.ACCEL_RANGE.of(accel)
-        force = self._felt(ACCELEROMETER, at_ns, RANGES_G[scale], ACCEL_BANDWIDTHS_HZ[low_pass])
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], ACCEL_BANDWIDTHS_HZ[low_pass])
         push = self._accel_push() * CODES_PER_G[scale] / CODES_PER_G[0b10]
         ax, ay, az = _codes(force, CODES_PER_G[scale], (push, push, push), facts.ACCEL_SELF_TEST.of(accel))
         scale = facts.GYRO_RANGE.of(gyro)
-        rate = self._felt(GYROSCOPE, at_ns, RANGES_DPS[scale], GYRO_BANDWIDTHS_HZ[low_pass])
+        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], GYRO_BANDWIDTHS_HZ[low_pass])
         push = self._gyro_push() * CODES_PER_DPS[scale] / CODES_PER_DPS[0]
         gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
-        degc = next(iter(self._elements.values())).temperature(at_ns)
-        temperature = _saturated(round((degc - 35.0) * 340.0 - 521.0))  # INV-42
+        temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
         self._index = index
-
-    def _felt(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        element = self._elements.get(half)
-        return (0.0, 0.0, 0.0) if element is None else element.sample(at_ns, full_scale, bandwidth_hz)
 
     def _accel_push(self) -> float:
         """Codes at 8 g that the self-test adds (INV-46)."""
@@ -228,11 +217,45 @@ class Mpu6050(Chip):
 def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
     """Three codes; bit 2 of `pushed` deflects x, bit 0 z (INV-13, INV-14)."""
     x, y, z = (
-        _saturated(round(value * scale + (more if pushed >> bit & 1 else 0.0)))
+        clipped(round(value * scale + (more if pushed >> bit & 1 else 0.0)))
         for value, more, bit in zip(felt, push, (2, 1, 0), strict=True)
     )
     return x, y, z
 
 
-def _saturated(code: int) -> int:
-    return max(-32768, min(32767, code))
+def accelerometer_tolerances(_: float) -> Tolerances:
+    """INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
+    warmer = 45.0  # from 25 degC to the end of the range over which the change is printed
+    return Tolerances(
+        bias=(typical(0.050), typical(0.050), typical(0.080)),
+        slope_per_degc=(typical(0.035 / warmer), typical(0.035 / warmer), typical(0.060 / warmer)),
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(400e-6 * math.sqrt(44.0),) * 3,
+        noise_full_scale=2.0,
+        noise_bandwidth_hz=44.0,
+        scale_slope_per_degc=typical(2e-4),
+        thermometer_degc=typical(1.0),
+    )
+
+
+def gyroscope_tolerances(_: float) -> Tolerances:
+    """INV-60 ... INV-66."""
+    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
+    return Tolerances(
+        bias=(typical(20.0),) * 3,
+        slope_per_degc=(typical(20.0 / warmer),) * 3,
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(0.005 * math.sqrt(42.0),) * 3,
+        noise_full_scale=250.0,
+        noise_bandwidth_hz=42.0,
+        scale_slope_per_degc=typical(0.02 / warmer),
+        g_sensitivity=typical(0.1),
+        thermometer_degc=typical(1.0),
+    )
+
+
+DIE = Die(Mpu6050, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))

@@ -18,7 +18,8 @@ from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, Wa
 from firmware_emulator.mechanisms.line import Line
 from firmware_emulator.mechanisms.site import INERTIAL, Site
 from firmware_emulator.mux import Pca9544a
-from firmware_emulator.units import TOLERANCES, Spread, drawn_unit, typical, unit_of
+from firmware_emulator.tolerances import Spread, typical
+from firmware_emulator.units import TOLERANCES, drawn_unit, unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld, World
 

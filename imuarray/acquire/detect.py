@@ -14,21 +14,26 @@ from types import MappingProxyType
 from imuarray.acquire.sensor_routes import SensorRoute, routes_of
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
+from imuarray.chips import CHIPS, die_of
 from imuarray.drivers import SelfTest
 from imuarray.errors import SensorError
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, mpu6050, pca9544a
+from imuarray.facts import bmp180, pca9544a
 from imuarray.facts.registers import Register
 
-# What an address may hold, and how it is told: the identity register and the value that proves it.
-_IDENTITIES: tuple[tuple[str, tuple[int, ...], Register], ...] = (
-    ("adxl345", adxl345.ADDRESSES, adxl345.DEVID),
-    ("bma180", bma180.ADDRESSES, bma180.CHIP_ID),
-    ("l3g4200d", l3g4200d.ADDRESSES, l3g4200d.WHO_AM_I),
-    ("mpu6050", mpu6050.ADDRESSES, mpu6050.WHO_AM_I),
-    ("bmp180", bmp180.ADDRESSES, bmp180.CHIP_ID),
-    ("hmc5883 or hmc5883l", hmc5883.ADDRESSES, hmc5883.IDENTITY_A),
-)
 
+def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
+    """What an address may hold, and how it is told: the identity register and the value that proves it. Chips that say
+    the same of themselves are one entry.
+    """
+    names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
+    for chip, spec in CHIPS.items():
+        alike = names.setdefault((spec.addresses, spec.identity), [])
+        if die_of(chip) not in alike:
+            alike.append(die_of(chip))
+    return tuple((" or ".join(sorted(chips)), addresses, identity) for (addresses, identity), chips in names.items())
+
+
+_IDENTITIES = _identities()
 
 MUX = "pca9544a"
 

@@ -13,24 +13,10 @@ import tomli_w
 from imuarray.acquire.detect import MUX, Detection
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
-from imuarray.chips import HALVES
+from imuarray.chips import CHIPS, HALVES
 from imuarray.drivers import DRIVERS
 from imuarray.errors import SensorError
 from imuarray.printable import printable
-
-_SETTINGS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
-    {
-        "adxl345": ("ADXL{}", {"range": 16, "rate_hz": 400}),  # at 1600 Hz and above only even codes come: ADX-47
-        "bma180": ("BMA{}", {"range": 4, "bandwidth_hz": 150}),
-        "l3g4200d": ("Gyro{}", {"range": 500, "rate_hz": 400, "bandwidth_hz": 50}),
-        "mpu6050_acc": ("IMU{}_acc", {"range": 4, "rate_hz": 500, "bandwidth_hz": 44}),
-        "mpu6050_gyro": ("IMU{}_gyro", {"range": 500, "rate_hz": 500, "bandwidth_hz": 42}),
-        "bmp180": ("BMP{}", {}),
-        "hmc5883l": ("HMC{}", {"range": 1.3, "rate_hz": 15}),
-        "hmc5883": ("HMC{}", {"range": 1.2, "rate_hz": 15}),
-    }
-)
-"""By chip: how its sensors are called, by number, and settings that a hand-held or driven box can live with."""
 
 _ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883")})
 """Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
@@ -61,7 +47,7 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
         return None
     segment: Bus = bus if line.channel is None or mux is None else Pca9544a(bus, mux).channel(line.channel)
     for chip in _ALIKE.get(line.found, ()):
-        sensor = SensorConfig(name="Unknown", chip=chip, address=line.address, **_SETTINGS[chip][1])
+        sensor = SensorConfig(name="Unknown", chip=chip, address=line.address, **CHIPS[chip].proposed)
         try:
             if DRIVERS[chip](segment, sensor, bus.clock).self_test().passed:
                 return chip
@@ -88,10 +74,10 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
     counts = Counter(chip for chip, _ in chips)
     numbers: Counter[str] = Counter()
     for chip, line in chips:
-        prefix, settings = _SETTINGS[chip]
-        numbers[prefix] += 1
-        number = str(numbers[prefix]) if counts[chip] > 1 or chip != "bmp180" else "180"
-        text += _sensor(prefix.format(number), chip, line, settings)
+        spec = CHIPS[chip]
+        numbers[spec.label] += 1
+        number = str(numbers[spec.label]) if counts[chip] > 1 or chip != "bmp180" else "180"
+        text += _sensor(spec.label.format(number), chip, line, spec.proposed)
     return text
 
 

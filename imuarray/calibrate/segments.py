@@ -18,18 +18,11 @@ from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.columns import NamedColumn
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
+from imuarray.thermometers import thermometer_scale
 
 _MOST_SEGMENTS = 20_000
 _FULL = 0.5
 """A segment with fewer than this share of the usual number of rows is left out."""
-
-CHIP_DEGC: dict[str, tuple[float, float]] = {
-    "bma180": (24.0, 0.5),  # BMA-63
-    "l3g4200d": (0.0, -1.0),  # L3G-60: falls by a count per degree, and has no zero
-    "mpu6050_acc": (35.0 + 521 / 340, 1 / 340),  # INV-42
-    "mpu6050_gyro": (35.0 + 521 / 340, 1 / 340),
-}
-"""Degrees at count 0, and degrees per count, of the chips' own thermometers."""
 
 WITHOUT_ZERO = ("l3g4200d",)
 """Chips whose thermometer tells changes only (L3G-60)."""
@@ -42,8 +35,8 @@ def degc_of(sensor: Described) -> tuple[float, float] | None:
     has_thermometer = sensor.temperature_counts is not None if isinstance(sensor, SensorLog) else sensor.has_temperature
     if not has_thermometer:
         return None
-    scale = sensor.thermometer
-    return CHIP_DEGC.get(sensor.chip) if scale is None else (scale.zero_degc, 1 / scale.lsb_per_degc)
+    scale = sensor.thermometer or thermometer_scale(sensor.chip)
+    return None if scale is None else (scale.zero_degc, 1 / scale.lsb_per_degc)
 
 
 def has_zero(sensor: Described) -> bool:

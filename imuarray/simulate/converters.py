@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
+from imuarray.chips import CHIPS
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.signal import Analog, Codes, Counts
 
@@ -55,12 +56,8 @@ class Thermometer:
 
 
 THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
-    {
-        "bma180": Thermometer(24.0, 2.0),  # BMA-63
-        "l3g4200d": Thermometer(47.0, -1.0),  # falls by 1 per degC; its zero is a part's own, this one is ours (L3G-60)
-        "mpu6050_acc": Thermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
-        "mpu6050_gyro": Thermometer(35.0 + 521 / 340, 340.0, 16),
-    }
+    {chip: Thermometer(*spec.thermometer) for chip, spec in CHIPS.items() if spec.thermometer is not None}
+    | {"l3g4200d": Thermometer(47.0, -1.0)}  # its zero is a part's own, this one is ours (L3G-60)
 )
 
 _COUNT_BITS = 16

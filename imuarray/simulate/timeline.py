@@ -18,6 +18,7 @@ import numpy as np
 
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.arrays import Integers
+from imuarray.chips import CHIPS
 from imuarray.log import SensorLog
 from imuarray.log.columns import NamedColumn
 from imuarray.log.format import LOST_BEFORE
@@ -25,17 +26,8 @@ from imuarray.log.missed_frames import frames_in
 
 _CLOCK_NS = 2500
 _SWITCH_CLOCKS = 19
-_BURST_CLOCKS = {
-    "adxl345": 99,
-    "bma180": 90,
-    "l3g4200d": 99,
-    "mpu6050_acc": 153,
-    "mpu6050_gyro": 153,
-    "bmp180": 0,
-    "hmc5883": 81,
-    "hmc5883l": 81,
-}
-"""SCL clocks of one burst as the drivers read it: nine a byte, START and STOP (BUS-01)."""
+_BURST_CLOCKS = {chip: 9 * (spec.burst_bytes + 3) if spec.burst_bytes else 0 for chip, spec in CHIPS.items()}
+"""SCL clocks of one burst as the drivers read it: nine a byte, two addresses and a register before it (BUS-01)."""
 
 _SOON = 1.1
 """A slow chip is left out of a frame if the next one, with a margin for the way there and back, is soon enough."""

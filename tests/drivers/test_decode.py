@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.array import SensorConfig
+from imuarray.chips import CHIPS
 from imuarray.drivers import DRIVERS, DecodedBursts
 
 STALE, SATURATED = 1, 4
@@ -174,3 +175,9 @@ def test_bma180_gets_back_what_14_bits_can_hold(codes: tuple[int, int, int], tem
     np.testing.assert_array_equal(told.counts, [codes])
     assert told.temperature_counts is not None
     assert told.temperature_counts[0] == temperature
+
+
+def test_the_time_of_a_burst_is_computed_for_its_length() -> None:
+    """The simulated bus time of a reading (`burst_bytes`) is that of the transaction which the driver makes."""
+    lengths = {chip: spec.burst_bytes for chip, spec in CHIPS.items() if not spec.on_demand}
+    assert lengths == {chip: DRIVERS[chip].burst for chip in lengths}

@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from firmware_emulator.chips.mpu6050 import ACCELEROMETER, GYROSCOPE, Mpu6050
+from firmware_emulator.chips.mpu6050 import Mpu6050
 from firmware_emulator.clock import VirtualClock
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE
 from firmware_emulator.wire import Wire
 
 MS = 1_000_000

@@ -1,0 +1,73 @@
+"""A die that is two sensors of the array in one place, an accelerometer and a gyroscope."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import NamedTuple
+
+from firmware_emulator.chip import Chip, Element, Triple
+from firmware_emulator.tolerances import Sheet
+from imuarray.facts.registers import Register
+
+ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
+
+
+class SixAxis(Chip):
+    """Registers with two elements behind them: built with the one of `half`, it takes the other by `take_element`. A
+    half without element feels nothing.
+    """
+
+    def __init__(
+        self, address: int, facts: ModuleType, element: Element, powered_on_ns: int = 0, *, half: str = ACCELEROMETER
+    ) -> None:
+        self._elements: dict[str, Element] = {half: element}
+        super().__init__(address, facts, element, powered_on_ns)
+
+    def take_element(self, half: str, element: Element) -> None:
+        """Put the other element on the die; ValueError if this half has one."""
+        if half in self._elements:
+            raise ValueError(f"two sensors are the {half} of one {type(self).__name__}")
+        self._elements[half] = element
+
+    def felt(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        """Input of one half's converter, in g or dps."""
+        element = self._elements.get(half)
+        return (0.0, 0.0, 0.0) if element is None else element.sample(at_ns, full_scale, bandwidth_hz)
+
+    def degc(self, at_ns: int) -> float:
+        """Temperature of the die."""
+        return next(iter(self._elements.values())).temperature(at_ns)
+
+
+class Half(NamedTuple):
+    """One sensor of a die: which half it is, where its triad begins, and how units differ."""
+
+    name: str
+    first: Register
+    sheet: Sheet
+
+
+class Die(NamedTuple):
+    """What there is to know of a six-axis chip: how it is built, and of both halves, accelerometer first, where the
+    triad begins and what the data sheet says of units.
+    """
+
+    build: Callable[..., SixAxis]
+    first: tuple[Register, Register]
+    sheets: tuple[Sheet, Sheet]
+
+    @property
+    def halves(self) -> dict[str, Half]:
+        """Both halves by what is put behind the name of the die."""
+        return {
+            suffix: Half(name, first, sheet)
+            for suffix, name, first, sheet in zip(
+                ("acc", "gyro"), (ACCELEROMETER, GYROSCOPE), self.first, self.sheets, strict=True
+            )
+        }
+
+
+def clipped(code: int, lowest: int = -32768) -> int:
+    """A code within the span of 16 bits, of which `lowest` is the lower end."""
+    return max(lowest, min(32767, code))

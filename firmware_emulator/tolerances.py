@@ -1,0 +1,69 @@
+"""How the units of one kind of chip differ: the words in which each chip's data sheet states it, in g, dps or gauss.
+
+"Typ" tolerances of Bosch, ST and InvenSense are taken as two sigma and as the limit, Analog Devices' as one sigma with
+the printed minimum and maximum as limits (DEC-51); without printed limits, three sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_emulator.chip import Triple
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A normal distribution around `mean`, cut off `limit` away from it."""
+
+    sigma: float
+    limit: float
+    mean: float = 0.0
+
+    def draw(self, random: np.random.Generator) -> float:
+        """One value."""
+        while True:
+            deviation = float(random.normal(0.0, self.sigma)) if self.sigma else 0.0
+            if abs(deviation) <= self.limit:
+                return self.mean + deviation
+
+
+def typical(limit: float) -> Spread:
+    """A tolerance of Bosch or ST."""
+    return Spread(limit / 2, limit)
+
+
+def one_sigma(sigma: float, limit: float | None = None) -> Spread:
+    """A tolerance of Analog Devices."""
+    return Spread(sigma, 3 * sigma if limit is None else limit)
+
+
+NONE = Spread(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How the units of one chip differ, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one."""
+
+    bias: tuple[Spread, Spread, Spread]
+    slope_per_degc: tuple[Spread, Spread, Spread]
+    scale: Spread
+    cross_axis: Spread
+    alignment_deg: Spread
+    noise: Triple
+    noise_full_scale: float
+    noise_bandwidth_hz: float
+    noise_exponent: float = 0.0
+    scale_slope_per_degc: Spread = NONE
+    shift: Spread = NONE
+    shift_from: float = math.inf
+    g_sensitivity: Spread = NONE
+    thermometer_degc: Spread = NONE
+    pressure_pa: Spread = NONE
+
+
+Sheet = Callable[[float], Tolerances]
+"""The tolerances of a data sheet, by measuring range."""

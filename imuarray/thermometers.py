@@ -1,0 +1,29 @@
+"""What a count of each chip's own thermometer means, by the name of the chip (of a six-axis chip: of the die)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+
+class ChipThermometer(NamedTuple):
+    """counts = (temperature - `zero_degc`) * `lsb_per_degc`, in so many `bits`."""
+
+    zero_degc: float
+    lsb_per_degc: float
+    bits: int = 8
+
+
+THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
+    {
+        "bma180": ChipThermometer(24.0, 2.0),  # BMA-63
+        "l3g4200d": ChipThermometer(0.0, -1.0),  # falls by a count per degree, and has no zero: L3G-60
+        "mpu6050": ChipThermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
+    }
+)
+
+
+def thermometer_scale(chip: str) -> ChipThermometer | None:
+    """The data sheet's scale of a chip's thermometer; None if it has none, or nobody knows the chip."""
+    return THERMOMETERS.get(chip.removesuffix("_acc").removesuffix("_gyro"))
