@@ -187,15 +187,14 @@ def _registers(facts: Any) -> str:
 
     named = [(name, value) for name, value in vars(facts).items() if isinstance(value, Register)]
     rows = []
-    for name, register in sorted(named, key=lambda pair: pair[1].address):
+    for name, register in sorted(named, key=lambda pair: (pair[1].bank, pair[1].address)):
         bits = [
             f"{other} [{value.high}{f':{value.low}' if value.low != value.high else ''}]"
             for other, value in vars(facts).items()
             if isinstance(value, Field) and value.register == register
         ]
-        rows.append(
-            (f"{register.address:#04x}", f"`{name}`", register.access, f"{register.reset:#04x}", ", ".join(bits))
-        )
+        place = f"{register.address:#04x}" + (f" of bank {register.bank}" if register.bank else "")
+        rows.append((place, f"`{name}`", register.access, f"{register.reset:#04x}", ", ".join(bits)))
     return _table(("address", "register", "access", "reset", "fields [bits]"), rows)
 
 

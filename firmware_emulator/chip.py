@@ -48,9 +48,9 @@ class Element(Protocol):
         """Air pressure in Pa."""
 
 
-def registers_of(facts: ModuleType) -> dict[int, Register]:
-    """Every register that a module of facts declares, by address."""
-    return {fact.address: fact for fact in vars(facts).values() if isinstance(fact, Register)}
+def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
+    """Every register that a module of facts declares in this bank, by address."""
+    return {fact.address: fact for fact in vars(facts).values() if isinstance(fact, Register) and fact.bank == bank}
 
 
 class Chip:

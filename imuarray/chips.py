@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, mpu6050
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, mpu6050
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
@@ -66,6 +66,11 @@ _ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact p
 
 _MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16, 20, 25, 40, 50, 100, 125, 200, 250))
 """1 kHz over whole numbers up to 256 (INV-11), of which these give whole or short figures."""
+
+_ICM42688_RATES_HZ = (12.5, 25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0)  # TDK-15
+_ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
+    rate_hz: tuple(max(400.0, rate_hz) / share for share in (4, 5, 8, 10, 16, 20, 40)) for rate_hz in _ICM42688_RATES_HZ
+}
 
 _HMC5883_RATES_HZ = (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0)  # HMC-28
 
@@ -150,6 +155,45 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["mpu6050"],
             proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
         ),
+        "icm42688_acc": ChipSpec(
+            quantity="specific_force",
+            unit="g",
+            addresses=icm42688.ADDRESSES,
+            identity=icm42688.WHO_AM_I,
+            label="IMU{}_acc",
+            burst_bytes=14,
+            sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # TDK-30
+            rates_hz=_ICM42688_RATES_HZ,
+            default_rate_hz=1000.0,
+            bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
+            default_bandwidth_hz=100.0,
+            thermometer=THERMOMETERS["icm42688"],
+            proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
+        ),
+        "icm42688_gyro": ChipSpec(
+            quantity="angular_rate",
+            unit="dps",
+            addresses=icm42688.ADDRESSES,
+            identity=icm42688.WHO_AM_I,
+            label="IMU{}_gyro",
+            burst_bytes=14,
+            sensitivity={  # TDK-31
+                15.625: 2097.2,
+                31.25: 1048.6,
+                62.5: 524.3,
+                125.0: 262.0,
+                250.0: 131.0,
+                500.0: 65.5,
+                1000.0: 32.8,
+                2000.0: 16.4,
+            },
+            rates_hz=_ICM42688_RATES_HZ,
+            default_rate_hz=1000.0,
+            bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
+            default_bandwidth_hz=100.0,
+            thermometer=THERMOMETERS["icm42688"],
+            proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
+        ),
         "bmp180": ChipSpec(
             quantity="pressure",
             unit="Pa",
@@ -213,7 +257,9 @@ SENSITIVITIES: Mapping[str, Mapping[float, float]] = MappingProxyType(
 )
 """Counts per unit by range, by chip."""
 
-HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType({"mpu6050": ("mpu6050_acc", "mpu6050_gyro")})
+HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {die: (f"{die}_acc", f"{die}_gyro") for die in ("mpu6050", "icm42688")}
+)
 """Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
 
 

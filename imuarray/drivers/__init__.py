@@ -9,6 +9,7 @@ from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
+from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
 
@@ -20,6 +21,8 @@ DRIVERS: dict[str, type[Driver]] = {
     "l3g4200d": L3g4200d,
     "mpu6050_acc": Mpu6050Accelerometer,
     "mpu6050_gyro": Mpu6050Gyroscope,
+    "icm42688_acc": Icm42688Accelerometer,
+    "icm42688_gyro": Icm42688Gyroscope,
     "bmp180": Bmp180,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,

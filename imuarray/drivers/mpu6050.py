@@ -1,10 +1,7 @@
 """MPU-6050 (and the MPU-9150, which holds one): accelerometer and gyroscope of one die, two sensors that share a place.
 
-InvenSense register map RM-MPU-6000A rev. 4.2; facts INV-*. Each half is a driver of its own that sets what both need
-to the same values (the configuration is refused if they differ) and never resets the die, which would take the other
-half's range. A burst is 0x3B ... 0x48, both triads and the thermometer, whose bytes are of one instant (INV-30). The
-data-ready bit is cleared by whoever reads it (INV-22) and can't serve two readers: a reading is not new if all fourteen
-bytes are those of the burst before, which noise in six axes prevents. That is why each half fetches both.
+InvenSense register map RM-MPU-6000A rev. 4.2; facts INV-*. A burst is 0x3B ... 0x48, accelerometer, thermometer and
+gyroscope, whose bytes are of one instant (INV-30), high byte first; 340 counts a degC, -521 at 35 degC (INV-20, -42).
 """
 
 from __future__ import annotations
@@ -18,24 +15,16 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    SelfTest,
-    carry_out,
-    compared,
-    registers_for,
-    saturated,
-)
-from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
+from imuarray.clock import Clock
+from imuarray.drivers.driver import SelfTest, compared
+from imuarray.drivers.six_axis import SixAxisHalf
 from imuarray.facts import mpu6050 as facts
-from imuarray.facts.registers import Field, Setting
+from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
 _X_GYRO_CLOCK = 1  # steadier than the internal oscillator: INV-25
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
-_SELF_TEST_SAMPLES = 32
+_SELF_TEST_SETTLE_S = 0.2  # the filter's
 _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
 _RELATIVES: Mapping[int, str] = MappingProxyType(
@@ -49,20 +38,18 @@ _RELATIVES: Mapping[int, str] = MappingProxyType(
 """By identity: what else is sold on boards for an MPU-6050 (INV-02, INV-03)."""
 
 
-class _Half:
+class _Half(SixAxisHalf):
     """What both halves of the die have in common."""
 
-    burst: ClassVar[int] = 14
-    tells_fresh: ClassVar[bool] = False
-    reading: ClassVar[slice] = slice(0, 14)
-    triad: ClassVar[slice]
+    first: ClassVar[Register] = facts.ACCEL_XOUT_H
+    identity: ClassVar[Register] = facts.WHO_AM_I
+    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    temperature: ClassVar[slice] = slice(6, 8)
     full_scale: ClassVar[Field]
     deflected: ClassVar[Field]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
-        self.rate_hz = sensor.chip_rate_hz
+        super().__init__(bus, sensor, clock)
         ranges = tuple(sensor.spec.sensitivity)
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_X_GYRO_CLOCK).value)
@@ -75,24 +62,6 @@ class _Half:
             facts.USER_CTRL[7:0](0),
         )
         self.watched: tuple[Setting, ...] = (self.power, *self.settings)
-
-    def identify(self) -> None:
-        """WHO_AM_I is 0x68 (INV-02); SensorError names a relative or a clone as what it is."""
-        try:
-            identity = self.registers.peek(facts.WHO_AM_I)[0]
-        except OSError as error:
-            if error.errno in NOT_ACKNOWLEDGED:
-                raise SensorError(f"{self.registers.label}: nobody acknowledges this address") from error
-            raise SensorError(f"{self.registers.label}: the bus fails: {error.strerror or error}") from error
-        if identity != facts.WHO_AM_I.reset:
-            what = f", {_RELATIVES[identity]}" if identity in _RELATIVES else ""
-            raise SensorError(
-                f"{self.registers.label}: identity {identity:02x}{what}, expected {facts.WHO_AM_I.reset:02x}"
-            )
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Wake the die, which sleeps after power-on (INV-25), wait until it measures, then write every setting."""
@@ -120,9 +89,9 @@ class _Half:
             return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
         still = self._self_test_range()
         self.registers.poke(still.register, still.value)
-        before = self._readings() / trim
+        before = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.registers.poke(still.register, still.value | self.deflected(0b111).value)
-        during = self._readings() / trim
+        during = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.configure()
         limits = ((1 - _SELF_TEST_SHARE, 1 + _SELF_TEST_SHARE),) * 3
         return compared(
@@ -136,29 +105,6 @@ class _Half:
     def _self_test_range(self) -> Setting:
         """The range at which the factory's change holds."""
         raise NotImplementedError
-
-    def _readings(self) -> Floats:
-        """Counts (n, 3), once the filter has settled."""
-        sleep_for(self.clock, 0.2)
-        counts = []
-        for _ in range(_SELF_TEST_SAMPLES):
-            sleep_for(self.clock, 1 / self.rate_hz)
-            counts.append(np.frombuffer(self.fetch()[self.triad], ">i2"))
-        return np.asarray(np.array(counts), np.float64)
-
-    def fetch(self) -> bytes:
-        """0x3B ... 0x48: accelerometer, thermometer, gyroscope."""
-        return self.registers.peek(facts.ACCEL_XOUT_H, self.burst)
-
-    def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, high byte first; 340 counts per degC, -521 at 35 degC (INV-20, INV-42)."""
-        counts = np.ascontiguousarray(bursts[:, self.triad]).view(">i2").astype(np.int16)
-        temperature = np.ascontiguousarray(bursts[:, 6:8]).view(">i2")[:, 0].astype(np.int16)
-        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
-
-    def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
-        return {}
 
 
 class Mpu6050Accelerometer(_Half):

@@ -61,6 +61,8 @@ class Field:
 class Register:
     """One byte of a chip's map: where it is, who may write it, what it holds after power-on, which bits are reserved,
     and how many bytes are read from there on to look at it without disturbing a chip that measures.
+
+    `bank`: which of several maps it is in, of a chip that has more than one.
     """
 
     address: int
@@ -68,6 +70,7 @@ class Register:
     reset: int = 0x00
     reserved: int = 0x00
     readback_bytes: int = 1
+    bank: int = 0
 
     def __getitem__(self, bits: int | slice) -> Field:
         """``REGISTER[5]`` or ``REGISTER[7:4]``, written as the data sheets write bits: high, low, both included."""

@@ -20,6 +20,8 @@ SENSORS = {
     "l3g4200d": "address = 0x68\nrange = 500\nrate_hz = 400\nbandwidth_hz = 50\n",
     "mpu6050_acc": "address = 0x68\nrange = 4\n",
     "mpu6050_gyro": "address = 0x68\nrange = 500\n",
+    "icm42688_acc": "address = 0x68\nrange = 4\n",
+    "icm42688_gyro": "address = 0x68\nrange = 500\n",
     "bmp180": "address = 0x77\n",
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
@@ -30,8 +32,10 @@ DEAD_WITHOUT = {
     "l3g4200d": (0x23, 0x06),
     "mpu6050_acc": (0x1C, 0xE0),
     "mpu6050_gyro": (0x1B, 0xE0),
+    "icm42688_acc": (0x70, 0x38),
+    "icm42688_gyro": (0x70, 0x07),
 }
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14): without them it is dead."""
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, TDK-41): without them it is dead."""
 
 
 class Slow:

@@ -28,13 +28,14 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "mpu6050", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "mpu6050", "pca9544a")
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
 READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.bus.protocol", "firmware_emulator.mux")
 INERT: dict[tuple[str, str, str], str] = {
     ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20"): "update_image clears itself when the download of power-on ends",
+    ("icm42688", "DEVICE_CONFIG reset", "0x00 -> 0x01"): "SOFT_RESET clears itself when the reset of power-on ends",
     ("mpu6050", "PWR_MGMT_1 reset", "0x40 -> 0xc0"): "DEVICE_RESET clears itself when the reset of power-on ends",
 }
 """By chip, fact and change: why no conversation can notice it."""
@@ -108,6 +109,9 @@ def _wrong_registers(call: ast.Call) -> Iterator[tuple[str, str, ast.expr]]:
                 f"{said[fact]:#04x} -> {said[fact] ^ 1 << bit:#04x}",
                 _register({**said, fact: said[fact] ^ 1 << bit}),
             )
+    for bit in range(3 if "bank" in said else 0):
+        wrong = said["bank"] ^ 1 << bit
+        yield "bank", f"{said['bank']} -> {wrong}", _register({**said, "bank": wrong})
     for access in ACCESSES:
         if access != said["access"]:
             yield "access", f"{said['access']} -> {access}", _register({**said, "access": access})

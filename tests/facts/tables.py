@@ -9,16 +9,17 @@ from types import ModuleType
 
 from imuarray.facts.registers import Field, Register
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "mpu6050", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "mpu6050", "pca9544a")
 
 # By chip: addresses that can't be written, addresses that are only written, all the others. Column "acc" of the maps:
 # ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, INV-10
-# ... INV-27 (FIFO_COUNT: see SOURCES.md), PCA-03.
+# ... INV-27 (FIFO_COUNT: see SOURCES.md), TDK-10, PCA-03. Of a register in bank n the address is that plus 0x100 n.
 READ_ONLY = {
     "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x0D)},
     "bmp180": {0xAA, 0xD0, 0xF6, 0xF7, 0xF8},
     "hmc5883": {*range(0x03, 0x0D)},
+    "icm42688": {*range(0x1D, 0x2B), 0x2D, 0x75},
     "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
     "mpu6050": {*range(0x3A, 0x49), 0x72, 0x73, 0x75},
     "pca9544a": set(),
@@ -28,6 +29,7 @@ WRITE_ONLY = {
     "bma180": {0x10},
     "bmp180": {0xE0},
     "hmc5883": set(),
+    "icm42688": set(),
     "l3g4200d": set(),
     "mpu6050": set(),
     "pca9544a": set(),
@@ -37,15 +39,21 @@ WRITABLE = {
     "bma180": {0x0D, 0x0E, 0x0F, *range(0x20, 0x3C)},
     "bmp180": {0xF4},
     "hmc5883": {0x00, 0x01, 0x02},
+    "icm42688": {
+        *(0x11, *range(0x4C, 0x54), 0x60, 0x70, 0x76),
+        *(*range(0x10B, 0x10F), *range(0x15F, 0x162)),
+        *(*range(0x203, 0x206), *range(0x23B, 0x23E)),
+    },
     "l3g4200d": {*range(0x20, 0x26), 0x2E, 0x30, *range(0x32, 0x39)},
     "mpu6050": {*range(0x0D, 0x11), *range(0x19, 0x1D), 0x23, 0x37, 0x38, 0x63, *range(0x6A, 0x6D), 0x74},
     "pca9544a": {0x00},
 }
-ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, L3G-01, INV-01, PCA-01
+ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, TDK-01, L3G-01, INV-01, PCA-01
     "adxl345": {0x53, 0x1D},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
     "hmc5883": {0x1E},
+    "icm42688": {0x68, 0x69},
     "l3g4200d": {0x68, 0x69},
     "mpu6050": {0x68, 0x69},
     "pca9544a": {0x70, 0x71, 0x72, 0x73, 0x74, 0x75, 0x76, 0x77},
@@ -59,6 +67,7 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
     "bma180": {*range(0x01, 0x09), 0x3B},
     "bmp180": {0xAA},
     "hmc5883": {0x09},
+    "icm42688": {*range(0x15F, 0x162), *range(0x23B, 0x23E)},
     "l3g4200d": {*range(0x26, 0x2E), 0x2F},
     "mpu6050": {*range(0x0D, 0x11), 0x3A, 0x72, 0x73, 0x74},
 }
@@ -67,6 +76,11 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
 def registers(facts: ModuleType) -> dict[str, Register]:
     """Registers by name."""
     return {name: fact for name, fact in vars(facts).items() if isinstance(fact, Register)}
+
+
+def place_of(register: Register) -> int:
+    """The address, and the bank from bit 8 on."""
+    return register.bank << 8 | register.address
 
 
 def fields(facts: ModuleType) -> dict[str, Field]:
@@ -85,16 +99,16 @@ def _addresses(chip: str, facts: ModuleType) -> list[str]:
         found.append(f"bus addresses {facts.ADDRESSES}")
     used: dict[int, str] = {}
     for name, register in registers(facts).items():
-        if register.address in used:
-            found.append(f"{name} is at {register.address:#04x}, where {used[register.address]} is")
-        used[register.address] = name
+        if place_of(register) in used:
+            found.append(f"{name} is at {register.address:#04x}, where {used[place_of(register)]} is")
+        used[place_of(register)] = name
     return found
 
 
 def _access(chip: str, facts: ModuleType) -> list[str]:
     found = []
     for access, addresses in {"r": READ_ONLY[chip], "w": WRITE_ONLY[chip], "rw": WRITABLE[chip]}.items():
-        said = {register.address for register in registers(facts).values() if register.access == access}
+        said = {place_of(register) for register in registers(facts).values() if register.access == access}
         if said != addresses:
             found.append(f"access {access}: registers {sorted(map(hex, said ^ addresses))} disagree")
     return found
@@ -107,7 +121,7 @@ def _bytes(chip: str, facts: ModuleType) -> list[str]:
         reset, reserved = register.reset, register.reserved
         if not (0 <= reset <= 0xFF and 0 <= reserved <= 0xFF) or reset & reserved:
             found.append(f"{name}: reset {reset:#x}, reserved {reserved:#x}")
-        if reset and register.address in UNPRINTED.get(chip, ()):
+        if reset and place_of(register) in UNPRINTED.get(chip, ()):
             found.append(f"{name}: no reset value is printed, {reset:#04x} is said")
     return found
 

@@ -32,7 +32,7 @@ MS = 1_000_000
 POLL_NS = MS // 2
 ROUNDING_NS = 1  # a clock counts whole nanoseconds
 _PARTS = ("identify", "configure", "fetch", "drain", "select", "chip only")
-_FACT = re.compile(r"\b(BMA|ADX|L3G|BMP|HMC|INV|PCA|DEC)-\d{2,3}\b")
+_FACT = re.compile(r"\b(BMA|ADX|L3G|BMP|HMC|INV|TDK|PCA|DEC)-\d{2,3}\b")
 
 
 class DifferenceError(Exception):
@@ -230,7 +230,7 @@ def _fetch(driver: Any, script: Script, conversation: Conversation) -> None:
         script.sleep_until(script.now_ns() + POLL_NS)
     decoded = driver.decode(np.frombuffer(bursts, np.uint8).reshape(-1, driver.burst))
     found = {"counts": decoded.counts.tolist()}
-    found |= {name: ((decoded.status & FLAGS[name]) != 0).tolist() for name in ("stale", "saturated")}
+    found |= {name: ((decoded.status & FLAGS[name]) != 0).tolist() for name in ("stale", "saturated", "suspect")}
     if decoded.temperature_counts is not None:
         found["temperature_counts"] = decoded.temperature_counts.tolist()
     found |= {name: values.tolist() for name, values in decoded.compensated.items()}

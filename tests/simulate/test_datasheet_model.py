@@ -113,6 +113,30 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("thermometer", "offset_degc", 1.0)._replace(axes=(0,)),
         ),
     ),
+    "icm42688_acc": (
+        4.0,
+        (
+            typical("bias", "offset", 20 * MG),  # TDK-51
+            typical("thermal_bias", "slope", 0.15 * MG),  # TDK-52
+            typical("scale", "error", 0.5 * PERCENT),  # TDK-53
+            typical("thermal_scale", "slope", 0.005 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 4),  # TDK-54
+            typical("misalignment", "angles_deg", degrees(atan(0.01)))._replace(axes=tuple(range(6))),
+            typical("thermometer", "offset_degc", 5.0)._replace(axes=(0,)),  # TDK-64
+        ),
+    ),
+    "icm42688_gyro": (
+        500.0,
+        (
+            typical("bias", "offset", 0.5),  # TDK-61
+            typical("thermal_bias", "slope", 0.005),  # TDK-62
+            typical("scale", "error", 0.5 * PERCENT),  # TDK-63
+            typical("thermal_scale", "slope", 0.005 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 500),  # TDK-64
+            typical("misalignment", "angles_deg", degrees(atan(0.0125)))._replace(axes=tuple(range(6))),
+            typical("thermometer", "offset_degc", 5.0)._replace(axes=(0,)),
+        ),
+    ),
     "hmc5883l": (
         4.0,
         (
@@ -259,6 +283,8 @@ ALSO = {
     "l3g4200d": {"bias", "thermal_bias"},  # scale, alignment, g-sensitivity: not specified (L3G-75, L3G-76)
     "mpu6050_acc": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "mpu6050_gyro": {"misalignment", "scale", "bias", "thermal_bias", "thermometer", "g_sensitivity"},
+    "icm42688_acc": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
+    "icm42688_gyro": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
     "hmc5883": {"misalignment", "scale"},
 }

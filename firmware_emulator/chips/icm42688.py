@@ -1,0 +1,247 @@
+"""ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -63.
+
+After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
+when it is switched on. Not modelled: queue, interrupts, low-power modes, notch filter, the filters' delay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from firmware_emulator.chip import Element, Triple, registers_of
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.tolerances import NONE, Tolerances, typical
+from imuarray.facts import icm42688 as facts
+from imuarray.facts.registers import Field, Register
+
+NEVER_NS = 1 << 62
+RESET_NS = 1_000_000  # TDK-20
+INVALID = b"\x80\x00"  # TDK-13
+LOWEST = -32767
+RANGES_G = (16.0, 8.0, 4.0, 2.0)  # by code: TDK-14
+RANGES_DPS = (2000.0, 1000.0, 500.0, 250.0, 125.0, 62.5, 31.25, 15.625)
+CODES_PER_G = (2048.0, 4096.0, 8192.0, 16384.0)  # TDK-30
+CODES_PER_DPS = (16.4, 32.8, 65.5, 131.0, 262.0, 524.3, 1048.6, 2097.2)  # TDK-31
+RATES_HZ = {1: 32000.0, 2: 16000.0, 3: 8000.0, 4: 4000.0, 5: 2000.0, 6: 1000.0, 7: 200.0, 8: 100.0, 9: 50.0, 10: 25.0}
+RATES_HZ |= {11: 12.5, 12: 6.25, 13: 3.125, 14: 1.5625, 15: 500.0}  # TDK-15
+FILTER_SHARES = {1: 4, 2: 5, 3: 8, 4: 10, 5: 16, 6: 20, 7: 40}  # of the rate, but of 400 Hz at least: TDK-16
+TRIM_CODE = 120
+"""Of every axis, unless told otherwise (DEC-62): a deflection of 65 dps and of 0.52 g."""
+STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
+
+_DATA = range(facts.TEMP_DATA1.address, facts.GYRO_DATA_Z0.address + 1)
+
+
+@dataclass
+class _Sampling:
+    """One half's grid: samples at `start_ns` + n * `period_ns`, valid from `valid_ns` on; `index` is the latest."""
+
+    mode: Field
+    config: Register
+    rate: Field
+    startup_ns: int
+    place: slice
+    start_ns: int = NEVER_NS
+    period_ns: int = 1_000_000
+    valid_ns: int = NEVER_NS
+    index: int = -1
+
+    def latest(self, at_ns: int) -> int:
+        """Number of the latest sample at `at_ns`; -1 before the first."""
+        return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+
+
+class Icm42688(SixAxis):
+    """The registers of three banks; `identity` is what WHO_AM_I says, `trim_code` what the factory stored."""
+
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        half: str = ACCELEROMETER,
+        identity: int = facts.WHO_AM_I.reset,
+        trim_code: int = TRIM_CODE,
+    ) -> None:
+        self._identity = identity
+        self._trim_code = trim_code
+        super().__init__(address, facts, element, powered_on_ns, half=half)
+
+    def power_on(self, at_ns: int) -> None:
+        """Both halves off, every register of every bank at its reset value (TDK-10, TDK-11)."""
+        super().power_on(at_ns)
+        self.banks = {bank: bytearray(256) for bank in (1, 2)}
+        for bank, page in self.banks.items():
+            for address, register in registers_of(facts, bank).items():
+                page[address] = register.reset
+        for register in (facts.XG_ST_DATA, facts.XA_ST_DATA):
+            self.banks[register.bank][register.address : register.address + 3] = bytes([self._trim_code] * 3)
+        self.page[facts.WHO_AM_I.address] = self._identity
+        self._halves = {  # start-up times: TDK-21
+            ACCELEROMETER: _Sampling(
+                facts.ACCEL_MODE, facts.ACCEL_CONFIG0, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25)
+            ),
+            GYROSCOPE: _Sampling(facts.GYRO_MODE, facts.GYRO_CONFIG0, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B)),
+        }
+        self._flags = facts.INT_STATUS.reset
+        self._rate_dps: Triple = (0.0, 0.0, 0.0)
+        self._stalled_until_ns = 0
+        self._reset_end_ns = at_ns
+
+    # Sampling -------------------------------------------------------------------------------------------------------
+
+    def _sync(self, at_ns: int) -> None:
+        """The latest sample of each half into the data registers."""
+        for name, half in self._halves.items():
+            latest = half.latest(at_ns)
+            if latest <= half.index:
+                continue
+            half.index = latest
+            self._flags |= facts.DATA_READY.mask
+            sampled_ns = half.start_ns + (latest + 1) * half.period_ns
+            if sampled_ns < half.valid_ns:
+                continue
+            codes = self._accelerometer(sampled_ns) if name == ACCELEROMETER else self._gyroscope(sampled_ns)
+            if codes is not None:
+                self.page[half.place] = b"".join(map(self._word, codes))
+            temperature = clipped(round((self.degc(sampled_ns) - 25.0) * 132.48), LOWEST)  # TDK-32
+            self.page[_DATA.start : _DATA.start + 2] = self._word(temperature)
+
+    def _word(self, code: int) -> bytes:
+        big = facts.DATA_BIG_ENDIAN.of(self.page[facts.INTF_CONFIG0.address])
+        return code.to_bytes(2, "big" if big else "little", signed=True)
+
+    def _bandwidth_hz(self, half: _Sampling, code: int) -> float:
+        rate_hz = 1e9 / half.period_ns
+        return max(400.0, rate_hz) / FILTER_SHARES[code] if code in FILTER_SHARES else rate_hz / 2
+
+    def _accelerometer(self, at_ns: int) -> list[int]:
+        code = facts.ACCEL_RANGE.of(self.page[facts.ACCEL_CONFIG0.address]) & 0b11
+        filter_code = facts.ACCEL_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
+        bandwidth_hz = self._bandwidth_hz(self._halves[ACCELEROMETER], filter_code)
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[code], bandwidth_hz)
+        test = self.page[facts.SELF_TEST_CONFIG.address]
+        pushed = facts.ACCEL_SELF_TEST.of(test) if facts.ACCEL_SELF_TEST_POWER.of(test) else 0
+        return self._codes(force, CODES_PER_G[code], code, pushed)
+
+    def _gyroscope(self, at_ns: int) -> list[int] | None:
+        """None while the adaptive range holds the reading (TDK-18)."""
+        code = facts.GYRO_RANGE.of(self.page[facts.GYRO_CONFIG0.address])
+        filter_code = facts.GYRO_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
+        bandwidth_hz = self._bandwidth_hz(self._halves[GYROSCOPE], filter_code)
+        before, rate = self._rate_dps, self.felt(GYROSCOPE, at_ns, RANGES_DPS[code], bandwidth_hz)
+        self._rate_dps = rate
+        if facts.ADAPTIVE_RANGE.of(self.page[facts.INTF_CONFIG1.address]) != 0b01:
+            if any((abs(a) < STALL_DPS) != (abs(b) < STALL_DPS) for a, b in zip(before, rate, strict=True)):
+                self._stalled_until_ns = at_ns + STALL_NS
+            if at_ns < self._stalled_until_ns:
+                return None
+        pushed = facts.GYRO_SELF_TEST.of(self.page[facts.SELF_TEST_CONFIG.address])
+        return self._codes(rate, CODES_PER_DPS[code], code, pushed)
+
+    def _codes(self, felt: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
+        """Three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
+        push = 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
+        return [clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(felt)]
+
+    # Reading and writing ----------------------------------------------------------------------------------------------
+
+    @property
+    def _bank(self) -> int:
+        return facts.BANK.of(self.page[facts.REG_BANK_SEL.address])
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """One burst shows one instant (DEC-60)."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        return super().read(count, at_ns, byte_ns)
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
+        if address != facts.REG_BANK_SEL.address and self._bank:
+            return self.banks[self._bank][address] if self._bank in self.banks else 0
+        if address == facts.INT_STATUS.address:
+            flags, self._flags = self._flags, 0  # TDK-19
+            return flags
+        return self.page[address]
+
+    def _wake_up(self, at_ns: int) -> None:
+        """The reset bit clears itself when the reset is over."""
+        if at_ns >= self._reset_end_ns:
+            self.page[facts.DEVICE_CONFIG.address] &= ~facts.SOFT_RESET.mask & 0xFF
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to a register: what was sampled before stays as it was."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        bank = self._bank if address != facts.REG_BANK_SEL.address else 0
+        if bank:
+            register = registers_of(facts, bank).get(address)
+            if register is not None and register.access != "r":
+                self.banks[bank][address] = value & ~register.reserved & 0xFF
+            return
+        if address == facts.DEVICE_CONFIG.address and value & facts.SOFT_RESET.mask:
+            pointer = self.pointer
+            self.power_on(at_ns)
+            self.pointer = pointer
+            self.page[address] |= facts.SOFT_RESET.mask
+            self._reset_end_ns = at_ns + RESET_NS
+            return
+        super().store(address, value, at_ns)
+        if address in (facts.PWR_MGMT0.address, facts.GYRO_CONFIG0.address, facts.ACCEL_CONFIG0.address):
+            for half in self._halves.values():
+                self._restart(half, at_ns)
+
+    def _restart(self, half: _Sampling, at_ns: int) -> None:
+        """The grid begins anew with another rate, and when the half is switched on (DEC-61); off, it is invalid."""
+        rate_hz = RATES_HZ.get(half.rate.of(self.page[half.config.address]), 1000.0)
+        period_ns = round(1e9 / rate_hz)
+        mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
+        on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
+        if not on:
+            half.start_ns = half.valid_ns = NEVER_NS
+            self.page[half.place] = INVALID * 3
+            if all(other.start_ns == NEVER_NS for other in self._halves.values()):
+                self.page[_DATA.start : _DATA.start + 2] = INVALID
+        elif half.start_ns == NEVER_NS:
+            half.start_ns, half.index, half.valid_ns = at_ns, -1, at_ns + half.startup_ns
+        elif period_ns != half.period_ns:
+            half.start_ns, half.index = at_ns, -1
+        half.period_ns = period_ns
+
+
+def accelerometer_tolerances(_: float) -> Tolerances:
+    """TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
+    return Tolerances(
+        bias=(typical(0.020),) * 3,
+        slope_per_degc=(typical(0.15e-3),) * 3,
+        scale=typical(0.005),
+        cross_axis=typical(0.01),
+        alignment_deg=NONE,
+        noise=(70e-6 * math.sqrt(100.0),) * 3,
+        noise_full_scale=2.0,
+        noise_bandwidth_hz=100.0,
+        scale_slope_per_degc=typical(5e-5),
+        thermometer_degc=typical(5.0),
+    )
+
+
+def gyroscope_tolerances(_: float) -> Tolerances:
+    """TDK-60 ... TDK-64; a sensitivity to force is not printed."""
+    return Tolerances(
+        bias=(typical(0.5),) * 3,
+        slope_per_degc=(typical(0.005),) * 3,
+        scale=typical(0.005),
+        cross_axis=typical(0.0125),
+        alignment_deg=NONE,
+        noise=(2.8e-3 * math.sqrt(100.0),) * 3,
+        noise_full_scale=250.0,
+        noise_bandwidth_hz=100.0,
+        scale_slope_per_degc=typical(5e-5),
+        thermometer_degc=typical(5.0),
+    )
+
+
+DIE = Die(Icm42688, (facts.ACCEL_DATA_X1, facts.GYRO_DATA_X1), (accelerometer_tolerances, gyroscope_tolerances))

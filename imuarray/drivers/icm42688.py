@@ -1,0 +1,208 @@
+"""ICM-42688-P: accelerometer and gyroscope of one die, two sensors that share a place.
+
+TDK InvenSense DS-000347; facts TDK-*. A burst is 0x1D ... 0x2A, thermometer, accelerometer and gyroscope, high byte
+first as INTF_CONFIG0 is set; 132.48 counts a degC, 0 at 25 degC (TDK-12, -32). A count of -32768 says that there is no
+valid reading (TDK-13): the sensor is off, or starts. While it measures only range, rate and mode may be written
+(TDK-22), so that the die is switched off for everything else, unless all of it is set already: then the half that
+measures is not disturbed by the other's set-up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import chain
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
+from imuarray.drivers.six_axis import SixAxisHalf
+from imuarray.facts import icm42688 as facts
+from imuarray.facts.registers import Field, Register, Setting
+from imuarray.log.format import SATURATED, SUSPECT
+
+_START_S = 0.06  # of the gyroscope, the slower half: TDK-21
+_LOW_NOISE = 0b11  # TDK-11
+_RATE_CODES = {4000.0: 4, 2000.0: 5, 1000.0: 6, 500.0: 15, 200.0: 7, 100.0: 8, 50.0: 9, 25.0: 10, 12.5: 11}  # TDK-15
+_SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
+_ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
+_ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
+_INVALID = -32768  # TDK-13
+_SELF_TEST_SETTLE_S = 0.2  # TDK-42
+_RELATIVES: Mapping[int, str] = MappingProxyType(
+    {
+        0x40: "an ICM-42600",
+        0x41: "an ICM-42602",
+        0x42: "an ICM-42605",
+        0x44: "an ICM-42686-P",
+        0x46: "an ICM-42622",
+        0x68: "an MPU-6050",
+        0x70: "an MPU-6500",
+        0x71: "an MPU-9250",
+        0x98: "an ICM-20689",
+    }
+)
+"""By identity, in the same register: TDK-03."""
+
+
+class _Half(SixAxisHalf):
+    """What both halves of the die have in common."""
+
+    first: ClassVar[Register] = facts.TEMP_DATA1
+    identity: ClassVar[Register] = facts.WHO_AM_I
+    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    temperature: ClassVar[slice] = slice(0, 2)
+    full_scale: ClassVar[Field]
+    rate: ClassVar[Field]
+    trim: ClassVar[Register]
+    self_test_range: ClassVar[int]
+    deflected: ClassVar[Setting]
+    limits: ClassVar[Limits]
+    allowed: ClassVar[str]
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        ranges = sorted(sensor.spec.sensitivity, reverse=True)  # code 0 is the largest: TDK-14
+        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
+        filters = facts.ACCEL_FILTER(filter_code) | facts.GYRO_FILTER(filter_code)
+        delta, square, shift = _ANTI_ALIAS
+        high, low = divmod(square, 256)
+        self.power = facts.PWR_MGMT0[7:0]((facts.GYRO_MODE(_LOW_NOISE) | facts.ACCEL_MODE(_LOW_NOISE)).value)
+        self.range_setting = self._range_and_rate(ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.rate_hz])
+        self.shared: tuple[Setting, ...] = (
+            facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1)).value),
+            facts.ADAPTIVE_RANGE(_ADAPTIVE_RANGE_OFF),
+            facts.GYRO_FILTER_ORDER(_SECOND_ORDER),
+            facts.GYRO_ACCEL_CONFIG0[7:0](filters.value),
+            facts.ACCEL_FILTER_ORDER(_SECOND_ORDER),
+            facts.SELF_TEST_CONFIG[7:0](0),
+        )
+        self.filters: tuple[Setting, ...] = (
+            facts.GYRO_ANTI_ALIAS_OFF(0) | facts.GYRO_NOTCH_OFF(0),
+            facts.GYRO_CONFIG_STATIC3[7:0](delta),
+            facts.GYRO_CONFIG_STATIC4[7:0](low),
+            facts.GYRO_CONFIG_STATIC5[7:0]((facts.GYRO_ANTI_ALIAS_SHIFT(shift)).value | high),
+            facts.ACCEL_CONFIG_STATIC2[7:0](facts.ACCEL_ANTI_ALIAS_DELTA(delta).value),
+            facts.ACCEL_CONFIG_STATIC3[7:0](low),
+            facts.ACCEL_CONFIG_STATIC4[7:0]((facts.ACCEL_ANTI_ALIAS_SHIFT(shift)).value | high),
+        )
+        """Of banks 1 and 2, in this order."""
+        self.watched: tuple[Setting, ...] = (self._bank(0), self.power, self.range_setting, *self.shared)
+
+    def _range_and_rate(self, range_code: int, rate_code: int) -> Setting:
+        return self.full_scale.register[7:0]((self.full_scale(range_code) | self.rate(rate_code)).value)
+
+    def _bank(self, number: int) -> Setting:
+        return facts.REG_BANK_SEL[7:0](facts.BANK(number).value)
+
+    def steps(self) -> Iterator[float]:
+        """Set what both halves share, with the die off, unless it is set; then this half's range and rate.
+
+        The die is off for no longer than these transactions take: nothing else is done meanwhile.
+        """
+        self.registers.set(self._bank(0))
+        if not self._is_set():
+            self.registers.set(facts.PWR_MGMT0[7:0](0))
+            self._write_shared()
+        self.registers.set(self.range_setting)
+        self.registers.set(self.power)
+        yield _START_S
+        yield 2 / self.rate_hz
+
+    def _is_set(self) -> bool:
+        """Whether the die measures with everything set that both halves share."""
+        if not all(self._holds(setting) for setting in (self.power, *self.shared)):
+            return False
+        different = [setting for setting in self._filters_by_bank() if not self._holds(setting)]
+        return not different
+
+    def _holds(self, setting: Setting) -> bool:
+        return self.registers.peek(setting.register)[0] & setting.mask == setting.value
+
+    def _write_shared(self) -> None:
+        """Bits that nobody names keep their value."""
+        for setting in chain(self.shared, self._filters_by_bank()):
+            if setting.mask == 0xFF:
+                self.registers.poke(setting.register, setting.value)
+            else:
+                self.registers.change(setting)
+            self.registers.verify(setting)
+
+    def _filters_by_bank(self) -> Iterator[Setting]:
+        """Each setting of the filters while its bank is selected; bank 0 again after the last."""
+        selected = 0
+        for setting in self.filters:
+            if setting.register.bank != selected:
+                selected = setting.register.bank
+                self.registers.set(self._bank(selected))
+            yield setting
+        self.registers.set(self._bank(0))
+
+    def mark(self, code: int) -> bool:
+        """Mark the die in the watermark of the queue, which is off (TDK-23). Both halves are given the same code."""
+        setting = facts.FIFO_CONFIG2[7:0](code)
+        self.shared, self.watched = (*self.shared, setting), (*self.watched, setting)
+        return True
+
+    def self_test(self) -> SelfTest:
+        """Change of the counts with the self-test on, in shares of the factory's (TDK-40 ... TDK-42)."""
+        self.configure()
+        trim = self._trim_counts()
+        if not trim.all():
+            return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
+        still = self._range_and_rate(self.self_test_range, _RATE_CODES[1000.0])
+        self.registers.poke(still.register, still.value)
+        before = self.readings(_SELF_TEST_SETTLE_S) / trim
+        self.registers.poke(self.deflected.register, self.deflected.value)
+        during = self.readings(_SELF_TEST_SETTLE_S) / trim
+        self.registers.poke(self.deflected.register, 0)
+        self.configure()
+        sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)  # either direction is good
+        text = f"changes by {{change}} of the factory's; {self.allowed}"
+        return compared(before * sign, during * sign, self.limits, text, still=0.05)
+
+    def _trim_counts(self) -> Floats:
+        """2620 / 2**(3 - range code) * 1.01**(code - 1) counts (3,) (TDK-40); 0 where no code is stored."""
+        self.registers.set(self._bank(self.trim.bank))
+        codes = np.frombuffer(self.registers.peek(self.trim, 3), np.uint8).astype(np.float64)
+        self.registers.set(self._bank(0))
+        return np.where(codes > 0, 2620 / 2.0 ** (3 - self.self_test_range) * 1.01 ** (codes - 1), 0.0)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, of which -32768 is none: such a row is suspect, not saturated."""
+        decoded = super().decode(bursts)
+        invalid = (decoded.counts == _INVALID).any(axis=1)
+        at_end = (np.abs(decoded.counts.astype(np.int32)) == 32767).any(axis=1) & ~invalid
+        status = np.where(invalid, SUSPECT, 0) | np.where(at_end, SATURATED, 0)
+        return decoded._replace(status=status.astype(np.uint16))
+
+
+class Icm42688Accelerometer(_Half):
+    """Driver of the accelerometer of one ICM-42688-P."""
+
+    triad: ClassVar[slice] = slice(2, 8)
+    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
+    rate: ClassVar[Field] = facts.ACCEL_RATE
+    trim: ClassVar[Register] = facts.XA_ST_DATA
+    self_test_range: ClassVar[int] = 0b010  # 4 g
+    deflected: ClassVar[Setting] = facts.ACCEL_SELF_TEST_POWER(1) | facts.ACCEL_SELF_TEST(0b111)
+    limits: ClassVar[Limits] = ((0.5, 1.5),) * 3
+    allowed: ClassVar[str] = "0.5 to 1.5 allowed"
+
+
+class Icm42688Gyroscope(_Half):
+    """Driver of the gyroscope of one ICM-42688-P."""
+
+    triad: ClassVar[slice] = slice(8, 14)
+    full_scale: ClassVar[Field] = facts.GYRO_RANGE
+    rate: ClassVar[Field] = facts.GYRO_RATE
+    trim: ClassVar[Register] = facts.XG_ST_DATA
+    self_test_range: ClassVar[int] = 0b011  # 250 dps
+    deflected: ClassVar[Setting] = facts.GYRO_SELF_TEST(0b111)
+    limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
+    allowed: ClassVar[str] = "0.5 and more allowed"

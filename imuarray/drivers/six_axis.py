@@ -1,0 +1,91 @@
+"""What the drivers of six-axis chips have in common: accelerometer and gyroscope of one die, two sensors in one place.
+
+Each half is a driver of its own that sets what both need to the same values (the configuration is refused if they
+differ) and never resets the die, which would take the other half's range. A burst holds both triads and the
+thermometer. The data-ready bits of these chips are cleared by whoever reads them, or reads the data, and can't serve
+two readers: a reading is not new if its bytes are those of the burst before, which noise in six axes prevents. That is
+why each half fetches both. The one queue of a die can't serve two readers either: it is not drained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import Bytes, DecodedBursts, carry_out, registers_for, saturated
+from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
+from imuarray.facts.registers import Register
+
+SELF_TEST_SAMPLES = 32
+
+
+class SixAxisHalf:
+    """One half of a die; a chip's driver says where its data are and how it is set up."""
+
+    burst: ClassVar[int] = 14
+    tells_fresh: ClassVar[bool] = False
+    reading: ClassVar[slice] = slice(0, 14)
+    first: ClassVar[Register]
+    """Where a burst begins."""
+    identity: ClassVar[Register]
+    relatives: ClassVar[Mapping[int, str]] = {}
+    """By identity: what else answers at these addresses, in words."""
+    triad: ClassVar[slice]
+    temperature: ClassVar[slice]
+    order: ClassVar[str] = ">i2"
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.rate_hz = sensor.chip_rate_hz
+
+    def identify(self) -> None:
+        """SensorError unless the identity is right; it names a relative or a clone as what it is."""
+        try:
+            identity = self.registers.peek(self.identity)[0]
+        except OSError as error:
+            if error.errno in NOT_ACKNOWLEDGED:
+                raise SensorError(f"{self.registers.label}: nobody acknowledges this address") from error
+            raise SensorError(f"{self.registers.label}: the bus fails: {error.strerror or error}") from error
+        if identity != self.identity.reset:
+            what = f", {self.relatives[identity]}" if identity in self.relatives else ""
+            raise SensorError(
+                f"{self.registers.label}: identity {identity:02x}{what}, expected {self.identity.reset:02x}"
+            )
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
+        """Set this half up, and what both share."""
+        raise NotImplementedError
+
+    def readings(self, settle_s: float) -> Floats:
+        """Counts (n, 3) for a self-test, the first of them after `settle_s`."""
+        sleep_for(self.clock, settle_s)
+        counts = []
+        for _ in range(SELF_TEST_SAMPLES):
+            sleep_for(self.clock, 1 / self.rate_hz)
+            counts.append(np.frombuffer(self.fetch()[self.triad], self.order))
+        return np.asarray(np.array(counts), np.float64)
+
+    def fetch(self) -> bytes:
+        """Both triads and the thermometer."""
+        return self.registers.peek(self.first, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits."""
+        counts = np.ascontiguousarray(bursts[:, self.triad]).view(self.order).astype(np.int16)
+        temperature = np.ascontiguousarray(bursts[:, self.temperature]).view(self.order)[:, 0].astype(np.int16)
+        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+
+    def header(self) -> Mapping[str, int]:
+        """No attributes of its own."""
+        return {}

@@ -1,0 +1,105 @@
+"""ICM-42688-P six-axis sensor: TDK InvenSense DS-000347 v1.7.
+
+Facts TDK-01 ... TDK-42. Registers of the queue, of interrupts, of motion detection and of the notch filter are left
+out, but for the low byte of the queue's watermark, on which nothing depends while the queue is off. Bits that the data
+sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
+"""
+
+from imuarray.facts.registers import Register
+
+ADDRESSES = (0x68, 0x69)  # AP_AD0 low, high: TDK-01
+
+DEVICE_CONFIG = Register(0x11, reserved=0xEE)
+TEMP_DATA1 = Register(0x1D, "r", reset=0x80)
+TEMP_DATA0 = Register(0x1E, "r")
+ACCEL_DATA_X1 = Register(0x1F, "r", reset=0x80)
+ACCEL_DATA_X0 = Register(0x20, "r")
+ACCEL_DATA_Y1 = Register(0x21, "r", reset=0x80)
+ACCEL_DATA_Y0 = Register(0x22, "r")
+ACCEL_DATA_Z1 = Register(0x23, "r", reset=0x80)
+ACCEL_DATA_Z0 = Register(0x24, "r")
+GYRO_DATA_X1 = Register(0x25, "r", reset=0x80)
+GYRO_DATA_X0 = Register(0x26, "r")
+GYRO_DATA_Y1 = Register(0x27, "r", reset=0x80)
+GYRO_DATA_Y0 = Register(0x28, "r")
+GYRO_DATA_Z1 = Register(0x29, "r", reset=0x80)
+GYRO_DATA_Z0 = Register(0x2A, "r")
+INT_STATUS = Register(0x2D, "r", reset=0x10, reserved=0x80)
+INTF_CONFIG0 = Register(0x4C, reset=0x30, reserved=0x0C)
+INTF_CONFIG1 = Register(0x4D, reset=0x91)
+PWR_MGMT0 = Register(0x4E, reserved=0xC0)
+GYRO_CONFIG0 = Register(0x4F, reset=0x06, reserved=0x10)
+ACCEL_CONFIG0 = Register(0x50, reset=0x06, reserved=0x10)
+GYRO_CONFIG1 = Register(0x51, reset=0x16)
+GYRO_ACCEL_CONFIG0 = Register(0x52, reset=0x11)
+ACCEL_CONFIG1 = Register(0x53, reset=0x0D, reserved=0xE0)
+FIFO_CONFIG2 = Register(0x60)
+SELF_TEST_CONFIG = Register(0x70, reserved=0x80)
+WHO_AM_I = Register(0x75, "r", reset=0x47)
+REG_BANK_SEL = Register(0x76, reserved=0xF8)
+
+GYRO_CONFIG_STATIC2 = Register(0x0B, reset=0xA0, bank=1)
+GYRO_CONFIG_STATIC3 = Register(0x0C, reset=0x0D, reserved=0xC0, bank=1)
+GYRO_CONFIG_STATIC4 = Register(0x0D, reset=0xAA, bank=1)
+GYRO_CONFIG_STATIC5 = Register(0x0E, reset=0x80, bank=1)
+XG_ST_DATA = Register(0x5F, bank=1)
+YG_ST_DATA = Register(0x60, bank=1)
+ZG_ST_DATA = Register(0x61, bank=1)
+
+ACCEL_CONFIG_STATIC2 = Register(0x03, reset=0x30, reserved=0x80, bank=2)
+ACCEL_CONFIG_STATIC3 = Register(0x04, reset=0x40, bank=2)
+ACCEL_CONFIG_STATIC4 = Register(0x05, reset=0x62, bank=2)
+XA_ST_DATA = Register(0x3B, bank=2)
+YA_ST_DATA = Register(0x3C, bank=2)
+ZA_ST_DATA = Register(0x3D, bank=2)
+
+SPI_MODE = DEVICE_CONFIG[4]
+SOFT_RESET = DEVICE_CONFIG[0]
+UI_FSYNC = INT_STATUS[6]
+PLL_READY = INT_STATUS[5]
+RESET_DONE = INT_STATUS[4]
+DATA_READY = INT_STATUS[3]
+FIFO_THRESHOLD = INT_STATUS[2]
+FIFO_FULL = INT_STATUS[1]
+AGC_READY = INT_STATUS[0]
+FIFO_HOLD_LAST_DATA = INTF_CONFIG0[7]
+FIFO_COUNT_RECORDS = INTF_CONFIG0[6]
+FIFO_COUNT_BIG_ENDIAN = INTF_CONFIG0[5]
+DATA_BIG_ENDIAN = INTF_CONFIG0[4]
+SERIAL_INTERFACE = INTF_CONFIG0[1:0]
+ADAPTIVE_RANGE = INTF_CONFIG1[7:6]
+INTF_CONFIG1_KEPT = INTF_CONFIG1[5:4]
+ACCEL_LP_CLOCK = INTF_CONFIG1[3]
+RTC_MODE = INTF_CONFIG1[2]
+CLOCK = INTF_CONFIG1[1:0]
+TEMPERATURE_OFF = PWR_MGMT0[5]
+IDLE = PWR_MGMT0[4]
+GYRO_MODE = PWR_MGMT0[3:2]
+ACCEL_MODE = PWR_MGMT0[1:0]
+GYRO_RANGE = GYRO_CONFIG0[7:5]
+GYRO_RATE = GYRO_CONFIG0[3:0]
+ACCEL_RANGE = ACCEL_CONFIG0[7:5]
+ACCEL_RATE = ACCEL_CONFIG0[3:0]
+TEMPERATURE_FILTER = GYRO_CONFIG1[7:5]
+GYRO_CONFIG1_KEPT = GYRO_CONFIG1[4]
+GYRO_FILTER_ORDER = GYRO_CONFIG1[3:2]
+GYRO_DECIMATION_ORDER = GYRO_CONFIG1[1:0]
+ACCEL_FILTER = GYRO_ACCEL_CONFIG0[7:4]
+GYRO_FILTER = GYRO_ACCEL_CONFIG0[3:0]
+ACCEL_FILTER_ORDER = ACCEL_CONFIG1[4:3]
+ACCEL_DECIMATION_ORDER = ACCEL_CONFIG1[2:1]
+ACCEL_CONFIG1_KEPT = ACCEL_CONFIG1[0]
+ACCEL_SELF_TEST_POWER = SELF_TEST_CONFIG[6]
+ACCEL_SELF_TEST = SELF_TEST_CONFIG[5:3]
+GYRO_SELF_TEST = SELF_TEST_CONFIG[2:0]
+BANK = REG_BANK_SEL[2:0]
+GYRO_STATIC2_KEPT = GYRO_CONFIG_STATIC2[7:2]
+GYRO_ANTI_ALIAS_OFF = GYRO_CONFIG_STATIC2[1]
+GYRO_NOTCH_OFF = GYRO_CONFIG_STATIC2[0]
+GYRO_ANTI_ALIAS_DELTA = GYRO_CONFIG_STATIC3[5:0]
+GYRO_ANTI_ALIAS_SHIFT = GYRO_CONFIG_STATIC5[7:4]
+GYRO_ANTI_ALIAS_SQUARE_HIGH = GYRO_CONFIG_STATIC5[3:0]
+ACCEL_ANTI_ALIAS_DELTA = ACCEL_CONFIG_STATIC2[6:1]
+ACCEL_ANTI_ALIAS_OFF = ACCEL_CONFIG_STATIC2[0]
+ACCEL_ANTI_ALIAS_SHIFT = ACCEL_CONFIG_STATIC4[7:4]
+ACCEL_ANTI_ALIAS_SQUARE_HIGH = ACCEL_CONFIG_STATIC4[3:0]

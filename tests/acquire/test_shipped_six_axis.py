@@ -1,0 +1,97 @@
+"""The arrays of six-axis chips in configs/, recorded from the emulated bus and read back in physical units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_emulator.array import open_array
+from imuarray.acquire import connect
+from imuarray.acquire.detect import explore
+from imuarray.acquire.propose import propose
+from imuarray.array import load_array, parse_array
+from imuarray.calibrate.segments import degc_of
+from imuarray.cli import main
+from imuarray.errors import SensorError
+from imuarray.log import open_log
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SHIPPED = {
+    "icm42688x8": ("icm42688", 16, (0.060, 1.0, 5.0)),
+}
+"""By array: die, sensors, and how far g, dps and degC may be off at rest: the data sheet's zero, scale and cross-axis
+tolerances added up, with room for the mean of the noise (TDK-51 ... TDK-64).
+"""
+RESETS = {  # register and value that reset the die; how its data read then
+    "icm42688": (b"\x11\x01", -32768),  # TDK-13, TDK-20
+}
+DATA = {"icm42688": range(0x1D, 0x2B)}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_is_recorded_is_read_back_in_physical_units(name: str, tmp_path: Path) -> None:
+    die, sensors, (g, dps, degc) = SHIPPED[name]
+    path = tmp_path / "run.h5"
+    words = ["log", str(CONFIGS / f"{name}.toml"), "--bus", "emulated:?up=-Y", "-o", str(path), "--seconds", "0.3"]
+    assert main(words) == 0
+    with open_log(path) as log:
+        assert len(log.sensors) == sensors
+        for sensor in log.sensors.values():
+            assert sensor.chip == die + ("_acc" if sensor.quantity == "specific_force" else "_gyro")
+            assert not np.asarray(sensor.status[:]).any()
+            physical = sensor.counts[:].mean(axis=0) / sensor.sensitivity
+            felt = sensor.orientation @ physical
+            still, allowed = ((0.0, -1.0, 0.0), g) if sensor.quantity == "specific_force" else ((0.0, 0.0, 0.0), dps)
+            assert felt == pytest.approx(still, abs=allowed)
+            assert sensor.temperature_counts is not None
+            zero_degc, per_count = degc_of(sensor) or (np.nan, np.nan)
+            assert zero_degc + per_count * sensor.temperature_counts[:].mean() == pytest.approx(25.0, abs=degc)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_answers_is_proposed_as_it_is(name: str) -> None:
+    array = load_array(CONFIGS / f"{name}.toml")
+    with open_array(array) as bus:
+        proposed = parse_array(propose(explore(bus), "emulated:"))
+    places = {(sensor.channel, sensor.address, sensor.chip) for sensor in array.sensors}
+    assert {(sensor.channel, sensor.address, sensor.chip) for sensor in proposed.sensors} == places
+
+
+@pytest.mark.parametrize(
+    ("name", "identity", "said"),
+    [
+        ("icm42688x8", 0x42, "identity 42, an ICM-42605, expected 47"),  # TDK-03: the kernel's
+        ("icm42688x8", 0x68, "identity 68, an MPU-6050, expected 47"),  # INV-02: the same register
+        ("icm42688x8", 0x00, "identity 00, expected 47"),
+    ],
+)
+def test_another_chip_is_named_as_what_it_is(name: str, identity: int, said: str) -> None:
+    array = load_array(CONFIGS / f"{name}.toml")
+    switches = {array.sensors[2].name: {"identity": identity}}
+    with open_array(array, switches=switches) as bus, pytest.raises(SensorError, match=said) as refused:
+        connect(array, bus)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("die", RESETS)
+def test_a_reset_die_is_set_up_again_by_either_half_and_the_other_is_left_alone(die: str) -> None:
+    text = f'[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "{die}_acc"\nrange = 4\n'
+    text += f'address = 0x68\n[[sensor]]\nname = "G"\nchip = "{die}_gyro"\nrange = 500\naddress = 0x68\n'
+    array = parse_array(text)
+    (reset, after) = RESETS[die]
+    with open_array(array) as bus:
+        accelerometer, gyroscope = (route.driver for route in connect(array, bus))
+        bus.transfer(0x68, reset)
+        bus.clock.sleep_until(bus.clock.now_ns() + 100_000_000)
+        counts = accelerometer.decode(np.frombuffer(accelerometer.fetch(), np.uint8).reshape(1, -1)).counts
+        assert (counts == after).all()
+        gyroscope.configure()
+        before = bytes(bus.chips["A"].page)
+        accelerometer.configure()
+        changed = {address for address, byte in enumerate(bus.chips["A"].page) if byte != before[address]}
+        own = accelerometer.watched[2]
+    assert own.register.address in changed
+    assert changed <= {own.register.address, *DATA[die]}
+    assert bus.chips["A"].page[own.register.address] & own.mask == own.value
