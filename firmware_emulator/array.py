@@ -81,6 +81,7 @@ class EmulatedBus:
         """Nothing to give back."""
 
 
+# Keyword-only and independent of one another: what an emulated bus can be asked for, in code or in its URL.
 def open_array(
     array: ArrayLike,
     *,

@@ -279,34 +279,46 @@ def _describe(context: click.Context, _: click.Parameter, is_asked: bool) -> Non
 @click.option(
     "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="tell of them, as JSON"
 )
-def program(
-    config: Path,
-    output: Path,
-    truth: Path,
-    mechanism: tuple[str, ...],
-    severity: tuple[float, ...],
-    sensor: tuple[str, ...],
-    seed: int,
-    experiments: str,
-    rate_hz: float,
-    only: str | None,
-    reference: bool,
-    force: bool,
-) -> None:
+def program(**options: Any) -> None:
     """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it.
 
     A CONFIG that ends in .json is a whole world: array, sessions, room and recorder.
     """
+    _write(CaseOptions(**options))
+
+
+@dataclass(frozen=True)
+class CaseOptions:
+    """The options of the program, as they were given."""
+
+    config: Path
+    output: Path
+    truth: Path
+    mechanism: tuple[str, ...]
+    severity: tuple[float, ...]
+    sensor: tuple[str, ...]
+    seed: int
+    experiments: str
+    rate_hz: float
+    only: str | None
+    reference: bool
+    force: bool
+
+
+def _write(options: CaseOptions) -> None:
+    """Write the case, and print the paths of its logs."""
     try:
-        mechanisms = asked(mechanism, severity, sensor)
-        if config.suffix == ".json":
-            case = Case.of_world(json.loads(config.read_text(encoding="utf-8")), *mechanisms, seed=seed)
+        mechanisms = asked(options.mechanism, options.severity, options.sensor)
+        if options.config.suffix == ".json":
+            case = Case.of_world(json.loads(options.config.read_text(encoding="utf-8")), *mechanisms, seed=options.seed)
         else:
-            array = load_array(find_config(config))
-            array = array.only(tuple(only.split(","))) if only else array
-            chosen = experiments.split(",")
-            case = Case.of(array, chosen, *mechanisms, seed=seed, rate_hz=rate_hz, reference=reference)
-        paths = case.write(output, truth, force=force)
+            array = load_array(find_config(options.config))
+            array = array.only(tuple(options.only.split(","))) if options.only else array
+            chosen = options.experiments.split(",")
+            case = Case.of(
+                array, chosen, *mechanisms, seed=options.seed, rate_hz=options.rate_hz, reference=options.reference
+            )
+        paths = case.write(options.output, options.truth, force=options.force)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     for path in paths:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from imuarray.fuse.fused_result import FusedResult
     from imuarray.simulate import Model
     from imuarray.simulate.effect import Effect
+    from imuarray.simulate.experiments import ExperimentOptions
     from imuarray.simulate.series import Run
 
 LogLike = str | PathLike[str] | Log
@@ -131,7 +132,7 @@ def characterise(
         )
 
 
-# The options are independent of one another, keyword-only, and those of the command.
+# The interface of the package, promised by name to its users: keyword-only, those of the command.
 def fuse(
     log: LogLike,
     calibration: str | PathLike[str] | Calibration | None = None,
@@ -208,8 +209,8 @@ def fuse(
 
 
 class Conditions(TypedDict, total=False):
-    """What an experiment may be told: its length, the box axis that points up ("+Z"; static, heating), the temperature,
-    and what moves the box in "motion": "hand", "vehicle" or the path of a trajectory file.
+    """The conditions of an experiment: its length, the box axis that points up ("+Z"; static, heating), the
+    temperature, and what moves the box in "motion": "hand", "vehicle" or the path of a trajectory file.
     """
 
     seconds: float
@@ -218,6 +219,7 @@ class Conditions(TypedDict, total=False):
     drive: str
 
 
+# The interface of the package, promised by name to its users: keyword-only, those of the command.
 def simulate(
     source: str | PathLike[str] | ArrayConfig | Log,
     output: str | PathLike[str],
@@ -254,15 +256,17 @@ def simulate(
     (200, 'simulated')
     """
     from imuarray.simulate import Simulation, effects_of, write_log
-    from imuarray.simulate.record import EPOCH
-    from imuarray.simulate.series import remarks_on, with_effects
+    from imuarray.simulate.record import EPOCH, Origin
+    from imuarray.simulate.series import remarks_on, run_of, with_effects
 
     with ExitStack() as stack:
         recorded = _recorded(source, stack)
         if recorded is not None:
             run = _run_like(recorded, Path(output), only, boot, conditions)
         else:
-            run = _run_of(source, Path(output), only, experiment, rate_hz, boot, conditions)
+            array = _array(source, only)
+            wanted = _experiment(experiment, boot, conditions)
+            run = run_of(array, Path(output), experiment, wanted, rate_hz=rate_hz, boot=boot)
         chosen = _model(model, calibration, run)
         for sentence in remarks_on(run.plan, chosen, recorded, population=population):
             warnings.warn(sentence, UserWarning, stacklevel=2)
@@ -271,7 +275,7 @@ def simulate(
         simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
         note = f"model {chosen.name}, seed {seed}, boot {run.boot}"
         epoch = EPOCH if recorded is None else recorded.epoch
-        write_log(simulation, run.path, epoch=epoch, note=note, force=force)
+        write_log(simulation, run.path, origin=Origin(epoch, note), force=force)
     return open_log(output)
 
 
@@ -293,29 +297,25 @@ def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions
     return run_like(log, path, only, boot)
 
 
-def _run_of(
-    source: str | PathLike[str] | ArrayConfig | Log,
-    path: Path,
-    only: Collection[str],
-    experiment: str,
-    rate_hz: float,
-    boot: int,
-    conditions: Conditions,
-) -> Run:
+def _array(source: str | PathLike[str] | ArrayConfig | Log, only: Collection[str]) -> ArrayConfig:
+    """The array to simulate, with `only` these sensors if any are named."""
     from imuarray.array import ArrayConfig, load_array
-    from imuarray.errors import ConfigError
     from imuarray.shipped import find_config
-    from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
-    from imuarray.simulate.series import run_of
-    from imuarray.spelling import guess
 
     array = source if isinstance(source, ArrayConfig) else load_array(find_config(Path(str(source))))
+    return array.only(tuple(only)) if only else array
+
+
+def _experiment(experiment: str, boot: int, conditions: Conditions) -> ExperimentOptions:
+    """The conditions of an experiment, whose run is that of `boot` in a turn-on series; ConfigError if unknown."""
+    from imuarray.errors import ConfigError
+    from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
+    from imuarray.spelling import guess
+
     if experiment not in EXPERIMENTS:
         allowed = ", ".join(EXPERIMENTS)
         raise ConfigError(f"experiment {experiment!r}: allowed are {allowed}{guess(experiment, EXPERIMENTS)}")
-    number = boot + 1 if experiment == "turn-on" else 1
-    wanted = ExperimentOptions(**conditions, run=number)
-    return run_of(array.only(tuple(only)) if only else array, path, experiment, wanted, rate_hz=rate_hz, boot=boot)
+    return ExperimentOptions(**conditions, run=boot + 1 if experiment == "turn-on" else 1)
 
 
 def _model(

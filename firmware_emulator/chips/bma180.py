@@ -73,6 +73,7 @@ class Bma180(Chip):
     rate_error: relative error of the oscillator, within +/-0.1 (BMA-107).
     """
 
+    # The switches are what data sheets leave open or an earlier program left behind; `open_array` sets them by name.
     def __init__(
         self,
         address: int,

@@ -42,6 +42,7 @@ class L3g4200d(Chip):
     rate_error: relative error of the output data rate.
     """
 
+    # The switches are what data sheets leave open or an earlier program left behind; `open_array` sets them by name.
     def __init__(
         self,
         address: int,

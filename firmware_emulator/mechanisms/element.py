@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Self
 
 from firmware_emulator.chip import Triple
-from firmware_emulator.element import BLOCK, Matrix, SensingElement, Unit
-from firmware_emulator.world import Stimulus, World
+from firmware_emulator.element import BLOCK, SensingElement
+from firmware_emulator.world import Stimulus
 
 Felt = Callable[[int, Stimulus], Stimulus]
 Sensed = Callable[[int, Triple, Stimulus], Triple]
@@ -46,20 +47,13 @@ class Chain:
 class MountedElement(SensingElement):
     """`SensingElement` with the stages of `chain` between its own."""
 
-    def __init__(
-        self,
-        world: World,
-        chip: str,
-        name: str,
-        orientation: Matrix,
-        unit: Unit,
-        seed: int,
-        chain: Chain,
-        powered_on_ns: int = 0,
-    ) -> None:
-        super().__init__(world, chip, name, orientation, unit, seed)
-        self._chain = chain
-        self._powered_on_ns = powered_on_ns
+    _chain = Chain()
+    _powered_on_ns = 0
+
+    def mount(self, chain: Chain, powered_on_ns: int) -> Self:
+        """Put the stages of `chain` between its own; their time counts from when it was powered on. Returns itself."""
+        self._chain, self._powered_on_ns = chain, powered_on_ns
+        return self
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
         """Input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""

@@ -222,7 +222,8 @@ class FittedBoard(Board):
         if site is None or there.chip not in INERTIAL:
             return SensingElement(self.world, there.chip, key, orientation, self.unit(there), self.seed)
         unit, start_ns = self.unit(there), self.powered_on_ns
-        return MountedElement(self.world, there.chip, key, orientation, unit, self.seed, site.chain, start_ns)
+        mounted = MountedElement(self.world, there.chip, key, orientation, unit, self.seed)
+        return mounted.mount(site.chain, start_ns)
 
     def unit(self, sensor: SensorLike) -> Unit:
         """The imperfections of one unit."""

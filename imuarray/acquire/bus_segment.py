@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from imuarray.acquire.configuration_readback import ConfigurationReadback, frames_of
 from imuarray.acquire.fault_episode import FaultEpisodes
@@ -174,36 +175,43 @@ def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], l
     return channel if channel is not None and channel.twins else None
 
 
-class BusSegment:
-    """Sensors that are connected together, in their order. `faults` hears of what concerns all of them, `lose` of
-    every sensor in it when the adapter was removed.
+@dataclass(frozen=True)
+class Polling:
+    """What all segments of a poll loop share: its clock and rate, the faults that concern all sensors of a segment, and
+    the function that is told which adapter was removed and when (ns).
     """
+
+    clock: Clock
+    rate_hz: float
+    faults: FaultEpisodes
+    lose: Callable[[Adapter, int], None]
+
+
+class BusSegment:
+    """Sensors that are connected together, in their order."""
 
     def __init__(
         self,
         items: list[SampleBuffer],
         everybody: Sequence[SampleBuffer],
         adapter: Adapter,
-        clock: Clock,
-        rate_hz: float,
-        faults: FaultEpisodes,
-        lose: Callable[[Adapter, int], None],
+        polling: Polling,
     ) -> None:
         self.items = items
         self.key = items[0].route.segment
         self.adapter = adapter
         here, everywhere = [item.route for item in items], [item.route for item in everybody]
-        self.channel = channel_of(here, everywhere, frames_of(rate_hz))
+        self.channel = channel_of(here, everywhere, frames_of(polling.rate_hz))
         doubtful = [id(route) for route in self.channel.twins] if self.channel else []
-        self._misrouted = faults.of("", "channel")
-        self._hang = faults.of("", "bus", id(adapter))
-        self._removal = faults.of("", "adapter", id(adapter))
-        self._lose = lose
+        self._misrouted = polling.faults.of("", "channel")
+        self._hang = polling.faults.of("", "bus", id(adapter))
+        self._removal = polling.faults.of("", "adapter", id(adapter))
+        self._lose = polling.lose
         self._twins = [item for item in items if id(item.route) in doubtful]
         shared = {item.route.sensor.address for item in self._twins if item.queue is not None}
         self._queues = [item for item in everybody if item.queue is not None and item.route.sensor.address in shared]
         self._marks: list[int] = []
-        self._clock = clock
+        self._clock = polling.clock
         bus = items[0].driver.registers.bus
         self._select: Callable[[], None] | None = bus.select if isinstance(bus, MuxChannel) else None
         self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus

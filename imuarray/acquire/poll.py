@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment
+from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment, Polling
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import FaultEpisodes
@@ -89,15 +89,13 @@ class Poll:
         adapter; a bus of its own is another.
         """
         shared, everybody = Adapter(), list(self.buffers.values())
+        polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
         return [
             BusSegment(
                 [self.buffers[id(route)] for route in part],
                 everybody,
                 Adapter() if isinstance(part[0].segment, str) else shared,
-                self.clock,
-                self.rate_hz,
-                self.faults,
-                self.lose,
+                polling,
             )
             for part in there_and_back(routes)[0]
         ]

@@ -18,7 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.characterise.allan_curve import CONFIDENCE, IDENTIFY, AllanCurve, Moments, make_curve, octaves
+from imuarray.characterise.allan_curve import (
+    CONFIDENCE,
+    IDENTIFY,
+    AllanCurve,
+    Moments,
+    SeriesShape,
+    make_curve,
+    octaves,
+)
 from imuarray.characterise.allan_stream import AllanStream, Estimator
 from imuarray.characterise.second_differences import running_sum, sums_of_squares
 
@@ -47,7 +55,9 @@ def allan_deviation(
         stream.feed(series)
         return stream.curve(confidence)
     moments = [_moments(column, chosen) for column in series.reshape(len(series), -1).T]
-    return make_curve(moments, chosen, [1] * len(chosen), len(series), interval_s, series.shape[1:], confidence)
+    return make_curve(
+        moments, chosen, [1] * len(chosen), SeriesShape(len(series), interval_s, series.shape[1:]), confidence
+    )
 
 
 def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:

@@ -48,6 +48,15 @@ class AllanCurve:
 
 
 @dataclass(frozen=True)
+class SeriesShape:
+    """Length of a series, time between its rows, and shape of a row: () for one column alone, (k,) for k of them."""
+
+    rows: int
+    interval_s: float
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Moments:
     """Moments of one column, per averaging factor: `sums` of squared second differences, and the first, or the middle,
     `averages` side by side.
@@ -75,12 +84,11 @@ def make_curve(
     columns: Sequence[Moments],
     factors: Sequence[int],
     strides: Sequence[int],
-    rows: int,
-    interval_s: float,
-    shape: tuple[int, ...],
+    series: SeriesShape,
     confidence: float,
 ) -> AllanCurve:
-    """The curve of a series of `rows` values; `shape` is () for one column alone, (k,) for k of them."""
+    """Return the curve of a series from the moments of its columns at each factor."""
+    rows, interval_s, shape = series.rows, series.interval_s, series.columns
     m, stride = np.array(factors, np.int64), np.array(strides, np.int64)
     terms = rows // stride + 1 - 2 * (m // stride)
     sums = np.array([column.sums for column in columns]).T.reshape(len(m), *shape)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -100,10 +99,9 @@ def fit_noise(
     terms: Sequence[Term] = USUAL,
     unit: str = "",
     shortest_s: float = 0.0,
-    longest_s: float = inf,
     confidence: float = CONFIDENCE,
 ) -> NoiseFit | None:
-    """The sum of `terms` that gives one column of the curve between two taus; None if fewer than two points tell.
+    """Fit a sum of `terms` to one column of the curve from `shortest_s` on; None if fewer than two points tell.
 
     Points tell if their deviation is not 0 (but for rounding) and they have 5 degrees of freedom; with fewer points
     than terms the first terms alone are fitted. Terms are left out one after the other, the least needed first, as long
@@ -115,7 +113,7 @@ def fit_noise(
     """
     if not terms or set(terms) - set(TERMS):
         raise ValueError(f"terms are one or more of {', '.join(TERMS)}, not {', '.join(terms) or 'none'}")
-    points = _points(curve, column, shortest_s, longest_s)
+    points = _points(curve, column, shortest_s)
     if len(points) < 2:
         return None
     factors = np.rint(curve.tau_s[points] / curve.interval_s).astype(int)
@@ -128,13 +126,13 @@ def fit_noise(
     return _assess(estimate, solve(estimate, included), len(included), coefficients)
 
 
-def _points(curve: AllanCurve, column: int, shortest_s: float, longest_s: float) -> npt.NDArray[np.intp]:
+def _points(curve: AllanCurve, column: int, shortest_s: float) -> npt.NDArray[np.intp]:
     """Return the indices of the points of the curve that carry information, shortest tau first, each once."""
     count = len(curve.tau_s)
     deviation, freedom = (part.reshape(count, -1)[:, column] for part in (curve.deviation, curve.freedom))
     sure = (freedom >= _FREEDOM) & (deviation > _ROUNDING * deviation.max())
     _, first = np.unique(curve.tau_s, return_index=True)
-    inside = (curve.tau_s[first] >= shortest_s * (1 - 1e-9)) & (curve.tau_s[first] <= longest_s * (1 + 1e-9))
+    inside = curve.tau_s[first] >= shortest_s * (1 - 1e-9)
     return np.asarray(first[inside & sure[first]])
 
 

@@ -15,7 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.characterise.allan_curve import CONFIDENCE, IDENTIFY, AllanCurve, Moments, make_curve, stride_of
+from imuarray.characterise.allan_curve import (
+    CONFIDENCE,
+    IDENTIFY,
+    AllanCurve,
+    Moments,
+    SeriesShape,
+    make_curve,
+    stride_of,
+)
 from imuarray.characterise.second_differences import Values, add_up, sums_of_squares
 
 Estimator = Literal["overlapping", "decimated"]
@@ -84,7 +92,7 @@ class AllanStream:
             raise ValueError(f"{self._rows} rows are too few for the averaging factors {self._factors}")
         factors, strides = [self._factors[at] for at in chosen], [self._strides[at] for at in chosen]
         moments = [pyramid.moments(factors, strides) for pyramid in self._columns]
-        return make_curve(moments, factors, strides, self._rows, self._interval_s, self._shape, confidence)
+        return make_curve(moments, factors, strides, SeriesShape(self._rows, self._interval_s, self._shape), confidence)
 
 
 class _Pyramid:

@@ -32,6 +32,7 @@ from imuarray.units import SI_NAME, SI_PER_UNIT
 Progress = Callable[[], None]
 
 
+# What can be chosen about one evaluation; `imuarray.characterise` offers the same by name.
 def characterise_log(
     log: Log,
     phase: str | None = None,

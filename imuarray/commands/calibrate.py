@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +62,7 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     with _opened(runs, output, update, force) as logs, _bars() as moved:
         result = calibrate_tumble(*logs, progress=moved)
         report = report_of(logs[0], result)
-    _finish(result.calibration, report, print_report, output, update, force, as_json)
+    _finish(result.calibration, report, print_report, Target(output, update, force, as_json))
 
 
 @command.command("noise")
@@ -85,7 +86,7 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     with _opened(runs, output, update, force) as logs, _bars() as moved:
         known = load_calibration(output) if update and output.exists() else None
         calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
-    _finish(calibration, report_of(calibration), print_report, output, update, force, as_json)
+    _finish(calibration, report_of(calibration), print_report, Target(output, update, force, as_json))
 
 
 @command.command("thermal")
@@ -108,7 +109,7 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 
     with _opened(runs, output, update, force) as logs:
         result = calibrate_thermal(*logs)
-    _finish(result.calibration, report_of(result), print_report, output, update, force, as_json)
+    _finish(result.calibration, report_of(result), print_report, Target(output, update, force, as_json))
 
 
 @command.command("turn-on")
@@ -133,7 +134,7 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     with _opened(runs, output, update, force) as logs:
         calibration, results = calibrate_turn_on(logs, SENSITIVITIES, seed)
         report = report_of(results)
-    _finish(calibration, report, print_report, output, update, force, as_json)
+    _finish(calibration, report, print_report, Target(output, update, force, as_json))
 
 
 @command.command("axes")
@@ -235,23 +236,26 @@ def _bars() -> Iterator[Callable[[str, int, int], None]]:
         yield moved
 
 
-def _finish(
-    calibration: Calibration,
-    report: Report,
-    show: Callable[[Report], None],
-    output: Path,
-    update: bool,
-    force: bool,
-    as_json: bool,
-) -> None:
+@dataclass(frozen=True)
+class Target:
+    """The calibration file to write: added to with `update`, overwritten with `force`; printed `as_json` or as text."""
+
+    output: Path
+    update: bool
+    force: bool
+    as_json: bool
+
+
+def _finish(calibration: Calibration, report: Report, show: Callable[[Report], None], target: Target) -> None:
     """Write the calibration file and print the report."""
     from imuarray.calibrate import load_calibration
 
-    if update and output.exists():
+    output = target.output
+    if target.update and output.exists():
         load_calibration(output).merged(calibration).save(output, force=True)
     else:
-        calibration.save(output, force=force)
-    _print_result({**report, "calibration": str(output)}, show, output, as_json)
+        calibration.save(output, force=target.force)
+    _print_result({**report, "calibration": str(output)}, show, output, target.as_json)
 
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:

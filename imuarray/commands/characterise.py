@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,16 +44,7 @@ RESULT = "characterise.json"
 )
 @json_option
 @force_option
-def command(
-    run: Path,
-    output: Path | None,
-    phase: str | None,
-    sensors: str | None,
-    estimator: Estimator | None,
-    calibration: Path | None,
-    as_json: bool,
-    force: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Allan deviation, spectrum, correlation, codes and noise table of the sensors in a log at rest.
 
     Prints mean and spread of every axis, the white noise, bias instability and random walk of its Allan deviation with
@@ -62,17 +54,36 @@ def command(
     \b
     imuarray characterise run.h5 --phase z_up -o noise
     """
+    _run(CharacteriseOptions(**options))
+
+
+@dataclass(frozen=True)
+class CharacteriseOptions:
+    """The options of `imuarray characterise`, as they were given."""
+
+    run: Path
+    output: Path | None
+    phase: str | None
+    sensors: str | None
+    estimator: Estimator | None
+    calibration: Path | None
+    as_json: bool
+    force: bool
+
+
+def _run(options: CharacteriseOptions) -> None:
+    """Characterise the log, print the result and write it into the folder, if one is given."""
     from imuarray.characterise import render_text
     from imuarray.log import open_log
 
-    for name in _files() if output else ():
-        refuse_existing(Path(output or "") / name, force, in_new_folder=True)
-    if output and not force and (there := sorted(output.glob("imu_*.yaml"))):
+    for name in _files() if options.output else ():
+        refuse_existing(Path(options.output or "") / name, options.force, in_new_folder=True)
+    if options.output and not options.force and (there := sorted(options.output.glob("imu_*.yaml"))):
         raise OutputExistsError(there[0])
-    with open_log(run) as log:
-        result = _characterise(log, phase, tuple(sensors.split(",")) if sensors else None, estimator, calibration)
-    written = [*_write(result, output), *_write_kalibr(result, output)] if output else []
-    if as_json:
+    with open_log(options.run) as log:
+        result = _characterise(log, options)
+    written = [*_write(result, options.output), *_write_kalibr(result, options.output)] if options.output else []
+    if options.as_json:
         print_json(result)
     else:
         click.echo(render_text(result), nl=False)
@@ -80,29 +91,24 @@ def command(
         click.echo(f"imuarray: wrote {path}", err=True)
 
 
-def _characterise(
-    log: Log,
-    phase: str | None,
-    sensors: tuple[str, ...] | None,
-    estimator: Estimator | None,
-    calibration: Path | None,
-) -> dict[str, Any]:
+def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
     """The result, with a bar on standard error while it is computed."""
     from imuarray.calibrate.motion import longest_rest
     from imuarray.characterise import characterise_log
 
+    sensors = tuple(options.sensors.split(",")) if options.sensors else None
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     columns = sum(int(sensor.counts.shape[1]) for sensor in chosen)
     count = itertools.count(1)
     with progress(columns, str(log.path)) as done:
         return characterise_log(
             log,
-            phase,
+            options.phase,
             sensors,
             lambda: done(next(count)),
-            estimator,
-            _scales(log, calibration),
-            longest_rest(log, phase),
+            options.estimator,
+            _scales(log, options.calibration),
+            longest_rest(log, options.phase),
         )
 
 

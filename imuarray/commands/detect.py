@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -46,16 +46,7 @@ _SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the chan
 )
 @force_option
 @json_option
-def command(
-    config: Path | None,
-    bus_url: str | None,
-    self_test: bool,
-    doctor: bool,
-    logs: Path | None,
-    output: Path | None,
-    force: bool,
-    as_json: bool,
-) -> int:
+def command(**options: Any) -> int:
     """Report which sensors answer and whether they match CONFIG; without CONFIG, which chips answer on --bus.
 
     \b
@@ -65,21 +56,40 @@ def command(
     fails its self-test; 1 if the result of a self-test is undetermined; with --doctor 1 if any check fails (it needs no
     CONFIG; with one it checks each sensor, too).
     """
-    if config is None and (self_test or (bus_url is None and not doctor)):
+    return _run(DetectOptions(**options))
+
+
+@dataclass(frozen=True)
+class DetectOptions:
+    """The options of `imuarray detect`, as they were given."""
+
+    config: Path | None
+    bus_url: str | None
+    self_test: bool
+    doctor: bool
+    logs: Path | None
+    output: Path | None
+    force: bool
+    as_json: bool
+
+
+def _run(options: DetectOptions) -> int:
+    """Check the options, and examine the bus as they say; the exit code."""
+    if options.config is None and (options.self_test or (options.bus_url is None and not options.doctor)):
         raise click.UsageError("CONFIG or --bus URL is required; --self-test requires CONFIG")
-    if logs is not None and not doctor:
+    if options.logs is not None and not options.doctor:
         raise click.UsageError("--logs needs --doctor")
-    if output is not None:
-        if doctor:
+    if options.output is not None:
+        if options.doctor:
             raise click.UsageError("-o can't be combined with --doctor, which writes nothing")
-        if config is not None:
+        if options.config is not None:
             raise click.UsageError("-o can't be combined with CONFIG: it writes a configuration of the chips on --bus")
-        refuse_existing(output, force)
-    if doctor:
-        return _doctor(config, bus_url, logs or Path(), as_json)
-    if config is None:
-        return _explore(bus_url or "", output, force, as_json)
-    return _verify(config, bus_url, self_test, as_json)
+        refuse_existing(options.output, options.force)
+    if options.doctor:
+        return _doctor(options.config, options.bus_url, options.logs or Path(), options.as_json)
+    if options.config is None:
+        return _explore(options.bus_url or "", options.output, options.force, options.as_json)
+    return _verify(options.config, options.bus_url, options.self_test, options.as_json)
 
 
 def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -45,16 +47,7 @@ _STEPS = 1000
 )
 @force_option
 @json_option
-def command(
-    source: Path,
-    output: Path,
-    sensors: str,
-    calibration_file: Path | None,
-    units: str | None,
-    tool: str | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Write a log or a fused result as a file that other tools open.
 
     \b
@@ -72,36 +65,60 @@ def command(
     \b
     imuarray export run.h5 --calibration cal.toml -o run.mcap
     """
+    _run(ExportOptions(**options))
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """The options of `imuarray export`, as they were given."""
+
+    source: Path
+    output: Path
+    sensors: str
+    calibration_file: Path | None
+    units: str | None
+    tool: str | None
+    force: bool
+    as_json: bool
+
+
+def _run(options: ExportOptions) -> None:
+    """Export, and print what was written."""
     from imuarray.calibrate import load_calibration
     from imuarray.export import export
 
-    refuse_existing(output, force, source=source)
-    calibration = load_calibration(calibration_file) if calibration_file else None
-    names = tuple(sensors.split(",")) if sensors else ()
-    with progress(_STEPS, str(output)) as done:
+    refuse_existing(options.output, options.force, source=options.source)
+    calibration = load_calibration(options.calibration_file) if options.calibration_file else None
+    names = tuple(options.sensors.split(",")) if options.sensors else ()
+    with progress(_STEPS, str(options.output)) as done:
         written = export(
-            source,
-            output,
+            options.source,
+            options.output,
             sensors=names,
             calibration=calibration,
-            units=units,
-            tool=tool,
-            force=force,
+            units=options.units,
+            tool=options.tool,
+            force=options.force,
             progress=lambda share: done(int(share * _STEPS)),
         )
-    if as_json:
+    if options.as_json:
         files = [str(file) for file in written.files]
         said = {"files": files, "units": written.units, "rows": dict(written.rows)}
         print_json(
-            {"source": str(source), **said, "uncalibrated": list(written.uncalibrated), "notes": list(written.notes)}
+            {
+                "source": str(options.source),
+                **said,
+                "uncalibrated": list(written.uncalibrated),
+                "notes": list(written.notes),
+            }
         )
         return
     rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
-    click.echo(f"{output}: {rows} rows of {tables}, units: {written.units}")
+    click.echo(f"{options.output}: {rows} rows of {tables}, units: {written.units}")
     if written.uncalibrated:
         click.echo(f"  not calibrated, data-sheet values used: {', '.join(written.uncalibrated)}")
     for note in written.notes:
         click.echo(f"  {note}")
     for file in written.files:
-        if file != output:
+        if file != options.output:
             click.echo(f"  {file}")

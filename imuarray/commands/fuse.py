@@ -66,18 +66,7 @@ _WORDS = {
 @click.option("--evaluate", is_flag=True, help="compare every technique with the log's truth, and with the mean")
 @force_option
 @json_option
-def command(
-    run: Path,
-    calibration_file: Path | None,
-    technique: str,
-    output: Path | None,
-    only: str,
-    causal: bool,
-    watch: bool | None,
-    evaluate: bool,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
 
     \b
@@ -93,47 +82,68 @@ def command(
     \b
     imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
     """
+    _run(FuseOptions(**options))
+
+
+@dataclass(frozen=True)
+class FuseOptions:
+    """The options of `imuarray fuse`, as they were given."""
+
+    run: Path
+    calibration_file: Path | None
+    technique: str
+    output: Path | None
+    only: str
+    causal: bool
+    watch: bool | None
+    evaluate: bool
+    force: bool
+    as_json: bool
+
+
+def _run(options: FuseOptions) -> None:
+    """Fuse and evaluate as the options say, and print the report."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.inputs import prepare_inputs
     from imuarray.log import open_log
 
-    if output is not None:
-        refuse_existing(output, force, source=run)
-    elif not evaluate:
+    if options.output is not None:
+        refuse_existing(options.output, options.force, source=options.run)
+    elif not options.evaluate:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    calibration = load_calibration(calibration_file) if calibration_file else Calibration()
-    with open_log(run) as log:
+    calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
+    with open_log(options.run) as log:
         inputs = prepare_inputs(
             log,
             calibration,
-            technique=None if evaluate else technique,
-            only=[log[name].name for name in only.split(",")] if only else (),
+            technique=None if options.evaluate else options.technique,
+            only=[log[name].name for name in options.only.split(",")] if options.only else (),
             ranges=SENSITIVITIES,
-            calibration_file=str(calibration_file or ""),
+            calibration_file=str(options.calibration_file or ""),
         )
         for remark in inputs.remarks:
             click.echo(f"imuarray: {remark}", err=True)
         calibration, names = inputs.calibration, list(inputs.only)
-        work = _Work(log, calibration, technique, names, causal, watch)
+        work = _Work(log, calibration, options.technique, names, options.causal, options.watch)
         report: dict[str, Any] = {
-            "technique": technique,
+            "technique": options.technique,
             "uncalibrated": list(inputs.uncalibrated),
             "start_up": list(inputs.start_up),
             "thermal": list(inputs.thermal),
             "temperature": list(inputs.temperature),
-            "changes": _changes(log, calibration, technique, names),
-            "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
+            "changes": _changes(log, calibration, options.technique, names),
+            "pairs": pairs_of(log, calibration, names) if options.technique == "opposed" else [],
         }
         notes = None
-        if output is not None:
-            written, notes = _written(work, output, str(calibration_file or ""), force)
+        if options.output is not None:
+            written, notes = _written(work, options.output, str(options.calibration_file or ""), options.force)
             report |= written
-        if evaluate:
+        if options.evaluate:
             from imuarray.commands.fuse_evaluate import evaluated
 
             report["evaluation"] = evaluated(log, calibration, names)
-    if as_json:
+    if options.as_json:
         print_json(report)
     else:
         _print(report, notes)

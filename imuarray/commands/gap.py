@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -77,19 +78,7 @@ command.add_command(validate)
 )
 @force_option
 @json_option
-def diagnose(
-    logs: tuple[Path, ...],
-    model_name: str | None,
-    without: str,
-    only: str,
-    against: tuple[Path, ...],
-    seed: int,
-    replicates: int,
-    workers: int,
-    output: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def diagnose(**options: Any) -> None:
     """Compare recorded logs with what the simulator says such logs should look like, and name the causes.
 
     Logs of one array, of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to one part
@@ -101,30 +90,52 @@ def diagnose(
     imuarray gap diagnose static.h5 tumble.h5 -o gap
     imuarray gap diagnose today.h5 --against last_year.h5
     """
+    _diagnose(DiagnoseOptions(**options))
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """The options of `imuarray gap diagnose`, as they were given."""
+
+    logs: tuple[Path, ...]
+    model_name: str | None
+    without: str
+    only: str
+    against: tuple[Path, ...]
+    seed: int
+    replicates: int
+    workers: int
+    output: Path | None
+    force: bool
+    as_json: bool
+
+
+def _diagnose(options: DiagnoseOptions) -> None:
+    """Diagnose, and write and print the result."""
     from imuarray import diagnose as diagnose_logs
     from imuarray.gap.diagnose import library
 
-    left_out = _names(without)
+    left_out = _names(options.without)
     library(left_out)
-    if output is not None:
-        prepare_folder(output, FILES, force)
+    if options.output is not None:
+        prepare_folder(options.output, FILES, options.force)
     with ended_by_signals(), Steps() as steps:
         steps.begin("opening the logs")
         diagnosis = diagnose_logs(
-            logs,
-            model=_model(model_name),
-            only=_names(only),
-            against=against,
+            options.logs,
+            model=_model(options.model_name),
+            only=_names(options.only),
+            against=options.against,
             without=left_out,
-            seed=seed,
-            replicates=replicates,
-            workers=workers,
+            seed=options.seed,
+            replicates=options.replicates,
+            workers=options.workers,
             progress=steps.begin,
             bar=steps.bar,
         )
-    if output is not None:
-        _write(output, diagnosis)
-    _say(diagnosis, as_json)
+    if options.output is not None:
+        _write(options.output, diagnosis)
+    _say(diagnosis, options.as_json)
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import date
 from importlib.util import find_spec
 from pathlib import Path
@@ -64,18 +65,7 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
 @click.option("--again", is_flag=True, help="try cases that failed once more")
 @click.option("--score-only", is_flag=True, help="open the truth of what is there; run nothing")
 @json_option
-def validate(
-    output: Path,
-    size: str,
-    folders: tuple[Path, ...],
-    half: str,
-    seed: int,
-    where: str,
-    workers: int,
-    again: bool,
-    score_only: bool,
-    as_json: bool,
-) -> None:
+def validate(**options: Any) -> None:
     """Diagnose cases in which something is wrong that the diagnosis is not told, and score what it says.
 
     The logs come from emulated arrays with physical mechanisms at work in them, which share no code with the
@@ -86,22 +76,44 @@ def validate(
     \b
     imuarray gap validate --size glance -o checked
     """
+    _validate(ValidateOptions(**options))
+
+
+@dataclass(frozen=True)
+class ValidateOptions:
+    """The options of `imuarray gap validate`, as they were given."""
+
+    output: Path
+    size: str
+    folders: tuple[Path, ...]
+    half: str
+    seed: int
+    where: str
+    workers: int
+    again: bool
+    score_only: bool
+    as_json: bool
+
+
+def _validate(options: ValidateOptions) -> None:
+    """Run the planned cases, score them, and write and print the figures."""
     from imuarray.validation.case_folder import cases_in
     from imuarray.validation.plans import SIZES, cases, shuffle
 
-    planned = cases(cast("Half", half), SIZES[size], seed)
-    planned = shuffle([*planned, *cases_in(folders, cast("Half", half), len(planned))], seed)
+    planned = cases(cast("Half", options.half), SIZES[options.size], options.seed)
+    planned = shuffle([*planned, *cases_in(options.folders, cast("Half", options.half), len(planned))], options.seed)
     if not planned:
         raise click.UsageError("--size none: --cases FOLDER is wanted with it")
-    names = [folder.name for folder in folders]
-    if not score_only:
-        plan = {"half": half, "size": size, "seed": seed, "cases": len(planned)}
-        _begin(output, {**plan, "folders": names} if names else plan)
-        _run(output, planned, where, workers, again)
-    figures = _scored(output, planned)
+    names = [folder.name for folder in options.folders]
+    if not options.score_only:
+        plan = {"half": options.half, "size": options.size, "seed": options.seed, "cases": len(planned)}
+        _begin(options.output, {**plan, "folders": names} if names else plan)
+        _run(options.output, planned, options.where, options.workers, options.again)
+    figures = _scored(options.output, planned)
     words = " ".join(f"--cases {name}" for name in names) + " " * bool(names)
-    _write(output, figures, f"imuarray gap validate --half {half} --size {size} --seed {seed} {words}-o {output.name}")
-    _say(figures, as_json)
+    chosen = f"--half {options.half} --size {options.size} --seed {options.seed} {words}-o {options.output.name}"
+    _write(options.output, figures, f"imuarray gap validate {chosen}")
+    _say(figures, options.as_json)
     if any(row.is_refuted for row in figures.failed):
         raise click.exceptions.Exit(1)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -35,16 +36,7 @@ _WIDTH = 110
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write")
 @force_option
 @json_option
-def command(
-    source: Path,
-    map_path: Path | None,
-    format_name: str | None,
-    guess: bool,
-    up: str | None,
-    output: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
 
     What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was. After every
@@ -56,30 +48,53 @@ def command(
     imuarray import data.csv --map map.toml -o run.h5
     imuarray import run.npz -o run2.h5
     """
+    _run(ImportOptions(**options))
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """The options of `imuarray import`, as they were given."""
+
+    source: Path
+    map_path: Path | None
+    format_name: str | None
+    guess: bool
+    up: str | None
+    output: Path | None
+    force: bool
+    as_json: bool
+
+
+def _run(options: ImportOptions) -> None:
+    """Import a recording or propose a map, and print the summary."""
     from imuarray.importers import importer
     from imuarray.importers.table import import_table
 
-    if guess:
-        if map_path is not None or format_name is not None or up is not None or as_json:
+    if options.guess:
+        if options.map_path is not None or options.format_name is not None or options.up is not None or options.as_json:
             raise click.UsageError("--guess proposes a map; it goes with a recording and -o MAP.toml alone")
-        _guess(source, output, force)
+        _guess(options.source, options.output, options.force)
         return
-    if output is None:
+    if options.output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    ours = _exported(source) if map_path is None and format_name is None else None
-    if ours is None and (map_path is None) == (format_name is None):
+    ours = _exported(options.source) if options.map_path is None and options.format_name is None else None
+    if ours is None and (options.map_path is None) == (options.format_name is None):
         raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
-    if up is not None and map_path is None:
+    if options.up is not None and options.map_path is None:
         raise click.UsageError("--up goes with --map")
-    refuse_existing(output, force)
-    size = source.stat().st_size if source.is_file() else 0
-    with progress(size, str(source)) as done:
-        if map_path is not None:
-            map_file = find_map(map_path)
-            summary = import_table(source, map_file, output, force=force, progress=done, up=up or "")
+    refuse_existing(options.output, options.force)
+    size = options.source.stat().st_size if options.source.is_file() else 0
+    with progress(size, str(options.source)) as done:
+        if options.map_path is not None:
+            map_file = find_map(options.map_path)
+            summary = import_table(
+                options.source, map_file, options.output, force=options.force, progress=done, up=options.up or ""
+            )
         else:
-            summary = (ours or importer(format_name or ""))(source, output, force=force, progress=done)
-    _print_result(summary, output, as_json)
+            summary = (ours or importer(options.format_name or ""))(
+                options.source, options.output, force=options.force, progress=done
+            )
+    _print_result(summary, options.output, options.as_json)
 
 
 def _exported(source: Path) -> Importer | None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -55,18 +56,7 @@ if TYPE_CHECKING:
     help="the fused result to show  [default: RUN_fused.h5, else the average of all sensors]",
 )
 @click.option("--parent", type=int, hidden=True, help="end with this process")
-def command(
-    run: Path,
-    as_text: bool,
-    as_json: bool,
-    once: bool,
-    every_s: float,
-    calibration: Path | None,
-    port: int,
-    host: str,
-    result: Path | None,
-    parent: int | None,
-) -> None:
+def command(**options: Any) -> None:
     """LogMonitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
     Serves a page to this machine's browser; with --text, shows the same in the terminal. It only reads, at low
@@ -75,27 +65,49 @@ def command(
     \b
     imuarray monitor night.h5 --text
     """
-    known = _calibration(calibration)
-    if once and not (as_text or as_json):
+    _run(MonitorOptions(**options))
+
+
+@dataclass(frozen=True)
+class MonitorOptions:
+    """The options of `imuarray monitor`, as they were given."""
+
+    run: Path
+    as_text: bool
+    as_json: bool
+    once: bool
+    every_s: float
+    calibration: Path | None
+    port: int
+    host: str
+    result: Path | None
+    parent: int | None
+
+
+def _run(options: MonitorOptions) -> None:
+    """Show the log in the terminal, or serve the page."""
+    known = _calibration(options.calibration)
+    if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")
-    if once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
+    run = options.run
+    if options.once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file{guess_file(run)}")
-    if as_text or as_json:
-        with _monitor(run, known, result) as monitor:
-            _show(monitor, every_s, as_json=as_json, once=once)
+    if options.as_text or options.as_json:
+        with _monitor(options.run, known, options.result) as monitor:
+            _show(monitor, options.every_s, as_json=options.as_json, once=options.once)
     else:
         from imuarray.monitor.server import PageOptions, serve
 
         page = PageOptions(
-            host=host,
-            port=port,
+            host=options.host,
+            port=options.port,
             calibration=known,
-            result=result,
-            every_s=every_s,
+            result=options.result,
+            every_s=options.every_s,
             announce=click.echo,
-            parent=parent,
+            parent=options.parent,
         )
-        serve(run, page)
+        serve(options.run, page)
 
 
 def _monitor(run: Path, calibration: Calibration | None, result: Path | None) -> LogMonitor:

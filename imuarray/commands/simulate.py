@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,23 +139,8 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
 )
 @force_option
 @json_option
-def command(
-    config: Path | None,
-    like: Path | None,
-    output: Path,
-    calibration: Path | None,
-    model_name: str,
-    population: bool,
-    without: str,
-    only: str | None,
-    seed: int,
-    single: bool,
-    workers: int,
-    force: bool,
-    as_json: bool,
-    **experiment: Any,
-) -> None:
-    """A log as the array of CONFIG would record it, or as RUN.h5 was recorded, from a model of its sensors.
+def command(**options: Any) -> None:
+    """Write a log as the array of CONFIG would record it, or like the recorded RUN.h5, from a model of its sensors.
 
     Effects between truth and counts are those of the model, unit by unit; /truth holds what the box felt. The same seed
     gives the same log.
@@ -163,32 +149,72 @@ def command(
     imuarray simulate martin2013 --experiment tumble -o simulated.h5
     imuarray simulate --like run.h5 --calibration cal.toml -o twin.h5
     """
+    _run(SimulateOptions(**options))
+
+
+@dataclass(frozen=True)
+class SimulateOptions:
+    """The options of `imuarray simulate`, as they were given."""
+
+    config: Path | None
+    like: Path | None
+    output: Path
+    experiment: str
+    drive: str
+    seconds: float | None
+    runs: int
+    rate_hz: float
+    up: str
+    temperature_degc: float
+    model_name: str
+    calibration: Path | None
+    population: bool
+    without: str
+    only: str | None
+    seed: int
+    boot: int
+    single: bool
+    workers: int
+    force: bool
+    as_json: bool
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The effects of --without."""
+        return tuple(name.strip() for name in self.without.split(",") if name.strip())
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The sensors of --only; none: all."""
+        return tuple(self.only.split(",")) if self.only else ()
+
+
+def _run(options: SimulateOptions) -> None:
+    """Write the logs, and print what was written."""
     from imuarray.simulate import Simulation, effects_of
     from imuarray.simulate.series import remarks_on
 
-    if (config is None) == (like is None):
+    if (options.config is None) == (options.like is None):
         raise click.UsageError("say one thing to simulate: a CONFIG, or --like RUN.h5")
-    _refuse_idle(click.get_current_context(), str(experiment["experiment"]), like)
-    left_out = tuple(name.strip() for name in without.split(",") if name.strip())
-    names = tuple(only.split(",")) if only else ()
+    _refuse_idle(click.get_current_context(), options.experiment, options.like)
+    seed, left_out, population = options.seed, options.left_out, options.population
     with ExitStack() as stack:
-        log, runs = _runs(stack, config, like, output, names, **experiment)
-        model = _model(model_name, calibration, runs[0].plan)
+        log, runs = _runs(stack, options)
+        model = _model(options.model_name, options.calibration, runs[0].plan)
         for run in runs:
-            refuse_existing(run.path, force, source=like)
+            refuse_existing(run.path, options.force, source=options.like)
         for sentence in remarks_on(runs[0].plan, model, log, population=population):
             click.echo(f"imuarray: {sentence}", err=True)
         effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # units stay, boots go
         reports = []
         for run in runs:
-            simulation = Simulation(
-                run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype="float32" if single else "float64"
-            )
+            dtype = "float32" if options.single else "float64"
+            simulation = Simulation(run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype=dtype)
             note = _note(model.name, seed, run.boot, left_out, population)
-            written = _write(simulation, run.path, log, note, workers, force)
+            written = _write(simulation, run.path, log, note, options.workers, options.force)
             reports.append(_report(run.path, written, seed, run.boot, model.name))
     spelled = {name: _spelled(effects[name], runs[0].plan.sensors[name][0].unit) for name in effects}
-    if as_json:
+    if options.as_json:
         print_json({"logs": reports, "effects": spelled})
         return
     for report in reports:
@@ -219,31 +245,23 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
             raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
 
 
-def _runs(
-    stack: ExitStack,
-    config: Path | None,
-    like: Path | None,
-    output: Path,
-    only: tuple[str, ...],
-    *,
-    experiment: str,
-    runs: int,
-    rate_hz: float,
-    boot: int,
-    **wanted: Any,
-) -> tuple[Log | None, list[Run]]:
+def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[Run]]:
     """The logs to write; the recorded log that they are like, if there is one."""
     from imuarray.array import load_array
     from imuarray.log import open_log
     from imuarray.simulate.experiments import ExperimentOptions
-    from imuarray.simulate.series import run_like, runs_of
+    from imuarray.simulate.series import run_like, run_of, turn_on_series
 
-    if like is not None:
-        log = stack.enter_context(open_log(like))
-        return log, [run_like(log, output, only, boot)]
-    array = load_array(find_config(config or Path()))
-    array = array.only(only) if only else array
-    return None, runs_of(array, output, experiment, ExperimentOptions(**wanted), rate_hz=rate_hz, boot=boot, runs=runs)
+    if options.like is not None:
+        log = stack.enter_context(open_log(options.like))
+        return log, [run_like(log, options.output, options.sensors, options.boot)]
+    array = load_array(find_config(options.config or Path()))
+    array = array.only(options.sensors) if options.sensors else array
+    wanted = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
+    if options.experiment == "turn-on":
+        boots = range(options.boot, options.boot + options.runs)
+        return None, turn_on_series(array, options.output, wanted, options.rate_hz, boots)
+    return None, [run_of(array, options.output, options.experiment, wanted, rate_hz=options.rate_hz, boot=options.boot)]
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
@@ -266,7 +284,7 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
 def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int, force: bool) -> Written:
     """Write one log, with a bar on standard error."""
     from imuarray.simulate import total_rows, write_log
-    from imuarray.simulate.record import EPOCH
+    from imuarray.simulate.record import EPOCH, Division, Origin
 
     with ExitStack() as stack:
         done = stack.enter_context(progress(total_rows(simulation), str(path)))
@@ -274,10 +292,8 @@ def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int
         return write_log(
             simulation,
             path,
-            epoch=log.epoch if log else EPOCH,
-            note=note,
-            executor=threads,
-            workers=workers,
+            origin=Origin(log.epoch if log else EPOCH, note),
+            division=Division(executor=threads, workers=workers),
             progress=done,
             force=force,
         )

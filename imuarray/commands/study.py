@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -47,15 +48,7 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
 @workers_option
 @force_option
 @json_option
-def command(
-    output: Path | None,
-    seeds: int | None,
-    experiments: str,
-    quick: bool,
-    workers: int,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(**options: Any) -> None:
     """What each fusion technique gains on simulated experiments of the paper's array.
 
     Errors over those of the simple average of the same sensors, with calibrations made from simulated logs; and, with
@@ -65,25 +58,43 @@ def command(
     \b
     imuarray study --experiments static,heating -o study
     """
+    _run(StudyOptions(**options))
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """The options of `imuarray study`, as they were given."""
+
+    output: Path | None
+    seeds: int | None
+    experiments: str
+    quick: bool
+    workers: int
+    force: bool
+    as_json: bool
+
+
+def _run(options: StudyOptions) -> None:
+    """Run the study, and write and print the result."""
     from imuarray.gap.model.workers import processes
     from imuarray.studies.fusion_gain import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
-    names = tuple(dict.fromkeys(name.strip() for name in experiments.split(",") if name.strip()))
+    names = tuple(dict.fromkeys(name.strip() for name in options.experiments.split(",") if name.strip()))
     if not names or set(names) - set(EXPERIMENTS):
         strange = next((name for name in names if name not in EXPERIMENTS), "")
         allowed = f"allowed are {', '.join(EXPERIMENTS)}{guess(strange, EXPERIMENTS)}"
-        raise click.UsageError(f"--experiments {experiments!r}: {allowed}")
-    if output:
-        prepare_folder(output, FILES, force)
-    count = seeds or (QUICK_SEEDS if quick else SEEDS)
+        raise click.UsageError(f"--experiments {options.experiments!r}: {allowed}")
+    if options.output:
+        prepare_folder(options.output, FILES, options.force)
+    count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     with ExitStack() as stack:
         done = stack.enter_context(progress(len(names) * count, "study"))
-        executor = stack.enter_context(processes(workers)) if workers > 1 else None
-        seconds = QUICK_S if quick else None
+        executor = stack.enter_context(processes(options.workers)) if options.workers > 1 else None
+        seconds = QUICK_S if options.quick else None
         result = study(names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: done(so_far))
-    if output:
-        _write(output, result)
-    if as_json:
+    if options.output:
+        _write(options.output, result)
+    if options.as_json:
         print_json(result.as_json())
     else:
         click.echo(render_text(result), nl=False)

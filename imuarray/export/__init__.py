@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["TOOLS", "UNITS", "WRITERS", "ExportSummary", "export"]
 
 
+# The interface of the package: keyword-only, those of the command.
 def export(
     source: Log | str | PathLike[str],
     path: str | PathLike[str],

@@ -69,11 +69,24 @@ class Watch:
 
 WATCH = Watch()
 
+
+@dataclass(frozen=True)
+class Patience:
+    """How long frames wait for rows of a sensor; `tell` is given a sentence when a sensor is waited for no longer, and
+    when it is back.
+    """
+
+    timeout_s: float = TIMEOUT_S
+    tell: Callable[[str], None] = lambda text: None
+
+
+PATIENCE = Patience()
+
 _FIRST_PASS = 0.75
 """Share of the time that the first of two passes takes: it looks for faults and filters."""
 
 
-# The options of `fuse` and `live` are independent of one another, keyword-only and the interface of the package.
+# The options are independent of one another, keyword-only and the interface of the package.
 def fuse(
     log: Log,
     calibration: Calibration,
@@ -147,19 +160,19 @@ def live(
     *,
     only: Collection[str] = (),
     watch: Watch = WATCH,
-    timeout_s: float = TIMEOUT_S,
-    tell: Callable[[str], None] = lambda text: None,
+    patience: Patience = PATIENCE,
 ) -> FusionStream[FusedBlock]:
-    """Return a pipeline that fuses rows of `sensors` as they come, to the same as `fuse` does with `causal`. `tell`
-    hears which sensor is not waited for any more after `timeout_s`, and which is back. FusionError if the sensors can't
-    feed the technique.
+    """Return a pipeline that fuses rows of `sensors` as they arrive, with the same result as `fuse` with `causal`.
+    FusionError if the sensors can't feed the technique.
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # as a log has them
     array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
     making = array.making(temperatures)
     making(1.0)  # what can't be fed is said before anything is read
-    return FusionStream(array.groups, calibration, making, temperatures, timeout_s=timeout_s, tell=tell)
+    return FusionStream(
+        array.groups, calibration, making, temperatures, timeout_s=patience.timeout_s, tell=patience.tell
+    )
 
 
 def aligned(

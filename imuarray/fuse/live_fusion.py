@@ -26,7 +26,7 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.fuse import Watch, live
+from imuarray.fuse.fuse import Patience, Watch, live
 from imuarray.fuse.fused_file import LiveFused
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.stream import FusionStream
@@ -279,8 +279,7 @@ class LiveFusion:
             calibration,
             self.output.technique,
             watch=self._watch,
-            timeout_s=self._timeout_s,
-            tell=lambda text: self.tell(text),
+            patience=Patience(self._timeout_s, lambda text: self.tell(text)),
         )
 
     def _failed(self, event: FaultEvent) -> None:

@@ -128,6 +128,15 @@ class GapCase:
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """The result of the search: its rounds, the causes of sensors, and signals that sensors share."""
+
+    search: SearchResult
+    causes: Sequence[Cause]
+    shared: Sequence[SharedSignal]
+
+
+@dataclass(frozen=True)
 class Verification:
     """The recordings compared with the model with all causes: statistics of its replicates (those of the base model if
     there are no causes), and the assessment by them.
@@ -142,6 +151,17 @@ class Verification:
         return np.array([replicate.values for replicate in self.replicates])
 
 
+@dataclass(frozen=True)
+class Reference:
+    """What recordings are compared with: the base model of `model` (None: of the data sheets), or `earlier` recordings
+    of the same array if there are any.
+    """
+
+    model: Model | None = None
+    earlier: Sequence[Recording] = ()
+
+
+# The interface of the package, promised by name to its users: keyword-only, those of the command.
 def diagnose(
     logs: LogLike | Iterable[LogLike],
     *,
@@ -191,7 +211,7 @@ def diagnose(
             return runner(bench, executor, bar)
 
         case = compare(
-            recordings, run_on, model=chosen, earlier=earlier, seed=seed, replicates=replicates, progress=progress
+            recordings, run_on, Reference(chosen, earlier), seed=seed, replicates=replicates, progress=progress
         )
         return explain(case, candidates, progress)
 
@@ -199,23 +219,22 @@ def diagnose(
 def compare(
     recordings: Sequence[Recording],
     run_on: Callable[[Bench], Run],
+    reference: Reference = Reference(),
     *,
-    model: Model | None = None,
-    earlier: Sequence[Recording] = (),
     seed: int = 0,
     replicates: int = REPLICATES,
     progress: Progress = lambda stage: None,
 ) -> GapCase:
-    """Compares recordings with the base model, or with `earlier` recordings: the part of `diagnose` that needs no
-    library of causes. `run_on` makes, for a bench, the runner of its functions (`imuarray.gap.model.workers.runner`).
+    """Compares recordings with a reference: the part of `diagnose` that needs no library of causes. `run_on` makes, for
+    a bench, the runner of its functions (`imuarray.gap.model.workers.runner`).
     """
     progress("reading the recordings")
-    case = _compared(recordings, run_on, model, earlier, seed, replicates, progress)
+    case = _compared(recordings, run_on, reference, seed, replicates, progress)
     wrong_labels = mislabelled(recordings, case.comparison.campaign)
     if not wrong_labels:
         return case
     progress("comparing again with corrected faces")
-    again = _compared(corrected(recordings, wrong_labels), run_on, model, earlier, seed, replicates, progress)
+    again = _compared(corrected(recordings, wrong_labels), run_on, reference, seed, replicates, progress)
     is_same = case.comparison.pairs.keys == again.comparison.pairs.keys
     as_noted = case.comparison if is_same else again.comparison
     return replace(again, as_noted=as_noted, wrong_labels=wrong_labels)
@@ -239,7 +258,7 @@ def explain(
     shared = environment_of(case.comparison.campaign) if case.is_gap else ()
     causes = with_origins(causes_of(case.comparison.bench, search.rounds, case.seed), case.headers, shared)
     verification = _verify(case, search, causes)
-    return _report(case, candidates, search, causes, shared, verification, briefly)
+    return _report(case, candidates, Explanation(search, causes, shared), verification, briefly)
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
@@ -281,13 +300,13 @@ def _sensors(recording: Recording) -> Collection[str]:
 def _compared(
     recordings: Sequence[Recording],
     run_on: Callable[[Bench], Run],
-    model: Model | None,
-    earlier: Sequence[Recording],
+    reference: Reference,
     seed: int,
     replicates: int,
     progress: Progress,
 ) -> GapCase:
-    """Compares the recordings, with their noted faces, with the base model or with earlier recordings."""
+    """Compares the recordings, with their noted faces, with the reference."""
+    model, earlier = reference.model, reference.earlier
     bench, campaign = prepared(recordings, model, seed, earlier)
     has_value = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
     domains = [key.domain for key in bench.of_keys(has_value).keys]
@@ -336,21 +355,19 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
 def _report(
     case: GapCase,
     candidates: Mapping[str, Candidate],
-    search: SearchResult,
-    sensor_causes: Sequence[Cause],
-    shared: Sequence[SharedSignal],
+    explanation: Explanation,
     verification: Verification,
     briefly: bool,
 ) -> Diagnosis:
     """All findings; the remainder comes first, since the verdict and the causes depend on it."""
+    search, sensor_causes = explanation.search, explanation.causes
     comparison, bench = case.comparison, case.comparison.bench
     report = StatisticReport(bench, comparison.campaign, comparison.pairs, case.names)
     suspected = (*map(cause_of, case.wrong_labels), *sensor_causes)
     unobservable = _unobservable(case, candidates, suspected, report)
     remainder = _remainder(case, verification, suspected, report)
-    verdict, gap, causes, unknown = _judge(
-        case, verification, remainder, with_unobservable_rivals(suspected, unobservable)
-    )
+    judgement = _judge(case, verification, remainder, with_unobservable_rivals(suspected, unobservable))
+    verdict, gap, causes, unknown = judgement
     where = _where(case, report)
     in_use = uses(
         comparison.real.uses,
@@ -360,7 +377,7 @@ def _report(
     against, pulls = tuple(recording.name for recording in case.earlier), _pulls(case)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence_of(verdict, gap, causes, where, remainder.where, in_use, pulls, against),
+        sentence=sentence_of(judgement, where, remainder.where, in_use, pulls, against),
         p=case.as_noted.located.p,
         gap=gap,
         where=where,
@@ -376,7 +393,7 @@ def _report(
         map=map_of(comparison.pairs, case.as_noted.judged, verification.after, tuple(case.headers)),
         overlays=() if briefly else _overlays(case, search, where),
         recorded=tuple(map(_summary, case.recordings)),
-        notes=_notes(case, where, remainder.where, sensor_causes, shared),
+        notes=_notes(case, where, remainder.where, sensor_causes, explanation.shared),
         held_out=bench.split.words,
         seed=case.seed,
         replicates=len(comparison.replicates),
@@ -480,7 +497,7 @@ def _pulls(case: GapCase) -> tuple[Pull, ...]:
 def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tuple[Overlay, ...]:
     """Curves of the recording and of both models."""
     comparison, bench = case.comparison, case.comparison.bench
-    return overlays_of(bench, comparison.campaign, where, bench.models(), search.models, case.run, names=case.names)
+    return overlays_of(bench, comparison.campaign, where, (bench.models(), search.models), case.run, case.names)
 
 
 def _summary(recording: Recording) -> RecordingSummary:

@@ -55,7 +55,6 @@ def import_table(
     *,
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-    block_rows: int = ROWS,
     up: str = "",
 ) -> Summary:
     """Import the recording `source` (a text table, compressed by gzip or not, .npz, .mat, .parquet, a bag) with the map
@@ -75,9 +74,7 @@ def import_table(
     rows = open_rows(source, output, table_map, progress)
     streams = _streams(table_map)
     learnt = {
-        sensor.name: resolution
-        for stream in streams
-        for sensor, resolution in _inferred(stream, rows, table_map, block_rows)
+        sensor.name: resolution for stream in streams for sensor, resolution in _inferred(stream, rows, table_map, ROWS)
     }
     headers = [_header(sensor, table_map, learnt.get(sensor.name)) for sensor in table_map.sensor]
     headers += [_thermometer_header(item) for item in table_map.thermometer]
@@ -85,7 +82,7 @@ def import_table(
     with LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log:
         recording = _Recording(log, table_map, {header.name: header for header in headers}, streams)
         for stream in recording.streams:
-            for block, where in rows.blocks(stream.plan.columns, stream.plan.kind, block_rows):
+            for block, where in rows.blocks(stream.plan.columns, stream.plan.kind, ROWS):
                 stream.add(block, where)
         recording.finish(str(source), str(map_path), up)
         remarks = [*rows.remarks, *recording.remarks(learnt)]

@@ -15,18 +15,17 @@ from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, Unpack
 
 import numpy as np
 
 from imuarray.arrays import Integers, Times
 from imuarray.errors import DiskFullError, ImuArrayError
-from imuarray.log.disk_space import WATERMARK
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
 from imuarray.log.layout import Notes, OpenPhase
 from imuarray.log.live import KEPT
-from imuarray.log.writer import SYNC_S, Block, LogWriter, Stimulus
+from imuarray.log.writer import Block, LogWriter, Stimulus, WriterSettings
 
 _LEAD_NS = 5_000_000_000
 """How long before its time a part is begun, at most; rows come a second or two after theirs."""
@@ -55,34 +54,18 @@ class RotatingWriter:
         sensors: Sequence[SensorHeader],
         *,
         every_s: float,
-        source: str,
-        epoch: str,
-        config: str = "",
-        frame_rate_hz: float = 0.0,
-        force: bool = False,
-        watermark: int = WATERMARK,
-        sync_s: float = SYNC_S,
         started: Callable[[int], None] = lambda time_ns: None,
+        **settings: Unpack[WriterSettings],
     ) -> None:
-        """Create the first part; ValueError unless `every_s` is positive, and as LogWriter. `started` hears when the
-        first part begins, before there are rows.
+        """Create the first part; ValueError unless `every_s` is positive, and as LogWriter, which gets the `settings`.
+        `started` is called with the time of the first part's first frame, before there are rows.
         """
         if every_s <= 0:
             raise ValueError(f"parts of {every_s} s: a positive length is wanted")
         self.path = Path(path)
         self.paths: list[Path] = []
         self._sensors, self._every_ns = tuple(sensors), round(every_s * 1e9)
-        self._make = partial(
-            LogWriter,
-            sensors=self._sensors,
-            source=source,
-            epoch=epoch,
-            config=config,
-            frame_rate_hz=frame_rate_hz,
-            force=force,
-            watermark=watermark,
-            sync_s=sync_s,
-        )
+        self._make = partial(LogWriter, sensors=self._sensors, **settings)
         self._keep, self._started = False, started
         self._open: dict[int, LogWriter] = {}
         self._first = 0

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import Any, NamedTuple, NoReturn, NotRequired, Self, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,18 @@ def _no_log(path: Path) -> NoReturn:
     raise LogError(f"{path}: is still being written")
 
 
+class WriterSettings(TypedDict):
+    """The keyword arguments of `LogWriter`, for those that make several."""
+
+    source: str
+    epoch: str
+    config: NotRequired[str]
+    frame_rate_hz: NotRequired[float]
+    force: NotRequired[bool]
+    watermark: NotRequired[int]
+    sync_s: NotRequired[float]
+
+
 class LogWriter:
     """A log being written; a context manager. Leaving it with an error removes the file, unless `keep()` was called.
 
@@ -69,6 +81,7 @@ class LogWriter:
     raises what went wrong with earlier ones: DiskFullError, LogError. `flush` returns when everything is on the disk.
     """
 
+    # Keyword-only and independent of one another: attributes that a file has, and how it is kept.
     def __init__(
         self,
         path: str | PathLike[str],

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,18 +36,22 @@ _UNIT = (1.0, 1.0, 1.0)
 _FORGOTTEN = 42.0  # time constants; exp(-42) of the past is lost in the last bit
 
 
-class SlowProcess:
-    """x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), three independent axes, x[0] ~ N(0, initial^2); built by the
-    two functions below. `decay` 0 is a random walk.
+class Recursion(NamedTuple):
+    """The recursion x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), x[0] ~ N(0, initial^2); `decay` 0 is a random
+    walk.
     """
 
-    def __init__(
-        self, spacing: int, decay: float, step: float, initial: float, inside: Stream, ends: Stream, scale: Triple
-    ) -> None:
+    decay: float
+    step: float
+    initial: float
+
+
+class SlowProcess:
+    """Three independent axes of a `Recursion`, interpolated between its knots; built by the two functions below."""
+
+    def __init__(self, spacing: int, recursion: Recursion, inside: Stream, ends: Stream, scale: Triple) -> None:
         self.spacing = spacing
-        self._decay = decay
-        self._step = step
-        self._initial = initial
+        self._decay, self._step, self._initial = recursion
         self._inside = inside
         self._ends = ends
         self._scale = np.array(scale)
@@ -152,7 +157,7 @@ def _gauss_markov(time_constant_s: float, at: Place, effect: str, shared_by: str
     decay = spacing / rows_felt
     inside = at.stream(effect, f"inside {time_constant_s!r} s", shared_by=shared_by, chunk_rows=KNOTS)
     ends = at.stream(effect, f"ends {time_constant_s!r} s", shared_by=shared_by, chunk_rows=_ENDS)
-    return SlowProcess(spacing, decay, math.sqrt(-math.expm1(-2 * decay)), 1.0, inside, ends, scale)
+    return SlowProcess(spacing, Recursion(decay, math.sqrt(-math.expm1(-2 * decay)), 1.0), inside, ends, scale)
 
 
 def random_walk(at: Place, effect: str, scale: Triple = _UNIT) -> SlowProcess:
@@ -164,4 +169,4 @@ def _random_walk(at: Place, effect: str, scale: Triple) -> SlowProcess:
     spacing = min(max(1, math.floor(at.rows_per_s * _RANDOM_WALK_KNOT_S)), _WIDEST)
     inside = at.stream(effect, "inside", chunk_rows=KNOTS)
     ends = at.stream(effect, "ends", chunk_rows=_ENDS)
-    return SlowProcess(spacing, 0.0, math.sqrt(spacing / at.rows_per_s), 0.0, inside, ends, scale)
+    return SlowProcess(spacing, Recursion(0.0, math.sqrt(spacing / at.rows_per_s), 0.0), inside, ends, scale)

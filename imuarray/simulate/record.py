@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
+from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from typing import NamedTuple
@@ -42,24 +43,42 @@ class _Part(NamedTuple):
     silent_ns: Integers
 
 
+@dataclass(frozen=True)
+class Origin:
+    """What a simulated log says of itself: the wall time of time 0 (ISO 8601, UTC), and a note (which model, which
+    seed) that becomes an event at time 0.
+    """
+
+    epoch: str = EPOCH
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Division:
+    """The division of the work: rows of a block, and an executor that evaluates `workers` blocks at a time. Threads are
+    of use, since random numbers are drawn outside the interpreter's lock.
+    """
+
+    block_rows: int = CHUNK
+    executor: Executor | None = None
+    workers: int = 1
+
+
 def write_log(
     simulation: Simulation,
     path: str | PathLike[str],
     *,
-    epoch: str = EPOCH,
-    note: str = "",
-    block_rows: int = CHUNK,
-    executor: Executor | None = None,
-    workers: int = 1,
+    origin: Origin = Origin(),
+    division: Division = Division(),
     progress: Callable[[int], None] = lambda rows: None,
     force: bool = False,
 ) -> Written:
     """Write every row of `simulation` to a new log at `path`; OutputExistsError, LogError.
 
-    `note` (which model, which seed) becomes an event at time 0. `executor` (threads: the random numbers are drawn
-    outside the interpreter's lock) works `workers` blocks out at a time; the result does not depend on it, nor on
-    `block_rows`. `progress` hears how many rows of `total_rows` are written.
+    The result does not depend on the `division` of the work. `progress` is called with the number of rows, of
+    `total_rows`, that are written.
     """
+    block_rows = division.block_rows
     headers = [sensor.header for sensor in simulation.sensors.values()]
     written, lost = dict.fromkeys(simulation.sensors, 0), dict.fromkeys(simulation.sensors, 0)
     plan, frames = simulation.plan, simulation.plan.frames
@@ -68,20 +87,20 @@ def write_log(
         path,
         headers,
         source="simulated",
-        epoch=epoch,
+        epoch=origin.epoch,
         config=plan.config,
         frame_rate_hz=plan.frame_rate_hz,
         force=force,
     ) as log:
-        if note:
-            log.event(Event(0, "", "simulated", note))
+        if origin.note:
+            log.event(Event(0, "", "simulated", origin.note))
         for phase in phases_within(simulation.motion.phases, round(seconds * 1e9)):
             log.phase(phase)
         for start in range(0, frames.rows, block_rows):
             log.stimulus("truth", simulation.truth(start, min(start + block_rows, frames.rows)))
         done = 0
         silences: list[tuple[int, str]] = []
-        for part in _in_order(_stretches(simulation, block_rows), executor, workers):
+        for part in _in_order(_stretches(simulation, block_rows), division.executor, division.workers):
             log.append(part.sensor, part.block)
             silences += [(at_ns, part.sensor) for at_ns in part.silent_ns.tolist()]
             written[part.sensor] += len(part.block.time)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -54,6 +54,18 @@ class Chunk(NamedTuple):
     status: npt.NDArray[np.uint16]
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What all triads of a simulation share: the motion, the random streams, the function that gives a neighbour's
+    codes by its name and rows, and the type of the numbers.
+    """
+
+    motion: Motion
+    streams: Streams
+    neighbour: Callable[[str, int, int], Codes]
+    dtype: npt.DTypeLike
+
+
 class SimulatedSensor:
     """A triad: `block(start, stop)` gives rows as a log holds them."""
 
@@ -62,10 +74,7 @@ class SimulatedSensor:
         header: SensorHeader,
         timeline: Timeline,
         effects: Sequence[Effect],
-        motion: Motion,
-        streams: Streams,
-        neighbour: Callable[[str, int, int], Codes],
-        dtype: npt.DTypeLike,
+        surroundings: Surroundings,
         lies: Matrix | None = None,
     ) -> None:
         """`lies` is its true orientation, if that isn't the one of its header."""
@@ -73,10 +82,19 @@ class SimulatedSensor:
         self.timeline = timeline
         self.effects = tuple(effects)
         self.rows = timeline.rows
+        motion, streams = surroundings.motion, surroundings.streams
         self._motion = motion
         waits = timeline.waits if isinstance(timeline, DelayedTimes) else None
         self._place = Place(
-            header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, timeline.stamps, dtype, waits
+            header,
+            timeline.rows_per_s,
+            motion,
+            streams,
+            surroundings.neighbour,
+            self._reaching,
+            timeline.stamps,
+            surroundings.dtype,
+            waits,
         )
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)

@@ -33,18 +33,15 @@ def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> Run:
     return Run(path, plan_like(log, only), LikeLog(log), boot)
 
 
-def runs_of(
-    array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int, runs: int
+def turn_on_series(
+    array: ArrayConfig, path: Path, wanted: ExperimentOptions, rate_hz: float, boots: Sequence[int]
 ) -> list[Run]:
-    """The logs of one of `EXPERIMENTS`; `runs` of a turn-on series, SIM_01.h5, SIM_02.h5, ... beside `path`."""
-    if experiment != "turn-on":
-        return [_run(array, path, EXPERIMENTS[experiment](wanted), rate_hz, wanted.seconds, boot)]
-    digits = max(2, len(str(runs)))
+    """The logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder of `path`."""
+    digits = max(2, len(str(len(boots))))
     listed = []
-    for k in range(1, runs + 1):
+    for k, boot in enumerate(boots, 1):
         numbered = path.with_name(f"{path.stem}_{k:0{digits}}{path.suffix}")
-        motion = EXPERIMENTS[experiment](replace(wanted, run=k))
-        listed.append(_run(array, numbered, motion, rate_hz, wanted.seconds, boot + k - 1))
+        listed.append(run_of(array, numbered, "turn-on", replace(wanted, run=k), rate_hz=rate_hz, boot=boot))
     return listed
 
 
@@ -52,7 +49,8 @@ def run_of(
     array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int
 ) -> Run:
     """One log of one of `EXPERIMENTS`; of a turn-on series the run `wanted.run`."""
-    return _run(array, path, EXPERIMENTS[experiment](wanted), rate_hz, wanted.seconds, boot)
+    motion = EXPERIMENTS[experiment](wanted)
+    return Run(path, plan_of(array, rate_hz, wanted.seconds or motion.seconds), motion, boot)
 
 
 def with_effects(
@@ -78,7 +76,3 @@ def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -
         yield f"model {model.name}: its sensors {', '.join(idle)} are not in this array"
     if log is not None and log.truth is None and log.reference is None:
         yield f"{log.path} does not say how the box moved: it lies still on the faces of its phases"
-
-
-def _run(array: ArrayConfig, path: Path, motion: Motion, rate_hz: float, seconds: float | None, boot: int) -> Run:
-    return Run(path, plan_of(array, rate_hz, seconds or motion.seconds), motion, boot)

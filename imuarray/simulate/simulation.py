@@ -24,7 +24,7 @@ from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.size_effect import SizeEffect, with_position
 from imuarray.simulate.model import Model
-from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
+from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor, Surroundings
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
 from imuarray.simulate.timeline import LogTimes, PollTimes, Timeline, poll
@@ -107,9 +107,8 @@ class Simulation:
             else:
                 chain = in_physical_order(effects.get(name, ()))
                 lies = place_of(header, chain, plan).orientation
-                self.sensors[name] = SimulatedSensor(
-                    header, timeline, chain, motion, self.streams, self._codes_of, dtype, lies
-                )
+                surroundings = Surroundings(motion, self.streams, self._codes_of, dtype)
+                self.sensors[name] = SimulatedSensor(header, timeline, chain, surroundings, lies)
 
     @classmethod
     def of_array(
@@ -119,17 +118,12 @@ class Simulation:
         model: Model,
         *,
         frame_rate_hz: float,
-        seconds: float,
         seed: int = 0,
         boot: int = 0,
-        population: bool = False,
-        without: Collection[str] = (),
-        dtype: npt.DTypeLike = np.float64,
     ) -> Simulation:
-        """An array polled for `seconds`, its units as `model` has them (or, with `population`, drawn anew)."""
-        plan = plan_of(array, frame_rate_hz, seconds)
-        effects = effects_of(plan, model, seed, population=population, without=without)
-        return cls(plan, motion, effects, seed=seed, boot=boot, dtype=dtype)
+        """Return the simulation of an array that is polled during the whole motion, its units as `model` has them."""
+        plan = plan_of(array, frame_rate_hz, motion.seconds)
+        return cls(plan, motion, effects_of(plan, model, seed), seed=seed, boot=boot)
 
     def truth(self, start: int, stop: int) -> Stimulus:
         """Rows of `/truth`: what the box feels when frames start ... stop - 1 begin."""

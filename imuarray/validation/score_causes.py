@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.validation.rates import Estimate, auroc, bootstrap, limit_of, permute_labels, rate
 from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, ActiveMechanism, Answer, meets
 from imuarray.validation.score_detection import Hidden, shown_singles
-from imuarray.validation.score_rows import NO_BAR, Bar, Row, make_row, on_plan, rate_row, severity_name
+from imuarray.validation.score_rows import NO_BAR, Bar, Breakdown, Row, make_row, on_plan, rate_row, severity_name
 
 FIRST: Bar = (0.90, None)
 FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
@@ -50,12 +50,12 @@ def cause_rows(
     def is_right(answer: Answer) -> bool:
         return is_place_right(answer, set(answer.case.chips) or placed)
 
-    yield rate_row("right sensor and axis", right, is_right, PLACE, about, full)
+    yield rate_row("right sensor and axis", right, is_right, PLACE, about, Breakdown(full))
     yield from _unknown_rows(answers, singles, full, seed)
     yield from _pair_rows([answer for answer in answers if answer.case.kind == "pair"], full)
     removals = [answer for answer in answers if answer.case.kind == "removal"]
     about = "the model has an effect that the sensors have not: a likely cause takes it out or replaces it"
-    yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, full)
+    yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, Breakdown(full))
     yield _control(on_plan(singles, full), seed)
 
 
@@ -139,22 +139,22 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
 
 def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
     about = "single mechanisms that were detected: the most probable cause has a right name"
-    yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, full)
+    yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, Breakdown(full))
     large = [answer for answer in singles if answer.limits >= LARGE]
-    yield rate_row("right cause first, 5x and above", large, Answer.is_first_right, FIRST_LARGE, about, full)
+    yield rate_row("right cause first, 5x and above", large, Answer.is_first_right, FIRST_LARGE, about, Breakdown(full))
     about = "as above, or one of those that it is said to be confusable with"
-    yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, full)
+    yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, Breakdown(full))
 
 
 def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
     strangers = [answer for answer in answers if answer.case.kind in ("unnamed", "withheld") and answer.is_detected]
     groups = ("kind", "severity", "mechanism")
     about = "detected mechanisms that no name of the library fits: the verdict"
-    yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, full, groups)
+    yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, Breakdown(full, groups))
     known = [answer for answer in singles if isclose(answer.limits, LARGE)]
     about = f"detected single mechanisms at {severity_name(LARGE)} that the library names: the verdict"
-    yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, full)
-    yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, full)
+    yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, Breakdown(full))
+    yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, Breakdown(full))
     yield from _unknown_scores(on_plan(strangers, full), known, singles, full, seed)
 
 
@@ -184,7 +184,7 @@ def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[Row]:
     for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
         own = [answer for answer in pairs if _are_apart(answer.active) == is_apart]
         about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
-        yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, full)
+        yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, Breakdown(full))
 
 
 def _control(singles: Sequence[Answer], seed: int) -> Row:

@@ -21,7 +21,17 @@ from imuarray.validation.rates import (
 )
 from imuarray.validation.score_answers import Answer, number, probability
 from imuarray.validation.score_causes import is_removed
-from imuarray.validation.score_rows import EVERY, NO_BAR, Bar, Row, group_answers, make_row, on_plan, rate_row
+from imuarray.validation.score_rows import (
+    EVERY,
+    NO_BAR,
+    Bar,
+    Breakdown,
+    Row,
+    group_answers,
+    make_row,
+    on_plan,
+    rate_row,
+)
 
 WITHIN = 0.05
 NEAR: Bar = (0.90, None)
@@ -51,15 +61,17 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     solvable = [answer for answer in answers if _has_oracle(answer)]
     groups = ("kind", "severity", "mechanism")
     about = f"detected, with an oracle: the share said to be closed is within {WITHIN} of the oracle's"
-    yield rate_row("closure near the oracle's", solvable, is_near, NEAR, about, full, groups)
+    yield rate_row("closure near the oracle's", solvable, is_near, NEAR, about, Breakdown(full, groups))
     about = "as above: the oracle's share lies in the 95 % interval"
-    yield rate_row("closure's interval covers the oracle's", solvable, is_covered, COVERED, about, full, groups)
+    yield rate_row(
+        "closure's interval covers the oracle's", solvable, is_covered, COVERED, about, Breakdown(full, groups)
+    )
     own = [answer for answer in on_plan(answers, full) if answer.is_detected]
     yield _wrong(own, seed)
     yield _without(own, seed)
     controls = [answer for answer in answers if answer.case.kind == "none"]
     about = "nothing is wrong: nothing is said to be closed, or the interval has 0 in it"
-    yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, full, ())
+    yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, Breakdown(full, ()))
 
 
 def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:

@@ -12,6 +12,7 @@ from imuarray.validation.score_rows import (
     EVERY,
     NO_BAR,
     Bar,
+    Breakdown,
     Row,
     cells_of,
     group_answers,
@@ -52,7 +53,9 @@ def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iter
     for limits, bar in DETECTION.items():
         own = [answer for answer in shown if isclose(answer.limits, limits)]
         about = "single mechanisms: a gap is told; those that a plan can't show are judged below"
-        yield rate_row(f"detection at {severity_name(limits)}", own, _is_detected, bar, about, full, ("mechanism",))
+        yield rate_row(
+            f"detection at {severity_name(limits)}", own, _is_detected, bar, about, Breakdown(full, ("mechanism",))
+        )
     yield _undetermined_row([answer for answer in answers if is_hidden(answer, hidden)])
 
 

@@ -83,22 +83,30 @@ def make_row(name: str, estimate: Estimate, bar: Bar, about: str, cells: Iterabl
     return Row(name, *estimate, bar, about, tuple(cells), group)
 
 
+@dataclass(frozen=True)
+class Breakdown:
+    """The plan on which bars are judged ("": every plan), and the groups of the cells that have the row's bar."""
+
+    full: str = FULL
+    groups: Sequence[str] = ("severity", "mechanism")
+
+
 def rate_row(
     name: str,
     answers: Sequence[Answer],
     is_hit: Callable[[Answer], bool],
     bar: Bar,
     about: str,
-    full: str = FULL,
-    groups: Sequence[str] = ("severity", "mechanism"),
+    breakdown: Breakdown,
 ) -> Row:
     """Return the share of hits on the full plan with cells by plan; if bars are judged on every plan, with cells by
-    experiment and by chip. The cells by `groups` cover the counted cases and have the same bar.
+    experiment and by chip. The cells by the breakdown's groups cover the counted cases and have the same bar.
     """
+    full = breakdown.full
     counted = on_plan(answers, full)
     parts = ("plan",) if full else ("experiment", "chip")
     cells = [cell for group in parts for cell in cells_of(group, answers, is_hit, NO_BAR)]
-    for group in groups:
+    for group in breakdown.groups:
         cells += cells_of(group, counted, is_hit, bar)
     return make_row(name, _rate(counted, is_hit), bar, about, cells)
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import h5py
 
-from imuarray.gap.diagnose import GapCase, compare, explain, library
+from imuarray.gap.diagnose import GapCase, Reference, compare, explain, library
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.model.populations import usual_model
 from imuarray.gap.model.workers import runner
@@ -60,7 +60,7 @@ def diagnose_case(case: Case, folder: Path) -> None:
         opened = [stack.enter_context(open_log(path)) for path in logs]
         recordings = recordings_of(opened)
         model = model_with(case.extra, headers_of(recordings)) if case.extra else None
-        compared = compare(recordings, runner, model=model, replicates=REPLICATES)
+        compared = compare(recordings, runner, Reference(model), replicates=REPLICATES)
         diagnosis = explain(compared, library(case.without), briefly=True).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
     kept = {key: diagnosis[key] for key in _KEPT}

@@ -23,6 +23,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.chips import CHIPS
 from imuarray.fuse import FaultEvent, FusedBlock, Watch, fuse, live
+from imuarray.fuse.fuse import Patience
 from imuarray.log import open_log
 from imuarray.log.format import SUSPECT
 from imuarray.log.sensor_log import recorded_header
@@ -314,7 +315,7 @@ def test_live_is_what_fusing_the_log_gives(tmp_path: Path) -> None:
     found: list[FaultEvent] = []
     with open_log(path) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
-        stream = live(headers, calibration, "optimal", watch=Watch(True, RANGES, found.append), timeout_s=10.0)
+        stream = live(headers, calibration, "optimal", watch=Watch(True, RANGES, found.append), patience=Patience(10.0))
         one = list(pushed(stream, read(log), 7, 1.5))
     other, events = fused(path, calibration, CAUSAL)
     same(one, other)

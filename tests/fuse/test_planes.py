@@ -106,7 +106,7 @@ rms_g = [{IN_PLANE_LSB / 256}, {IN_PLANE_LSB / 256}, {OUT_OF_PLANE_LSB / 256}]
 def test_simulated_perpendicular_boards_do_the_same(tmp_path: Path) -> None:
     """The paper's proposal of section 2.2, through the simulator's codes and a log; same error rate."""
     simulation = Simulation.of_array(
-        parse_array(ARRAY), Still(seconds=100.0), parse_model(MODEL), frame_rate_hz=200.0, seconds=100.0, seed=2
+        parse_array(ARRAY), Still(seconds=100.0), parse_model(MODEL), frame_rate_hz=200.0, seed=2
     )
     write_log(simulation, tmp_path / "run.h5")
     noise = np.array([IN_PLANE_LSB, IN_PLANE_LSB, OUT_OF_PLANE_LSB])

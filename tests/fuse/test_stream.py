@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from imuarray.errors import FusionError
 from imuarray.fuse import TECHNIQUES, Axis, Frames, FusedBlock, FusionStream, Pipeline, QuantityPipeline, fuse, live
 from imuarray.fuse.alignment import Rows, cut
+from imuarray.fuse.fuse import Patience
 from imuarray.log import Block, Log, open_log
 from imuarray.log.sensor_log import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined
@@ -78,7 +79,7 @@ def test_however_rows_are_cut_the_result_is_that_of_the_log(
 ) -> None:
     with open_log(run) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
-        stream = live(headers, calibration(parts()), technique, timeout_s=10.0)
+        stream = live(headers, calibration(parts()), technique, patience=Patience(10.0))
         same(list(pushed(stream, read(log), seed, most_s)), list(fuse(log, calibration(parts()), technique)))
 
 
@@ -86,7 +87,7 @@ def test_however_rows_are_cut_the_result_is_that_of_the_log(
 def test_temperatures_are_those_that_were_known(warm: Path, seed: int) -> None:
     with open_log(warm) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
-        stream = live(headers, with_slopes(), "mean", timeout_s=1000.0)
+        stream = live(headers, with_slopes(), "mean", patience=Patience(1000.0))
         one = list(pushed(stream, read(log), seed, 300.0))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True)))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True, block=777)))
@@ -98,7 +99,7 @@ def test_temperatures_are_those_that_were_known(warm: Path, seed: int) -> None:
 def started(log: Log, timeout_s: float = 10.0, tell: Callable[[str], None] = lambda text: None) -> FusionStream:
     """The mean, of what the log's sensors will say."""
     headers = [recorded_header(sensor) for sensor in log.sensors.values()]
-    return live(headers, calibration(parts()), "mean", timeout_s=timeout_s, tell=tell)
+    return live(headers, calibration(parts()), "mean", patience=Patience(timeout_s, tell))
 
 
 def test_frames_come_while_rows_do(run: Path) -> None:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.fuse import FusedBlock, live
+from imuarray.fuse.fuse import Patience
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from tests.fuse.conftest import G, Part, calibration, pointing
@@ -99,7 +100,7 @@ def test_at_rest_every_frame_is_the_mean_of_who_read_something(
     times[frames // 2 :] += round(pause_s * 1e9)
     parts = [Part(f"A{i}", AXES[i], range=2.0, sensitivity=SENSITIVITY, sigma=0.01) for i in range(len(courses))]
     rows = [rows_of(course, part, times, rng) for course, part in zip(courses, parts, strict=True)]
-    stream = live([part.header for part in parts], calibration(parts), "mean", timeout_s=1e9)
+    stream = live([part.header for part in parts], calibration(parts), "mean", patience=Patience(1e9))
     blocks = list(pushed(stream, {part.name: block for part, block in zip(parts, rows, strict=True)}, seed, most_s))
     fused = FusedBlock.joined(blocks)
     assert (np.diff(fused.time) > 0).all()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import ConfigError
-from imuarray.gap.diagnose import compare, explain, library
+from imuarray.gap.diagnose import Reference, compare, explain, library
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.inference.comparison import prepared
 from imuarray.gap.inference.effects import CANDIDATES
@@ -62,7 +62,7 @@ def diagnosed(
 ) -> Diagnosis:
     """The whole diagnosis, in this process."""
     progress = more.pop("progress", lambda stage: None)
-    case = compare(recordings, Run, model=model, seed=1, replicates=REPLICATES, progress=progress, **more)
+    case = compare(recordings, Run, Reference(model), seed=1, replicates=REPLICATES, progress=progress, **more)
     found = explain(case, library(without), progress)
     check_agreement(json.loads(json.dumps(found.as_json())))
     return found

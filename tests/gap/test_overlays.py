@@ -73,7 +73,7 @@ def drawn_tone(tone: tuple[Bench, Campaign]) -> tuple[tuple[Overlay, ...], Run]:
     after = {**before, "G1": replace(before["G1"], fitted=quiet, added=(TONE,))}
     run = Run(bench)
     found = [where(), where(), where(domain="level"), where(domain="codes", axis=""), where(domain="timing")]
-    return overlays_of(bench, campaign, found, before, after, run), run
+    return overlays_of(bench, campaign, found, (before, after), run), run
 
 
 def test_a_line_is_outside_before_and_inside_after(drawn_tone: tuple[tuple[Overlay, ...], Run]) -> None:
@@ -130,13 +130,13 @@ def test_each_once_and_few_of_one_sensor(tone: tuple[Bench, Campaign]) -> None:
         (kind, sensor, 0) for sensor in ("G1", "A1") for kind in ("spectrum", "codes", "allan")
     ]
     assert len(curves_of(bench, campaign, found, 4)) == 4
-    assert overlays_of(bench, campaign, [where(domain="timing")], {}, {}, Run(bench)) == ()
+    assert overlays_of(bench, campaign, [where(domain="timing")], ({}, {}), Run(bench)) == ()
 
 
 def test_models_that_are_alike_are_simulated_once(tone: tuple[Bench, Campaign]) -> None:
     bench, campaign = tone
     run = Run(bench)
-    (found,) = overlays_of(bench, campaign, [where()], bench.models(), bench.models(), run)
+    (found,) = overlays_of(bench, campaign, [where()], (bench.models(), bench.models()), run)
     assert run.items == 2  # jobs, of 8 and 4 replicates
     np.testing.assert_array_equal(found.before, found.after)
 
@@ -159,7 +159,7 @@ def test_heat_shows_at_the_same_temperatures() -> None:
     before = bench.models()
     cold = replace(before["G1"].fitted, slope=(0.05, 0.05, 0.05))
     wrong = {**before, "G1": replace(before["G1"], fitted=cold)}
-    found = overlays_of(bench, campaign, [where(axis="z", domain="temperature")], wrong, before, Run(bench))
+    found = overlays_of(bench, campaign, [where(axis="z", domain="temperature")], (wrong, before), Run(bench))
     (heat,) = found
     assert heat.phase == "room, heat, cool (second halves)"
     assert (np.diff(heat.x) > 0).all()

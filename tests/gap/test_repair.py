@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
-from imuarray.gap.diagnose import compare, explain
+from imuarray.gap.diagnose import Reference, compare, explain
 from imuarray.gap.findings.repair import repaired
 from imuarray.gap.inference.forward_selection import Run
 from imuarray.gap.model.base_model import Base
@@ -188,7 +188,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
     models = {**bench.models(), "G1": SensorModel(FITTED, (TONE,))}
     model = again(repaired(bench, models, None, "fixed"))
     motion = Still(seconds=20)
-    made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seconds=motion.seconds, seed=3)
+    made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seed=3)
     (phase,) = phases_of(motion)
     for name, is_there in (("G1", True), ("G2", False)):
         spectrum = summarise_phase(simulated_sources(made), phase, 0, temperature_of(motion)).sensors[name].spectrum
@@ -222,6 +222,6 @@ def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
     quiet = replace(fitted, rms=(fitted.rms[0], fitted.rms[2], fitted.rms[2]))
     models = {**bench.models(), "G1": SensorModel(quiet, (TONE,))}
     model = again(repaired(bench, models, None, "fixed"))
-    second = explain(compare(recordings, runs, model=model, seed=1, replicates=40), {})
+    second = explain(compare(recordings, runs, Reference(model), seed=1, replicates=40), {})
     assert second.verdict == "no gap"
     assert second.model == "fixed"

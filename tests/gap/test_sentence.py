@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Where
+from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where
 from imuarray.gap.findings.sentence import meaning, sentence_of
+from imuarray.gap.findings.verdict import Judgement
 from imuarray.gap.model.use import Figure, Use
 from imuarray.simulate.effects import EFFECTS
 
 GAP = Gap(9.0, 1.5, 0.9, 0.97, (0.92, 0.99))
+
+
+def written(verdict: Verdict, gap: Gap, causes: Sequence[Cause], *rest: Any, **more: Any) -> str:
+    return sentence_of(Judgement(verdict, gap, tuple(causes), 0.0), *rest, **more)
 
 
 def where(**changes: Any) -> Where:
@@ -39,20 +45,20 @@ def use(sensor: str, real: float, before: float, after: float) -> Use:
 
 
 def test_no_gap() -> None:
-    said = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
+    said = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
     assert said == "The recordings agree with the simulator: no statistic is beyond chance."
 
 
 def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
     pulls = [Pull("scale", "A1", axis, 1.02, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))]
     said = "A1 y: scale is 1.4 tolerances off: this part is out of specification."
-    same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
+    same = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
     assert same == f"The recordings agree with the simulator: no statistic is beyond chance. {said}"
-    assert sentence_of("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
+    assert written("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
 
 
 def test_one_cause() -> None:
-    said = sentence_of("explained", GAP, [cause()], [where()], [], [])
+    said = written("explained", GAP, [cause()], [where()], [], [])
     assert said == (
         "The recordings differ from the simulator, most in run to run of G1 y. G1 (y): tone (a sine in the signal:"
         " frequency 17 Hz), probability 0.90. With it 97 % (92 to 99) of the gap is closed on held-out data."
@@ -60,9 +66,9 @@ def test_one_cause() -> None:
 
 
 def test_what_both_parts_were_needed_for_is_not_closed_on_held_out_data() -> None:
-    said = sentence_of("explained", GAP, [cause(needs_both=True)], [where()], [], [])
+    said = written("explained", GAP, [cause(needs_both=True)], [where()], [], [])
     assert "of the gap is closed on the data that showed it." in said
-    mixed = sentence_of("explained", GAP, [cause(needs_both=True), cause("bias")], [where()], [], [])
+    mixed = written("explained", GAP, [cause(needs_both=True), cause("bias")], [where()], [], [])
     assert "of the gap is closed on held-out data." in mixed
 
 
@@ -73,7 +79,7 @@ def test_several_causes_and_what_else_it_could_be() -> None:
         cause("quantisation", 0.55, action="replace", parameters={}),
         cause("bias", 0.3),
     ]
-    said = sentence_of("explained", GAP, causes, [where(axis="")], [], [])
+    said = written("explained", GAP, causes, [where(axis="")], [], [])
     assert "most in run to run of G1." in said
     assert "probability 0.90; glitches or jitter would explain it equally well." in said
     assert "G1: without scale, probability 0.60." in said
@@ -84,14 +90,14 @@ def test_several_causes_and_what_else_it_could_be() -> None:
 
 def test_no_more_than_four_causes_are_named() -> None:
     causes = [cause(sensors=(f"G{number}",)) for number in range(6)]
-    said = sentence_of("explained", GAP, causes, [where()], [], [])
+    said = written("explained", GAP, causes, [where()], [], [])
     assert "G3 (y): tone" in said
     assert "G4 (y): tone" not in said
 
 
 def test_what_is_not_explained() -> None:
     left = [where(sensor="G2", axis="z", phase="static"), where()]
-    said = sentence_of("partly explained", GAP, [cause()], [where()], left, [])
+    said = written("partly explained", GAP, [cause()], [where()], left, [])
     assert said.endswith("Not explained: mean of the run, G2 z in static.")
 
 
@@ -102,34 +108,34 @@ def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
         where(sensor="G2", axis="z"),
         where(domain="spread", phase=""),
     ]
-    said = sentence_of("unexplained", GAP, [], [where()], left, [])
+    said = written("unexplained", GAP, [], [where()], left, [])
     assert said == (
         "The recordings differ from the simulator, most in run to run of G1 y. Unexplained: something outside the"
         " library. It shows in run to run of G2 z (mean of the run: +9 standard deviations in static of a.h5); spread"
         " of G1 y (mean of the run: +9 standard deviations in a.h5)."
     )
-    nearest = sentence_of("unexplained", GAP, [cause(probability=0.4)], [where()], left, [])
+    nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left, [])
     assert "No known effect makes these recordings likely; the nearest is G1 (y): tone (a sine" in nearest
     assert "probability 0.40" in nearest
 
 
 def test_a_comparison_with_an_earlier_recording_says_with_which() -> None:
-    differs = sentence_of("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
+    differs = written("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
     assert differs.startswith("The recordings differ from before.h5, most in run to run of G1 y.")
-    same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
+    same = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
     assert same == "The recordings agree with before.h5: nothing has changed beyond chance."
 
 
 def test_the_figure_of_use_that_changed_most() -> None:
     """Of the sensors concerned: by 60 % of what was recorded, not by 50 %."""
     uses = [use("G1", 1.0, 0.5, 0.9), use("G1", 2.0, 0.8, 1.7), use("G2", 1.0, 0.1, 0.9), use("G1", 0.0, 9.0, 1.0)]
-    said = sentence_of("explained", GAP, [cause()], [where()], [], uses)
+    said = written("explained", GAP, [cause()], [where()], [], uses)
     assert said.endswith("G1, heading error after coasting 5 s: recorded 2 deg, simulated 0.8 before and 1.7 after.")
-    assert "recorded" not in sentence_of("unexplained", GAP, [], [where()], [], uses)
+    assert "recorded" not in written("unexplained", GAP, [], [where()], [], uses)
 
 
 def test_where_none_is_likely_the_likeliest_is_named() -> None:
-    said = sentence_of("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
+    said = written("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
     assert "probability 0.40. With it 97 %" in said
     assert "glitches" not in said
 

@@ -41,7 +41,9 @@ def write(folder: Path, table: str | bytes, table_map: str, *, force: bool = Fal
     (folder / "map.toml").write_text(table_map, encoding="utf-8")
     (folder / "data.csv").write_bytes(table.encode() if isinstance(table, str) else table)
     out = folder / "out.h5"
-    return import_table(folder / "data.csv", folder / "map.toml", out, force=force, block_rows=block_rows)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imuarray.importers.table.ROWS", block_rows)
+        return import_table(folder / "data.csv", folder / "map.toml", out, force=force)
 
 
 def counts_and_times(folder: Path, name: str = "A") -> tuple[list[list[int]], list[int]]:
@@ -334,13 +336,14 @@ def test_every_count_and_time_survives(rows: list[tuple[int, int, int, int]], de
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_the_table(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def peak(rows: int) -> int:
         table = "".join(f"{row},1,2,3\n" for row in range(rows)).encode()
         (tmp_path / "map.toml").write_text(NUMBERED)
         (tmp_path / "data.csv").write_bytes(table)
         tracemalloc.start()
-        import_table(tmp_path / "data.csv", tmp_path / "map.toml", tmp_path / "out.h5", force=True, block_rows=500)
+        monkeypatch.setattr("imuarray.importers.table.ROWS", 500)
+        import_table(tmp_path / "data.csv", tmp_path / "map.toml", tmp_path / "out.h5", force=True)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         return most

@@ -18,6 +18,7 @@ from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_like, plan_of, total_rows, write_log
 from imuarray.simulate.motion import Still, Tumble
 from imuarray.simulate.motion.like import LikeLog
+from imuarray.simulate.record import Division, Origin
 from tests.selection import some
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -68,7 +69,7 @@ def shape(path: Path) -> dict[str, Any]:
 def test_its_shape_is_that_of_a_recorded_log(array: ArrayConfig, tmp_path: Path) -> None:
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "recorded.h5", rate_hz=48.0, seconds=5.0, phase="static", up="+Z")
-    write_log(simulation(array, 5.0), tmp_path / "simulated.h5", note="x")
+    write_log(simulation(array, 5.0), tmp_path / "simulated.h5", origin=Origin(note="x"))
     ours, theirs = shape(tmp_path / "simulated.h5"), shape(tmp_path / "recorded.h5")
     machine = {name for name in theirs if name.startswith("clocks")}  # a simulated log has no machine with clocks
     assert ours.keys() == theirs.keys() - machine
@@ -82,7 +83,7 @@ def test_neither_block_nor_workers_change_a_value(
 ) -> None:
     write_log(simulation(array), tmp_path / "one.h5")
     with ThreadPoolExecutor(workers) as threads:
-        write_log(simulation(array), tmp_path / "other.h5", block_rows=block_rows, executor=threads, workers=workers)
+        write_log(simulation(array), tmp_path / "other.h5", division=Division(block_rows, threads, workers))
     one, other = datasets(tmp_path / "one.h5"), datasets(tmp_path / "other.h5")
     assert one.keys() == other.keys()
     for name, values in one.items():
@@ -127,7 +128,7 @@ def test_a_log_like_another_has_its_times_and_faces(array: ArrayConfig, tmp_path
     write_log(simulation(array, 20.0, Tumble(face_s=2.0, turn_s=1.0)), tmp_path / "first.h5")
     with open_log(tmp_path / "first.h5") as log:
         again = Simulation(plan_like(log), LikeLog(log), {})
-        write_log(again, tmp_path / "again.h5", epoch=log.epoch)
+        write_log(again, tmp_path / "again.h5", origin=Origin(log.epoch))
         with open_log(tmp_path / "again.h5") as copy:
             assert copy.phases == log.phases
             for name, sensor in log.sensors.items():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.characterise.plots.frame import (
+    Captions,
     Curve,
     Kind,
     Table,
@@ -35,15 +36,8 @@ def allan_figure(result: Table) -> Figure:
     Colour is the sensor, dashes are the axis, the light band is the 95 % interval; more sensors than the palette has
     colours get thin lines without bands. MissingExtraError if there is no matplotlib.
     """
-    return panel_figure(
-        result,
-        "Allan deviation",
-        _READING,
-        _is_shown,
-        _draw,
-        4.2,
-        "no sensor has an unbroken run long enough for an Allan deviation",
-    )
+    captions = Captions("Allan deviation", _READING, "no sensor has an unbroken run long enough for an Allan deviation")
+    return panel_figure(result, captions, _is_shown, _draw, 4.2)
 
 
 def _is_shown(axis: Table) -> bool:

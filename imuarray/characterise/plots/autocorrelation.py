@@ -10,6 +10,7 @@ import numpy as np
 
 from imuarray.characterise.plots.frame import (
     FALSE_ALARM,
+    Captions,
     Curve,
     Kind,
     Table,
@@ -42,15 +43,8 @@ def autocorrelation_figure(result: Table) -> Figure:
     matplotlib.
     """
     level = FALSE_ALARM / axes_of(result)
-    return panel_figure(
-        result,
-        "Autocorrelation",
-        _READING,
-        _is_shown,
-        partial(_draw, level=level),
-        3.2,
-        "no sensor has an unbroken run long enough for an autocorrelation",
-    )
+    captions = Captions("Autocorrelation", _READING, "no sensor has an unbroken run long enough for an autocorrelation")
+    return panel_figure(result, captions, _is_shown, partial(_draw, level=level), 3.2)
 
 
 def _is_shown(axis: Table) -> bool:

@@ -96,21 +96,28 @@ def scale_of(axis: Table, unit: str) -> float:
     return 1.0 if unit == "counts" else abs(float(axis["unit_per_count"]))
 
 
+@dataclass(frozen=True)
+class Captions:
+    """The texts of a figure: its title, how to read the panels, and what is missing if there are none."""
+
+    title: str
+    reading: str
+    otherwise: str
+
+
 def panel_figure(
     result: Table,
-    title: str,
-    reading: str,
+    captions: Captions,
     shown: Callable[[Table], bool],
     draw: Callable[[Axes, Kind], None],
     height: float,
-    otherwise: str,
 ) -> Figure:
-    """A panel of `height` inches for every kind; `reading` tells below how to read them, or `otherwise` what lacks."""
-    figure = new_figure(result, title)
+    """Draw a panel of `height` inches for every kind of sensor that has something to be `shown`."""
+    figure = new_figure(result, captions.title)
     drawn = kinds(result, shown)
     set_height(figure, height, len(drawn))
     if not drawn:
-        figure.text(0.5, 0.4, otherwise, ha="center")
+        figure.text(0.5, 0.4, captions.otherwise, ha="center")
         return figure
     panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
     for panel, kind in zip(panels, drawn, strict=True):
@@ -121,7 +128,7 @@ def panel_figure(
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
     figure.align_ylabels(panels)
-    how_to_read(figure, reading)
+    how_to_read(figure, captions.reading)
     return figure
 
 

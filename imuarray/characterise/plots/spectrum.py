@@ -12,7 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.characterise.plots.frame import Curve, Kind, Table, floats, legend, logarithmic, panel_figure, plain, plot
+from imuarray.characterise.plots.frame import (
+    Captions,
+    Curve,
+    Kind,
+    Table,
+    floats,
+    legend,
+    logarithmic,
+    panel_figure,
+    plain,
+    plot,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,15 +61,10 @@ def spectrum_figure(result: Table) -> Figure:
     Colour is the sensor, dashes are the axis, the light band is the 95 % interval; more sensors than the palette has
     colours get thin lines without bands. MissingExtraError if there is no matplotlib.
     """
-    return panel_figure(
-        result,
-        "Amplitude spectral density",
-        _READING,
-        _is_shown,
-        _draw,
-        4.2,
-        "no sensor has an unbroken run long enough for a spectrum",
+    captions = Captions(
+        "Amplitude spectral density", _READING, "no sensor has an unbroken run long enough for a spectrum"
     )
+    return panel_figure(result, captions, _is_shown, _draw, 4.2)
 
 
 class Bands(NamedTuple):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,9 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
             if name in present:
                 continue
             if (trial is round_.taken or chance > ALTERNATIVE) and not _undoes(trial, round_.before):
-                cause = _cause(bench, unit, first, round_.before, trial, chance, tuple(sorted(likely - {name})), seed)
+                cause = _cause(
+                    bench, first, round_.before, trial, Support(chance, tuple(sorted(likely - {name}))), seed
+                )
                 if cause.closed is None or cause.closed > LEAST:
                     yield replace(cause, all_closed=all_closed)
 
@@ -143,22 +145,20 @@ def _undoes(trial: Evaluation, before: UnitState) -> bool:
     return not trial.trial.effects and trial.trial.removed in added
 
 
-def _cause(
-    bench: Bench,
-    unit: Unit,
-    first: UnitState,
-    before: UnitState,
-    taken: Evaluation,
-    share: float,
-    confusable: tuple[str, ...],
-    seed: int,
-) -> Cause:
+class Support(NamedTuple):
+    """How much the data support a cause: its probability, and the effects with which it can be confused."""
+
+    probability: float
+    confusable: tuple[str, ...]
+
+
+def _cause(bench: Bench, first: UnitState, before: UnitState, taken: Evaluation, support: Support, seed: int) -> Cause:
     counted = _deviating(bench, first, before, taken.trial.needs_both)
     with_it = _deviating(bench, first, taken.standing, taken.trial.needs_both)
     closure = replace(counted, before=counted.after, after=with_it.after).closure(seed)
     effect = taken.trial.effects[0] if taken.trial.effects else None
     own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
-    sensors = (own, *others) if own else taken.trial.members or unit
+    sensors = (own, *others) if own else taken.trial.members or first.unit
     effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
     models = taken.standing.models
     whole = {name: _with_fitted(acting, models.get(name)) if acting else None for name, acting in effects.items()}
@@ -168,16 +168,16 @@ def _cause(
         taken.trial.action,
         sensors,
         _axes(effect),
-        share,
+        support.probability,
         each[sensors[0]],
         closure.closed,
         closure.interval,
-        confusable,
+        support.confusable,
         _origin(taken.trial),
         taken.gain,
         each,
         taken.trial.needs_both,
-        share,
+        support.probability,
         preceding=_changes(before),
     )
 

@@ -29,6 +29,9 @@ Kind = Literal["spectrum", "allan", "temperature", "codes"]
 REPLICATES = 12
 """Replicates of each model; their 95 % band reaches nearly from the lowest to the highest."""
 
+MOST = 12
+"""Curves of a diagnosis at most."""
+
 OF_SENSOR = 3
 """Most curves of one sensor."""
 
@@ -93,21 +96,19 @@ def overlays_of(
     bench: Bench,
     campaign: Campaign,
     where: Sequence[Where],
-    models_before: Models,
-    models_after: Models,
+    models: tuple[Models, Models],
     run: Run,
-    most: int = 12,
     names: Sequence[str] = (),
 ) -> tuple[Overlay, ...]:
-    """Curves that show the statistics `where` (worst first), of the recorded `campaign` and of 12 replicates of either
-    model: each once, at most `most`, at most `OF_SENSOR` of one sensor. `names` are the logs' (as in `where`); without
-    them, a phase is known by its own name.
+    """Curves that show the statistics `where` (worst first), of the recorded `campaign` and of 12 replicates of the
+    `models` before and after the repair: each once, at most `MOST`, at most `OF_SENSOR` of one sensor. `names` are the
+    logs' (as in `where`); without them, a phase is known by its own name.
     """
-    curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, where, most, names))
+    curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, where, MOST, names))
     if not curves:
         return ()
     sensors = {curve.sensor for curve, _ in curves}
-    sides = [{name: models[name] for name in sorted(sensors)} for models in (models_before, models_after)]
+    sides = [{name: of_sensor[name] for name in sorted(sensors)} for of_sensor in models]
     without_duplicates = sides if sides[0] != sides[1] else sides[:1]
     numbers = range(_FIRST, _FIRST + REPLICATES)
     groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]

@@ -6,17 +6,15 @@ import sys
 from collections.abc import Sequence
 from inspect import cleandoc
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where, needs_both_parts
+from imuarray.gap.findings.diagnosis import Cause, Pull, Where, needs_both_parts
 from imuarray.gap.findings.text import closed_text, parameters_text, places_text, specification_text
-from imuarray.gap.findings.verdict import EVEN
+from imuarray.gap.findings.verdict import EVEN, Judgement
 from imuarray.gap.model.use import Use
 from imuarray.simulate.effects import EFFECTS
 
 
 def sentence_of(
-    verdict: Verdict,
-    gap: Gap,
-    causes: Sequence[Cause],
+    judgement: Judgement,
     where: Sequence[Where],
     unexplained: Sequence[Where],
     uses: Sequence[Use],
@@ -26,6 +24,7 @@ def sentence_of(
     """States what differs, why, how far it is closed, and which parts are out of specification; `against` names the
     earlier recordings of a comparison.
     """
+    verdict, gap, causes, _ = judgement
     outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
     other = ", ".join(against) or "the simulator"
     if verdict == "no gap":

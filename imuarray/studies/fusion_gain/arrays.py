@@ -21,7 +21,7 @@ from imuarray.calibrate import Calibration, calibrate_noise, calibrate_thermal, 
 from imuarray.chips import CHIPS
 from imuarray.log import Log, open_log
 from imuarray.shipped import configs
-from imuarray.simulate import Motion, Simulation, load_model, write_log
+from imuarray.simulate import Motion, Simulation, effects_of, load_model, plan_of, write_log
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 
 ARRAY = "martin2013"
@@ -85,9 +85,8 @@ Steps = Callable[[Sequence[Log]], Calibration]
 def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: Collection[str]) -> Simulation:
     """The array with the units of the model `martin2013`, polled `RATE_HZ` times a second."""
     model = load_model(configs() / "models" / "martin2013.toml")
-    return Simulation.of_array(
-        array, motion, model, frame_rate_hz=RATE_HZ, seconds=motion.seconds, seed=seed, boot=boot, without=without
-    )
+    plan = plan_of(array, RATE_HZ, motion.seconds)
+    return Simulation(plan, motion, effects_of(plan, model, seed, without=without), seed=seed, boot=boot)
 
 
 @lru_cache(maxsize=4)

@@ -255,7 +255,7 @@ def _simulation(
 ) -> Iterator[tuple[str, Triad]]:
     """The sensors one after the other; what one keeps for its rows goes with it."""
     sensors = Simulation.of_array(
-        _array().only(names), motion, _model(), frame_rate_hz=rate_hz, seconds=motion.seconds, seed=seed, boot=boot
+        _array().only(names), motion, _model(), frame_rate_hz=rate_hz, seed=seed, boot=boot
     ).sensors
     for name in names:
         yield name, sensors.pop(name)
@@ -310,9 +310,7 @@ def _high_rate(seed: int, boot: int, range_name: str) -> HighRate:
     dps = 250.0 if range_name == "250dps" else 2000.0
     gyro = _array()["Gyro1"].model_copy(update={"range": dps, "rate_hz": 400.0, "bandwidth_hz": 110.0})
     array = _array().model_copy(update={"sensors": (gyro,)})
-    simulation = Simulation.of_array(
-        array, motion, _model(), frame_rate_hz=HIGH_RATE_HZ, seconds=seconds, seed=seed, boot=boot
-    )
+    simulation = Simulation.of_array(array, motion, _model(), frame_rate_hz=HIGH_RATE_HZ, seed=seed, boot=boot)
     sensor = simulation.sensors["Gyro1"]
     counts = np.concatenate([block.counts for block in blocks(sensor)])
     return HighRate(windows(sensor, [(0, 2**62)])[0], counts)
