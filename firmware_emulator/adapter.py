@@ -71,7 +71,7 @@ class Message(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What adapters differ in."""
+    """The differences between adapters."""
 
     mangling: bool = False
     """Says PROTOCOL_MANGLING, and ends a message with a STOP when I2C_M_STOP asks for it (LNX-08)."""
@@ -106,7 +106,7 @@ class Adapter:
         return FUNC_I2C | FUNC_SMBUS | (FUNC_PROTOCOL_MANGLING if self.kind.mangling else 0)
 
     def open(self) -> OpenFile:
-        """What open("/dev/i2c-N") gives a program: address and flags are its own."""
+        """Return what open("/dev/i2c-N") gives a program: address and flags are its own."""
         return OpenFile(self)
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
@@ -288,7 +288,7 @@ def as_word(data: bytes) -> bytes:
 
 
 def outgoing(size: int, given: bytes) -> bytes:
-    """What follows the command of a write: a byte, a word, a block with its length (SMBus) or without (I2C)."""
+    """Return what follows the command of a write: a byte, a word, a block with its length (SMBus) or without (I2C)."""
     if size == BYTE_DATA:
         return given
     if size == WORD_DATA:

@@ -1,4 +1,4 @@
-"""Which way is up, seen from the box, and how a turn of the box changes what it sees. Vectors are in the box frame."""
+"""Attitude of the box: which way is up, and how turns change what the box sees. Vectors are in the box frame."""
 
 from __future__ import annotations
 

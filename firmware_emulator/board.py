@@ -1,4 +1,4 @@
-"""What the emulated array is soldered from: the parts and the host that `open_array` asks for, piece by piece.
+"""Parts of the emulated array: the parts and the host that `open_array` asks for, piece by piece.
 
 `Board` gives what the array's description says. A board whose parts differ (`firmware_emulator.mechanisms`) overrides
 the piece in which they do; the array is then put together and polled in the same way.
@@ -53,7 +53,7 @@ class Board:
         return SensingElement(self.world, sensor.chip, sensor.name, orientation, unit, self.seed)
 
     def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
-        """What builds the chip of one sensor; ValueError for a chip that isn't known."""
+        """Return the builder of one sensor's chip; ValueError for a chip that isn't known."""
         return named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
@@ -65,11 +65,11 @@ class Board:
         return f"{self.seed} {sensor.name}"
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """What is connected to the wire for one sensor: the chip itself, or what stands before it."""
+        """Return the device that is connected to the wire for one sensor: the chip itself, or what stands before it."""
         return chip
 
     def owned(self, address: int, bus: str, clock: Clock) -> bool:
-        """Whether a driver of the kernel has taken that address of that bus."""
+        """Return true if a driver of the kernel has taken that address of that bus."""
         return False
 
     def host_clock(self, clock: Clock) -> Clock:

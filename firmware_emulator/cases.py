@@ -79,7 +79,8 @@ class Case:
         rate_hz: float = RATE_HZ,
         reference: bool = True,
     ) -> Self:
-        """By names: `mechanisms` are (name, severity, sensors), no sensors meaning all on which it can be put.
+        """Make a case by names: `mechanisms` are (name, severity, sensors), no sensors meaning all on which it can be
+        put.
 
         ValueError, one line, for a name, a severity or a sensor that isn't possible.
         """
@@ -93,8 +94,8 @@ class Case:
 
     @classmethod
     def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
-        """In a world that somebody drew: a table with the `array` (TOML text), its `sessions`, `room` and `recorder`
-        (`firmware_emulator.sessions`). ValueError, one line, for what isn't known.
+        """Make a case in a world that somebody drew: a table with the `array` (TOML text), its `sessions`, `room` and
+        `recorder` (`firmware_emulator.sessions`). ValueError, one line, for what isn't known.
         """
         if missing := sorted({"array", "sessions", "room", "recorder"} - set(world)):
             raise ValueError(f"world: {missing[0]} is missing")
@@ -125,7 +126,9 @@ class Case:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """What the sealed file says; `logs` say what happened in each, and where if that was left to chance."""
+        """Return the contents of the sealed file; `logs` say what happened in each, and where if that was left to
+        chance.
+        """
         return {
             "array": self.array.name,
             "seed": self.seed,
@@ -198,7 +201,7 @@ def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
 
 
 def leave_thermometers_out(path: Path) -> None:
-    """As a program that doesn't read the chips' own thermometers writes it."""
+    """Rewrite the log as a program writes it that doesn't read the chips' own thermometers."""
     with h5py.File(path, "r+") as file:
         for group in file["sensors"].values():
             if "temperature_counts" in group:
@@ -206,7 +209,7 @@ def leave_thermometers_out(path: Path) -> None:
 
 
 def call_it_reference(path: Path) -> None:
-    """What the emulated world says of itself is what the bench was told to do."""
+    """Turn the truth of the emulated world into the reference: what the bench was told to do."""
     with h5py.File(path, "r+") as file:
         file.move("truth", "reference")
 

@@ -1,4 +1,4 @@
-"""What every emulated chip is: a page of registers behind an address pointer, fed by a sensing element.
+"""The interface of every emulated chip: a page of registers behind an address pointer, fed by a sensing element.
 
 The wire speaks to a `Target`; a `Chip` is the usual one. Its subclasses (`firmware_emulator.chips`) say what reading
 and writing each register does, at which instant. Times are integer nanoseconds of the emulated clock.

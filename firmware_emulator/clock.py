@@ -11,7 +11,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What tells the time to the wire, and what a caller sleeps on."""
+    """The clock that the wire reads, and that a caller sleeps on."""
 
     def now_ns(self) -> int:
         """The present time."""

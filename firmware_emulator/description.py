@@ -17,7 +17,7 @@ class MuxLike(Protocol):
 
     @property
     def address(self) -> int:
-        """On the trunk."""
+        """The address on the trunk."""
 
 
 class SensorLike(Protocol):
@@ -33,7 +33,7 @@ class SensorLike(Protocol):
 
     @property
     def channel(self) -> int | None:
-        """Of the multiplexer; None for one on a trunk."""
+        """The channel of the multiplexer; None for one on a trunk."""
 
     @property
     def bus(self) -> str | None:

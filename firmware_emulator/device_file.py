@@ -90,7 +90,7 @@ class _DeviceFolder:
 
 
 def identity(status: os.stat_result) -> Identity:
-    """What tells one file from another."""
+    """Return what tells one file from another."""
     return status.st_dev, status.st_ino
 
 

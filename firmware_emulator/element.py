@@ -46,7 +46,8 @@ SENSED: dict[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class Unit:
-    """How one part differs from the ideal one; the data sheet's unit is g, dps or gauss, axes are the sensor's own.
+    """The deviations of one part from the ideal one; the data sheet's unit is g, dps or gauss, axes are the sensor's
+    own.
 
     White noise is `noise` rms at `noise_full_scale` and `noise_bandwidth_hz`; it grows with the square root of the
     bandwidth and with the full scale to the power `noise_exponent`. From the full scale `shift_from` on, `shift` is
@@ -138,7 +139,7 @@ class SensingElement:
         return x + dx * noise[used], y + dy * noise[used + 1], z + dz * noise[used + 2]
 
     def temperature(self, at_ns: int) -> float:
-        """What the chip's own thermometer feels, its offset included, in degC."""
+        """Return the temperature that the chip's own thermometer feels, its offset included, in degC."""
         return self._world(at_ns).temperature_degc + self.unit.thermometer_offset_degc
 
     def pressure(self, at_ns: int) -> float:

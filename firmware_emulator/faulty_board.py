@@ -18,7 +18,7 @@ from firmware_emulator.world import DelayedWorld
 
 
 def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:
-    """That board, on which these faults happen."""
+    """Return that board, on which these faults happen."""
 
     def faulty(name: str, world: Any, seed: int) -> FaultyBoard:
         return FaultyBoard(board(name, world, seed), faults)
@@ -94,7 +94,7 @@ class FaultyBoard(Board):
         return FaultyDevice(device, chip, sensor.chip, faults, self._powered_on_ns) if faults else device
 
     def owned(self, address: int, bus: str, clock: Clock) -> bool:
-        """Whether a driver of the kernel has that address now."""
+        """Return true if a driver of the kernel has that address now."""
         since_ns = clock.now_ns() - self._powered_on_ns
         return any(fault.active(since_ns) for fault in self._places.get((address, bus), []))
 

@@ -1,4 +1,4 @@
-"""What fails between the chips at given times: the multiplexer, the wires, the program itself.
+"""Failures between the chips at given times: the multiplexer, the wires, the program itself.
 
 Instants are in ns since power-on.
 """
@@ -58,7 +58,7 @@ class FaultyMux(Pca9544a):
 
 
 class FaultyWires:
-    """What goes wrong between transactions: held clocks, a stalled program, a multiplexer that is reset, an adapter
+    """Wires with failures between transactions: held clocks, a stalled program, a multiplexer that is reset, an adapter
     that is unplugged. `chips` lose their supply with the adapter.
     """
 

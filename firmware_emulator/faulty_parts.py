@@ -18,7 +18,7 @@ from imuarray.facts import bma180, l3g4200d
 
 @dataclass(frozen=True)
 class Times:
-    """When a fault is there: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: never), `count` times
+    """The times of a fault: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: never), `count` times
     (0: for ever).
     """
 
@@ -28,28 +28,28 @@ class Times:
     count: int = 0
 
     def begun(self, at_ns: int) -> int:
-        """How often it has begun by then."""
+        """Return how often it has begun by then."""
         if at_ns < self.begin_ns:
             return 0
         number = (at_ns - self.begin_ns) // self.period_ns + 1 if self.period_ns else 1
         return min(number, self.count) if self.count else number
 
     def start_ns(self, number: int) -> int:
-        """When it began for that time, counted from 1."""
+        """Return when it began for that time, counted from 1."""
         return self.begin_ns + (number - 1) * self.period_ns
 
     def during(self, at_ns: int) -> bool:
-        """Whether it is there."""
+        """Return true if it is there."""
         number = self.begun(at_ns)
         return number > 0 and at_ns - self.start_ns(number) < self.length_ns
 
     def ended(self, at_ns: int) -> int:
-        """How often it has ended by then."""
+        """Return how often it has ended by then."""
         return self.begun(at_ns - self.length_ns)
 
 
 class Layout(NamedTuple):
-    """Where a chip keeps its triad; which bits of which register, and of which bytes of the triad, say it is new."""
+    """The place of a chip's triad; which bits of which register, and of which bytes of the triad, say it is new."""
 
     first: int
     ready: int
@@ -86,7 +86,7 @@ class ChipFault:
     held: bytes = b""
 
     def active(self, at_ns: int) -> bool:
-        """Whether it is there and has not been cured."""
+        """Return true if it is there and has not been cured."""
         return self.times.during(at_ns) and self.times.begun(at_ns) > self.cured
 
 
@@ -111,11 +111,11 @@ class FaultyDevice:
         self._device.address = value
 
     def hangs(self, at_ns: int) -> bool:
-        """Whether it holds the clock for good when it is addressed."""
+        """Return true if it holds the clock for good when it is addressed."""
         return any(fault.action == "hangs" and fault.active(at_ns - self._powered_on_ns) for fault in self._faults)
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """As the device, unless it is deaf or gone; what was due happens first."""
+        """Write to the device, unless it is deaf or gone; what was due happens first."""
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:
             self._catch_up(fault, since_ns)
@@ -128,7 +128,7 @@ class FaultyDevice:
         return self._device.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """As the device, but that a triad may stand still."""
+        """Read the device, except that a triad may stand still."""
         sent = self._device.read(count, at_ns, byte_ns)
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:
@@ -137,7 +137,7 @@ class FaultyDevice:
         return sent
 
     def stop(self, at_ns: int) -> None:
-        """As the device."""
+        """Pass the STOP on to the device."""
         self._device.stop(at_ns)
 
     def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
@@ -198,7 +198,7 @@ class ShiftedElement:
         self._element, self._faults, self._powered_on_ns = element, faults, powered_on_ns
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """As the element, plus the biases of the faults that are there."""
+        """Return the element's sample, plus the biases of the faults that are there."""
         x, y, z = self._element.sample(at_ns, full_scale, bandwidth_hz)
         for fault in self._faults:
             if fault.active(at_ns - self._powered_on_ns):
@@ -206,9 +206,9 @@ class ShiftedElement:
         return x, y, z
 
     def temperature(self, at_ns: int) -> float:
-        """As the element."""
+        """Return the element's temperature."""
         return self._element.temperature(at_ns)
 
     def pressure(self, at_ns: int) -> float:
-        """As the element."""
+        """Return the element's pressure."""
         return self._element.pressure(at_ns)

@@ -60,6 +60,6 @@ class Receiver:
 
 
 def frame(kind: int, sequence: int, time_us: int, payload: bytes) -> bytes:
-    """What is sent."""
+    """Return what is sent."""
     body = struct.pack("<HBHI", len(payload), kind, sequence & 0xFFFF, time_us & 0xFFFFFFFF) + payload
     return bytes([FIRST, SECOND]) + body + struct.pack("<I", zlib.crc32(body))

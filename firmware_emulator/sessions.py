@@ -60,8 +60,9 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Motion:
-    """From `start_s` to `end_s` the box is rocked by `angle_rad` about `axis`, and shaken along it by `peak_g`, both at
-    `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`. Gravity is followed.
+    """A motion: from `start_s` to `end_s` the box is rocked by `angle_rad` about `axis`, and shaken along it by
+    `peak_g`, both at `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`.
+    Gravity is followed.
     """
 
     start_s: float
@@ -73,7 +74,7 @@ class Motion:
     shake_hz: float
 
     def felt(self, at_s: float, still: Stimulus) -> Stimulus:
-        """What a box feels that would feel `still` at rest."""
+        """Return the stimulus of a box that would feel `still` at rest."""
         if not self.start_s < at_s < self.end_s:
             return still
         passed_s, left_s = at_s - self.start_s, self.end_s - at_s
@@ -98,7 +99,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Vibration:
-    """What a fridge or a fan does to the table: a line of `hz`, `peak_g` along and `peak_dps` about each axis as
+    """The vibration of a table by a fridge or a fan: a line of `hz`, `peak_g` along and `peak_dps` about each axis as
     `direction` says. It runs for `share` of every `cycle_s`.
     """
 
@@ -110,7 +111,7 @@ class Vibration:
     share: float = 1.0
 
     def is_on(self, at_s: float) -> bool:
-        """Whether it runs."""
+        """Return true if it runs."""
         return not self.cycle_s or at_s % self.cycle_s < self.share * self.cycle_s
 
 
@@ -146,7 +147,7 @@ class Recorder:
     reference: bool = True
 
     def waits_ns(self, seed: int, run: int, transactions_per_s: float) -> Callable[[], int]:
-        """What a transaction is kept waiting, drawn anew for each."""
+        """Return the wait of a transaction, drawn anew for each."""
         random = stream(seed, f"recorder, run {run}")
         stall = self.stalls_per_min / 60.0 / transactions_per_s
 
@@ -177,7 +178,7 @@ class Course:
         return self.shaken(at_s, self.told(at_ns))
 
     def told(self, at_ns: int) -> Stimulus:
-        """What the bench was told to do, in the room's temperature: without what makes the table vibrate."""
+        """Return what the bench was told to do, in the room's temperature: without what makes the table vibrate."""
         at_s = max(at_ns, 0) * 1e-9
         felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:
@@ -185,7 +186,7 @@ class Course:
         return felt
 
     def posed(self, at_s: float) -> Stimulus:
-        """At rest in a pose, or on the way to the next; forces of turning are not felt."""
+        """Return the stimulus at rest in a pose, or on the way to the next; forces of turning are not felt."""
         index = min(bisect_right(self._starts_s, at_s) - 1, len(self.poses) - 1)
         since_s = at_s - self._starts_s[index]
         if since_s <= self.poses[index].hold_s or index == len(self.poses) - 1:
@@ -202,7 +203,7 @@ class Course:
         )
 
     def temperature_degc(self, at_s: float) -> float:
-        """Of the box: the course of heating on top of the room's."""
+        """Return the temperature of the box: the course of heating on top of the room's."""
         room = self.room
         degc = room.drift_degc_per_s * at_s
         if room.draught_degc:
@@ -218,7 +219,7 @@ class Course:
         return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * remaining
 
     def shaken(self, at_s: float, felt: Stimulus) -> Stimulus:
-        """With what makes the table vibrate."""
+        """Add what makes the table vibrate."""
         for vibration, phase in zip(self.room.vibrations, self._phases, strict=False):
             if vibration.is_on(at_s):
                 wave = math.sin(2 * math.pi * vibration.hz * at_s + phase)
@@ -270,7 +271,7 @@ class Course:
 
 @dataclass(frozen=True)
 class ReferenceWorld:
-    """What a course told the box to do: the world of a reference instrument."""
+    """The commanded course as a world: the world of a reference instrument."""
 
     course: Course
 

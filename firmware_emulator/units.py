@@ -1,4 +1,4 @@
-"""Which imperfections each unit has: the paper's for its own array, drawn from the data sheets' tolerances for others.
+"""Imperfections of each unit: the paper's for its own array, drawn from the data sheets' tolerances for others.
 
 Draws are keyed by (seed, name of the sensor). The tolerances of a six-axis chip stand beside its registers, in
 `firmware_emulator.chips`.
@@ -94,7 +94,7 @@ def hmc5883l(range_gauss: float) -> Tolerances:
 
 
 def hmc5883(range_gauss: float) -> Tolerances:
-    """As the L, but 10 mG at 1.9 G (HMC-53) and -1.2 counts of 1024 per degC (HMC-57)."""
+    """Return the tolerances of the L, but 10 mG at 1.9 G (HMC-53) and -1.2 counts of 1024 per degC (HMC-57)."""
     return replace(
         hmc5883l(range_gauss),
         noise=(10e-3,) * 3,

@@ -49,7 +49,7 @@ class Setup:
 
 
 class Identity(NamedTuple):
-    """What a list of devices says of one; class triplets are (class, subclass, protocol)."""
+    """An entry in a list of devices; class triplets are (class, subclass, protocol)."""
 
     vendor: int
     product: int

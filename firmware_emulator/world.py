@@ -1,4 +1,4 @@
-"""What the box feels, as a function of time alone.
+"""Stimulus of the box, as a function of time alone.
 
 A world is a callable ``at_ns -> Stimulus`` plus the phases that a person with a stopwatch would note. Any callable
 will do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame:
@@ -30,7 +30,7 @@ FIELD_UPRIGHT: Triple = (0.2, 0.0, -0.43)
 
 
 class Stimulus(NamedTuple):
-    """What the box feels at one instant."""
+    """The stimulus of the box at one instant."""
 
     force_box: Triple = (0.0, 0.0, STANDARD_GRAVITY)
     rate_box: Triple = (0.0, 0.0, 0.0)
@@ -59,7 +59,7 @@ class PhasedWorld(Protocol):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """In order of time, not overlapping."""
+        """The phases in order of time, not overlapping."""
 
     def __call__(self, at_ns: int) -> Stimulus:
         """What the box feels at `at_ns`."""
@@ -95,7 +95,7 @@ class Still:
 
     @cached_property
     def stimulus(self) -> Stimulus:
-        """What it always feels."""
+        """Return the constant stimulus."""
         axis, angle = turn_between("+Z", self.up)
         field = seen_after_turn(FIELD_UPRIGHT, axis, round(math.cos(angle)), round(math.sin(angle)))
         return resting(self.up, field, self.temperature_degc)
@@ -154,7 +154,7 @@ class Tumble:
 
     @cached_property
     def faces(self) -> tuple[Stimulus, ...]:
-        """What the box feels on each face."""
+        """Return the stimulus of the box on each face."""
         fields = [FIELD_UPRIGHT]
         for axis, angle in self.turns:
             fields.append(seen_after_turn(fields[-1], axis, round(math.cos(angle)), round(math.sin(angle))))
@@ -222,13 +222,13 @@ class Heating:
 
     @cached_property
     def starts_ns(self) -> tuple[int, ...]:
-        """When each stretch begins, and when the last one ends."""
+        """The start of each stretch, and the end of the last one."""
         minutes = [sum(stretch.minutes for stretch in PROFILE[:index]) for index in range(len(PROFILE) + 1)]
         return tuple(round(self.scale * passed * 60e9) for passed in minutes)
 
     @cached_property
     def starts_degc(self) -> tuple[float, ...]:
-        """How warm it is when each stretch begins."""
+        """The temperature at the start of each stretch."""
         reached = [PROFILE_START_DEGC]
         for _, minutes, towards, constant in PROFILE:
             reached.append(towards + (reached[-1] - towards) * math.exp(-minutes / constant))

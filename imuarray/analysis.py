@@ -64,7 +64,7 @@ def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | N
 
 
 def calibrate_thermal(*logs: LogLike) -> ThermalResult:
-    """How biases change with temperature, from logs in which the box stood still and was heated or cooled:
+    """Determine how biases change with temperature, from logs in which the box stood still and was heated or cooled:
     `imuarray calibrate thermal`. LogError, CalibrationError.
 
     >>> slopes = calibrate_thermal("heating.h5").calibration.sensors["BMA1"].thermal
@@ -78,8 +78,8 @@ def calibrate_thermal(*logs: LogLike) -> ThermalResult:
 
 
 def calibrate_turn_on(*logs: LogLike, seed: int = 1) -> TurnOnSeries:
-    """How much biases change from one switch-on to the next, from a log a run, or one log whose phases `run 1`,
-    `run 2`, ... are the runs: `imuarray calibrate turn-on`. `seed` keys the draws that tell two states from chance.
+    """Determine how much biases change from one switch-on to the next, from a log a run, or one log whose phases `run
+    1`, `run 2`, ... are the runs: `imuarray calibrate turn-on`. `seed` keys the draws that tell two states from chance.
     LogError, CalibrationError.
 
     >>> series = calibrate_turn_on("boot_1.h5", "boot_2.h5", "boot_3.h5")

@@ -1,4 +1,4 @@
-"""What each chip can be set to and what one count of it nominally means: shared by configuration, drivers and models.
+"""Settings of each chip and the nominal meaning of one count: shared by configuration, drivers and models.
 
 Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and
 never the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). What one sensor's count really

@@ -39,7 +39,7 @@ def read_text(path: str | PathLike[str]) -> str:
 
 
 def no_text(path: str | PathLike[str]) -> str:
-    """What a file is that has no text in it; an HDF5 file may be a log in the place of a calibration."""
+    """Describe a file that has no text in it; an HDF5 file may be a log in the place of a calibration."""
     try:
         with Path(path).open("rb") as file:
             begin = file.read(len(_HDF5))

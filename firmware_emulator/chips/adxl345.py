@@ -34,7 +34,7 @@ SIGNED_BYTES = Struct("3b")
 
 
 class Format(NamedTuple):
-    """How a specific force becomes a word: codes per g, step between codes that occur, extreme codes, left shift."""
+    """The format of a word: codes per g, step between codes that occur, extreme codes, left shift."""
 
     codes_per_g: int
     step: int

@@ -90,7 +90,7 @@ class Settings(NamedTuple):
 
 
 class Converter:
-    """What the data registers hold at any instant, their new_data bits and MSB shadows included."""
+    """The contents of the data registers at any instant, their new_data bits and MSB shadows included."""
 
     def __init__(self, element: Element, factory: Trims, rate_error: float) -> None:
         self._element = element
@@ -106,7 +106,7 @@ class Converter:
         self._start(at_ns, settings, ready_ns)
 
     def apply(self, at_ns: int, settings: Settings, ready_ns: int) -> None:
-        """From `at_ns` on convert with `settings`, not before `ready_ns`; what is already converted stays."""
+        """Convert from `at_ns` on with `settings`, not before `ready_ns`; what is already converted stays."""
         if settings == self._settings and ready_ns == self._ready_ns:
             return
         cycles = [self._cycle(axis, at_ns) for axis in range(3)]

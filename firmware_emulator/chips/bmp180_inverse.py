@@ -1,4 +1,4 @@
-"""From temperature and pressure back to the raw words of a BMP180 (facts BMP-60 ... BMP-66).
+"""Inverse of the BMP180's compensation: temperature and pressure back to raw words (facts BMP-60 ... BMP-66).
 
 The chip's user turns UT and UP into degC and Pa; here the same formulas, in floor arithmetic, are searched for the
 words that give a wanted temperature and pressure. Both rise with their word, so bisection finds them.

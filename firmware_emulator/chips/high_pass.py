@@ -29,5 +29,5 @@ class HighPass:
         return value[0] - x, value[1] - y, value[2] - z
 
     def zero(self, value: Triple, at_ns: int) -> None:
-        """From `at_ns` on, an input of `value` gives 0."""
+        """Make an input of `value` give 0 from `at_ns` on."""
         self._at_ns, self._input, self._removed = at_ns, value, value

@@ -27,7 +27,7 @@ WORDS = Struct(">3h")
 
 
 class Variant(NamedTuple):
-    """In what the two parts differ; `gains` in codes per gauss and `fields` in gauss are by gain code."""
+    """The differences between the two parts; `gains` in codes per gauss and `fields` in gauss are by gain code."""
 
     gains: tuple[int, ...]
     fields: tuple[float, ...]
@@ -67,7 +67,7 @@ VARIANTS = {
 
 
 def word(code: int) -> int:
-    """What the output register holds for a converter code (HMC-31, HMC-32)."""
+    """Return the output register's content for a converter code (HMC-31, HMC-32)."""
     return code if -2048 <= code <= 2047 else INVALID
 
 

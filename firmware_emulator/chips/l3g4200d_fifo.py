@@ -31,7 +31,7 @@ class Fifo:
 
     @property
     def active(self) -> bool:
-        """Whether sets are stored at all."""
+        """True if sets are stored at all."""
         return self.mode in (FIFO, STREAM, STREAM_TO_FIFO)
 
     @property
@@ -41,7 +41,7 @@ class Fifo:
 
     @property
     def waiting(self) -> bool:
-        """Whether there is a set that has not been read to its end."""
+        """True if there is a set that has not been read to its end."""
         return self._open or bool(self._sets)
 
     def switch(self, mode: int, latest: int, shown: Codes) -> None:

@@ -13,7 +13,8 @@ from firmware_emulator.world import Stimulus
 
 @dataclass(frozen=True)
 class BiasCurrentDac(SensorMechanism):
-    """In a `share` of power-ups the bit is set: all three axes move at once, by `step_g` or `step_dps` on average.
+    """A bias-current bit that is set in a `share` of power-ups: all three axes move at once, by `step_g` or `step_dps`
+    on average.
 
     As Gyro3 of the paper's Table 7, which came up in two states. Reference: 15 mg or 0.5 dps.
     """
@@ -30,7 +31,7 @@ class BiasCurrentDac(SensorMechanism):
         return cls(step_g=cls.step_g * severity, step_dps=cls.step_dps * severity)
 
     def put_on(self, site: Site) -> None:
-        """How far each axis moves is the part's own."""
+        """Shift each axis by the part's own amount."""
         if site.run_random("bias current").random() >= self.share:
             return
         site.note("came up in the other state")

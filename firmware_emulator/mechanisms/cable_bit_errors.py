@@ -27,7 +27,7 @@ class CableBitErrors(SensorMechanism):
         return cls(per_bit=min(0.5, cls.per_bit * severity))
 
     def put_on(self, site: Site) -> None:
-        """On the bytes as they arrive."""
+        """Act on the bytes as they arrive."""
         random = site.run_random("bits")
         gap = int(random.geometric(self.per_bit))
         begin_ns = round(WHILE_SET_UP_S * 1e9)

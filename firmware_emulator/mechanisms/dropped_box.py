@@ -13,7 +13,8 @@ from firmware_emulator.world import Stimulus
 
 @dataclass(frozen=True)
 class DroppedBox(SensorMechanism):
-    """From power-up number 1 on, the bias of each axis is shifted for good, by `shift_g` or `shift_dps` on average.
+    """A box that was dropped: from power-up number 1 on, the bias of each axis is shifted for good, by `shift_g` or
+    `shift_dps` on average.
 
     Permanent deformation of the die's attachment; data sheets of the time give no figure. Reference: 15 mg or 0.5 dps.
     """

@@ -72,7 +72,7 @@ class MountedElement(SensingElement):
         return total if gain == 1.0 else (total[0] * gain, total[1] * gain, total[2] * gain)
 
     def temperature(self, at_ns: int) -> float:
-        """What the chip's own thermometer feels, its offset included, in degC."""
+        """Return the temperature that the chip's own thermometer feels, its offset included, in degC."""
         degc = self._world(at_ns).temperature_degc
         for thermometer in self._chain.thermometer:
             degc = thermometer(at_ns - self._powered_on_ns, degc)

@@ -1,4 +1,4 @@
-"""What is done on a bench with an array: the experiments of the paper, in short."""
+"""Experiments with an array on a bench: the experiments of the paper, in short."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Experiment:
         return f"{self.name}.h5" if self.logs == 1 else f"{self.name}_{index + 1:02d}.h5"
 
     def phases(self, index: int) -> tuple[Phase, ...]:
-        """What a person with a stopwatch notes during log number `index`."""
+        """Return the notes of a person with a stopwatch during log number `index`."""
         if not self.phase:
             return self.world.phases
         name = f"{self.phase} {index + 1}" if self.logs > 1 else self.phase

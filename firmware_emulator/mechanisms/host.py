@@ -16,7 +16,7 @@ Reading = Callable[[int], int]
 
 
 class HostClock:
-    """What the host's clock shows while the world's `clock` passes.
+    """The host's clock, while the world's `clock` passes.
 
     `shown` turns a time of the world into what is displayed, in nanoseconds, and never falls; `when` is the earliest
     time of the world at which a given display is reached; both count from power-on, when the display was right.
@@ -59,7 +59,7 @@ class LatentWire(Wire):
         self._waits_ns = waits_ns
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """As `Wire.transfer`, later."""
+        """Transfer as `Wire.transfer`, later."""
         self.clock.advance(sum(wait() for wait in self._waits_ns))
         return super().transfer(address, write, read)
 

@@ -32,7 +32,7 @@ class HostResonator(Mechanism):
         return cls(error=cls.error * severity)
 
     def ahead_ns(self, at_ns: int) -> float:
-        """By how much the display is ahead."""
+        """Return by how much the display is ahead."""
         warm_ns = self.warm_up_s * 1e9
         return self.error * (at_ns + warm_ns * math.expm1(-at_ns / warm_ns))
 

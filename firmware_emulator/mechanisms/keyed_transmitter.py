@@ -12,7 +12,8 @@ from firmware_emulator.mechanisms.site import Site
 
 @dataclass(frozen=True)
 class KeyedTransmitter(SensorMechanism):
-    """For `sending_s` of every `period_s` the demodulated carrier adds Gaussian noise of `rms_g` or `rms_dps`.
+    """A transmitter nearby: for `sending_s` of every `period_s` the demodulated carrier adds Gaussian noise of `rms_g`
+    or `rms_dps`.
 
     Reference: 15 mg or 0.5 dps, 1.5 s in every 9 s.
     """

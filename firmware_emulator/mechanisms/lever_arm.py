@@ -33,7 +33,7 @@ class LeverArm(SensorMechanism):
         return cls(arm_m=cls.arm_m * severity)
 
     def put_on(self, site: Site) -> None:
-        """In the box frame."""
+        """Act in the box frame."""
         x, y, z = site.direction("arm")
         share = self.arm_m / math.sqrt(x * x + y * y + z * z)
         arm, world = (x * share, y * share, z * share), site.world

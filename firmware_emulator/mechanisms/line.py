@@ -1,4 +1,4 @@
-"""Between a chip's converter and the two wires: the output latch, the contacts, the cable.
+"""The line between a chip's converter and the two wires: the output latch, the contacts, the cable.
 
 `Line` stands where the chip would be and answers to its address. It knows by itself where each chip keeps its triad
 (ADX-27, BMA-12, BMA-60, L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
@@ -19,7 +19,7 @@ WORDS = Struct("<3h")
 
 
 class Layout(NamedTuple):
-    """Where a chip's triad is: its first register, how far its codes are shifted up, and their width in bits."""
+    """The place of a chip's triad: its first register, how far its codes are shifted up, and their width in bits."""
 
     first: int
     shift: int
@@ -39,7 +39,7 @@ Reset = Callable[[int], int | None]
 
 @dataclass
 class Links:
-    """What acts on a line, each a function of the instant in ns since power-on.
+    """The disturbances of a line, each a function of the instant in ns since power-on.
 
     latches: (at_ns, codes) -> codes as they are read. contacts: (at_ns) -> whether the chip is connected at all.
     cables: (at_ns, bytes sent) -> bytes received. resets: (at_ns) -> when the supply failed since last asked, or None.
@@ -52,7 +52,7 @@ class Links:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing acts."""
+        """True if nothing acts."""
         return not (self.latches or self.contacts or self.cables or self.resets)
 
 
@@ -76,7 +76,7 @@ class Line:
         self._chip.address = value
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """As the chip; nothing is acknowledged while a contact is open."""
+        """Write to the chip; nothing is acknowledged while a contact is open."""
         since_ns = at_ns - self._powered_on_ns
         for reset in self._links.resets:
             failed_ns = reset(since_ns)
@@ -90,7 +90,7 @@ class Line:
         return self._chip.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """As the chip, the triad through the latches, all bytes through the cable."""
+        """Read the chip, the triad through the latches, all bytes through the cable."""
         sent = self._chip.read(count, at_ns, byte_ns)
         at_ns -= self._powered_on_ns
         offset = self._layout.first - self._pointer
@@ -101,7 +101,7 @@ class Line:
         return sent
 
     def stop(self, at_ns: int) -> None:
-        """As the chip."""
+        """Pass the STOP on to the chip."""
         self._chip.stop(at_ns)
 
     def _latched(self, sent: bytes, offset: int, at_ns: int) -> bytes:

@@ -27,7 +27,7 @@ class LooseContact(SensorMechanism):
         return cls(open_s=cls.open_s * severity)
 
     def put_on(self, site: Site) -> None:
-        """On every message to the chip."""
+        """Act on every message to the chip."""
         random = site.run_random("contact")
         is_open, due_ns = False, (WHILE_SET_UP_S + random.exponential(self.closed_s)) * 1e9
 

@@ -1,4 +1,4 @@
-"""What every mechanism is: physical parameters, where it can act, and what it does to a board."""
+"""The interface of every mechanism: physical parameters, where it can act, and what it does to a board."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Mechanism(ABC):
         """Put it to work on these sensors of the board."""
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
-        """Where it goes when nobody says: all on which it can be put; of a design, those of the commonest chip."""
+        """Return its usual places: all on which it can be put; of a design, those of the commonest chip."""
         touched = [sensor for sensor in sensors if sensor.chip in self.touches]
         if self.place == "design":
             ((chip, _),) = Counter(sensor.chip for sensor in touched).most_common(1) or [("", 0)]
@@ -63,7 +63,7 @@ class SensorMechanism(Mechanism):
     """One that acts on every sensor by itself."""
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """On each sensor in turn."""
+        """Fit it on each sensor in turn."""
         for site in sites:
             self.put_on(site)
 
@@ -133,7 +133,7 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
 
 @dataclass
 class Host:
-    """What acts on the host and on the multiplexer; see `firmware_emulator.mechanisms.host`.
+    """The host and the multiplexer on which mechanisms act; see `firmware_emulator.mechanisms.host`.
 
     `clocks` are pairs (shown, when), each reading what the one before shows. `mux` is there when the array is soldered,
     if a mechanism acts on it.
@@ -184,7 +184,7 @@ class FittedBoard(Board):
                 raise ValueError(f"sensor {site.name}: two mechanisms would change the inside of its {site.chip}")
 
     def site(self, sensor: SensorLike) -> Site:
-        """Where mechanisms act on that sensor."""
+        """Return where mechanisms act on that sensor."""
         if sensor.name not in self._sites:
             self._sites[sensor.name] = Site(
                 sensor.name,
@@ -234,14 +234,14 @@ class FittedBoard(Board):
         return unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
 
     def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
-        """What builds the chip, changed by mechanisms inside it."""
+        """Return the builder of the chip, changed by mechanisms inside it."""
         kind = super().kind(sensor)
         for change in self._sites[sensor.name].kinds if sensor.name in self._sites else ():
             kind = change(kind)
         return kind
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """What mechanisms set, and the oscillator of a toleranced part."""
+        """Return what mechanisms set, and the oscillator of a toleranced part."""
         own: dict[str, Any] = {}
         if self.units == "toleranced" and sensor.chip in RATE_ERROR:
             own["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))

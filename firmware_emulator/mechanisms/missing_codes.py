@@ -14,7 +14,8 @@ PERIOD = 16
 
 @dataclass(frozen=True)
 class MissingCodes(SensorMechanism):
-    """Of every 16 codes the last `missing` before a carry are skipped: they come out as the code of the carry.
+    """Missing codes: of every 16 codes the last `missing` before a carry are skipped: they come out as the code of the
+    carry.
 
     Differential nonlinearity of -1 LSB at the carry of bit 4. Reference: 4 of 16.
     """

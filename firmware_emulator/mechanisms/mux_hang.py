@@ -34,13 +34,13 @@ class MuxHang(Mechanism):
         return cls(share=min(0.5, cls.share * severity))
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
-        """Those that have a twin: the same chip at the same address of another channel."""
+        """Return the sensors that have a twin: the same chip at the same address of another channel."""
         places = Counter((sensor.chip, sensor.address) for sensor in sensors if sensor.channel is not None)
         touched = [sensor for sensor in sensors if sensor.chip in self.touches]
         return tuple(sensor.name for sensor in touched if places[sensor.chip, sensor.address] > 1)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """At the STOP of an order."""
+        """Act at the STOP of an order."""
         random, begin_ns = stream(board.seed, f"multiplexer, run {board.run}"), round(WHILE_SET_UP_S * 1e9)
 
         def obeys(at_ns: int) -> bool:

@@ -45,7 +45,7 @@ class OutputFilter(SensorMechanism):
 
     @property
     def delay_s(self) -> float:
-        """By which a slow signal is late: sqrt(2) / w."""
+        """The delay of a slow signal: sqrt(2) / w."""
         return 1 / self.decay
 
     def step(self, seconds: float) -> Step:

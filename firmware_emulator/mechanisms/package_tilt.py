@@ -14,7 +14,7 @@ from firmware_emulator.world import Stimulus
 
 @dataclass(frozen=True)
 class PackageTilt(SensorMechanism):
-    """What is felt is turned by `tilt_deg` about an axis of the part's own (Rodrigues). Reference: 2 degrees."""
+    """A package that is turned by `tilt_deg` about an axis of the part's own (Rodrigues). Reference: 2 degrees."""
 
     tilt_deg: float = 2.0
 

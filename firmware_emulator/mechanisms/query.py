@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 
 def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, ...]:
-    """What `mechanism`, `severity` and `sensor` ask for; ValueError, one line, for what isn't possible."""
+    """Return the mechanisms that `mechanism`, `severity` and `sensor` ask for; ValueError, one line, for what isn't
+    possible.
+    """
     names = split(query.get("mechanism", ""), ",")
     severities = split(query.get("severity", ""), ",") or ["1"] * len(names)
     groups = split(query.get("sensor", ""), ",") or [""] * len(names)

@@ -39,7 +39,7 @@ class RangeSwitch(SensorMechanism):
         return cls()
 
     def put_on(self, site: Site) -> None:
-        """Which power-ups are the wrong ones is the part's own; the first two never."""
+        """Choose the part's own wrong power-ups; the first two never."""
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return

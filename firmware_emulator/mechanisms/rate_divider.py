@@ -49,7 +49,7 @@ class Divider:
 
 
 class DividedAdxl345(Divider, Adxl345):
-    """By BW_RATE (ADX-36)."""
+    """An ADXL345 whose rate follows BW_RATE (ADX-36)."""
 
     def _configure(self, at_ns: int) -> None:
         with self.as_wired(adxl345.RATE):
@@ -57,7 +57,7 @@ class DividedAdxl345(Divider, Adxl345):
 
 
 class DividedBma180(Divider, Bma180):
-    """By the filter code, for its rate can't be set (BMA-81 ... BMA-88)."""
+    """A BMA180 whose rate follows the filter code, for its rate can't be set (BMA-81 ... BMA-88)."""
 
     def _act(self, at_ns: int) -> None:
         with self.as_wired(bma180.BANDWIDTH):
@@ -65,7 +65,7 @@ class DividedBma180(Divider, Bma180):
 
 
 class DividedL3g4200d(Divider, L3g4200d):
-    """By DR (L3G-30 ... L3G-33)."""
+    """An L3G4200D whose rate follows DR (L3G-30 ... L3G-33)."""
 
     def _reconfigure(self, at_ns: int) -> None:
         with self.as_wired(l3g4200d.DATA_RATE):

@@ -27,7 +27,7 @@ class SchedulerLatency(Mechanism):
         return cls(mean_ms=cls.mean_ms * severity)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """On every transaction of every adapter."""
+        """Act on every transaction of every adapter."""
         random = stream(board.seed, f"scheduler, run {board.run}")
 
         def wait_ns() -> int:

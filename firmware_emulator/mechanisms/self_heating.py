@@ -29,7 +29,7 @@ class SelfHeating(SensorMechanism):
         return cls(rise_k=cls.rise_k * severity)
 
     def put_on(self, site: Site) -> None:
-        """On the thermometer alone."""
+        """Act on the thermometer alone."""
 
         def thermometer(at_ns: int, degc: float) -> float:
             return degc - self.rise_k * math.expm1(-at_ns * 1e-9 / self.settling_s)

@@ -31,7 +31,7 @@ class SingleTrap(SensorMechanism):
         return cls(size_g=cls.size_g * severity, size_dps=cls.size_dps * severity)
 
     def put_on(self, site: Site) -> None:
-        """In the amplifier of an axis that is the part's own."""
+        """Act in the amplifier of an axis that is the part's own."""
         random, size = site.run_random("trap"), site.by_unit(self.size_g, self.size_dps)
         axis = int(site.unit_random("trap").integers(3))
         place = (float(axis == 0), float(axis == 1), float(axis == 2))

@@ -63,15 +63,15 @@ class Site:
         return stream(self.seed, f"{key} in {self.name}, run {self.run}")
 
     def direction(self, key: str) -> Triple:
-        """How strongly each axis of this part is affected: a random direction of length sqrt(3), so that axes are 1 on
-        average.
+        """Return how strongly each axis of this part is affected: a random direction of length sqrt(3), so that axes
+        are 1 on average.
         """
         drawn = self.unit_random(f"direction of {key}").standard_normal(3)
         x, y, z = (drawn * (math.sqrt(3) / float(np.linalg.norm(drawn)))).tolist()
         return x, y, z
 
     def note(self, what: str) -> None:
-        """For the truth: something happened here."""
+        """Note for the truth: something happened here."""
         self.notes.append(f"{self.name}: {what}")
 
 

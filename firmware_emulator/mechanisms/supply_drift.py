@@ -64,5 +64,5 @@ class SupplyDrift(Mechanism):
 
 
 def answer(volts: Callable[[int], float], direction: Triple, per_v: float) -> Callable[[int, Triple, Stimulus], Triple]:
-    """What a supply adds to one sensor."""
+    """Return what a supply adds to one sensor."""
     return lambda at_ns, value, stimulus: plus(value, direction, per_v * volts(at_ns))

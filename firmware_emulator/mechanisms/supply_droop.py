@@ -30,7 +30,7 @@ class SupplyDroop(SensorMechanism):
         return cls(droop=cls.droop * severity)
 
     def put_on(self, site: Site) -> None:
-        """On what is felt, before the unit's bias."""
+        """Act on the stimulus, before the unit's bias."""
 
         def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
             share = 1 + self.droop * math.expm1(-at_ns * 1e-9 / self.sag_s)

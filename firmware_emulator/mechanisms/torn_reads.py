@@ -12,7 +12,8 @@ from firmware_emulator.mechanisms.site import Site
 
 @dataclass(frozen=True)
 class TornReads(SensorMechanism):
-    """With probability `share` a reading has the high byte of the one before and its own low byte, on all axes.
+    """Torn readings: with probability `share` a reading has the high byte of the one before and its own low byte, on
+    all axes.
 
     Wrong by 256 codes (64 of the BMA180's) when the two differ in the high byte, as around 0. Reference: 1 %.
     """
@@ -27,7 +28,7 @@ class TornReads(SensorMechanism):
         return cls(share=min(1.0, cls.share * severity))
 
     def put_on(self, site: Site) -> None:
-        """In the latch, before the wire."""
+        """Act in the latch, before the wire."""
         random = site.run_random("tears")
         low = 0xFF >> LAYOUTS[site.chip].shift
         before: Codes | None = None

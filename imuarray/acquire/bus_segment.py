@@ -177,8 +177,8 @@ def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], l
 
 @dataclass(frozen=True)
 class Polling:
-    """What all segments of a poll loop share: its clock and rate, the faults that concern all sensors of a segment, and
-    the function that is told which adapter was removed and when (ns).
+    """The things that all segments of a poll loop share: its clock and rate, the faults that concern all sensors of a
+    segment, and the function that is told which adapter was removed and when (ns).
     """
 
     clock: Clock

@@ -1,5 +1,5 @@
-"""From counts to parameters of each sensor, and the file that keeps them. The names below are loaded when first used:
-SciPy takes its time.
+"""Calibration: parameters of each sensor from counts, and the file that keeps them. The names below are loaded when
+first used: SciPy takes its time.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class MeanVariance:
 
 
 def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]) -> MeanVariance:
-    """How well several runs' own means are known, averaged over the runs.
+    """Return the variance of several runs' own means, averaged over the runs.
 
     `values` (n,) are all runs one after the other, with infinite `gaps_s` (n - 1,) between runs that begin at rows
     `starts` (r,). The noise is the same in all of them, the mean is not.

@@ -1,4 +1,4 @@
-"""How a bias wanders while the box stands still: a first-order Gauss-Markov process under white noise, by likelihood.
+"""Drift of a bias while the box stands still: a first-order Gauss-Markov process under white noise, by likelihood.
 
 Means over segments of T seconds of a process with variance v and time constant tau have the variance
 ``v 2 (tau/T)^2 (T/tau - 1 + exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``:

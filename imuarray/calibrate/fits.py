@@ -1,4 +1,4 @@
-"""How well a triad's fit is known: covariance of its parameters, and readings that scatter more than their noise."""
+"""Uncertainty of a triad's fit: covariance of its parameters, and readings that scatter more than their noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What gravity does to gyroscopes at rest: bias and g-sensitivity from any static poses (the method of the paper's
+"""Effect of gravity on gyroscopes at rest: bias and g-sensitivity from any static poses (the method of the paper's
 Table 4, the whole matrix).
 
 ``mean counts = g_sensitivity @ up + bias (+ drift)``, in the directions of gravity that the accelerometers gave. The

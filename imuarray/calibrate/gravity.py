@@ -1,4 +1,4 @@
-"""Where gravity pointed, from nothing but its length: a start for the joint fit.
+"""Direction of gravity, from nothing but its length: a start for the joint fit.
 
 Per accelerometer, ``|shape @ (mean - bias)| = 1 g`` over all poses gives the bias (3) and a triangular shape matrix
 (6): an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). What is left, a turn per sensor, comes from

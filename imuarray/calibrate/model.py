@@ -1,4 +1,4 @@
-"""What is known of each sensor, and how a file keeps it (`stored.py` reads it back).
+"""The parameters of each sensor, and the file that keeps them (`stored.py` reads it back).
 
 Measurement model of a triad, counts of one reading::
 

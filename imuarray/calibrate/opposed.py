@@ -1,4 +1,4 @@
-"""What pairing anti-parallel axes of one design would cancel of their biases (the paper's section 2.1).
+"""The part of biases that pairing anti-parallel axes of one design would cancel (the paper's section 2.1).
 
 An error that all units of a design share adds up among axes that point the same way and cancels between opposite
 ones. Here it is looked at where it shows first: in the calibrated biases, turned into the box frame.

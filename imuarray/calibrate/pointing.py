@@ -1,4 +1,4 @@
-"""Which way every sensor points, from a few poses held by hand: signed axes, so that nobody fills in a sign.
+"""Orientation of every sensor, from a few poses held by hand: signed axes, so that nobody fills in a sign.
 
 Nothing is believed of the axes that a log says. Of 24 proper turns of a sensor in the box (no chip is a mirror image)
 the one is taken that explains best

@@ -374,7 +374,7 @@ class Clock(NamedTuple):
 
 
 def clock_of(stretches: Stretches) -> Clock:
-    """From the first block of the longest stretch; no rate where that has no two sound readings."""
+    """Return the clock of the first block of the longest stretch; no rate where that has no two sound readings."""
     sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
     part = slice(rows.start, min(rows.stop, rows.start + _BLOCK_ROWS))
     sound = (np.asarray(sensor.status[part]) & LEFT_OUT) == 0

@@ -1,4 +1,4 @@
-"""Which runs came up wrong, and whether the others came up in one state or in two: from run means, all axes together.
+"""Runs that came up wrong, and one state or two of the others: from run means, all axes together.
 
 Two states: with the scatter of all runs made round (the same in all directions, which takes nothing away: a common
 covariance is not known anyway), the split into two groups that leaves the least scatter within them is the likeliest
@@ -125,8 +125,8 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
 
 
 def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Booleans]:
-    """For each set of points (b, r, d) with unit scatter about lines in `warm` (r,), a unit vector about zero or zero,
-    the split into two groups of at least three that explains most of it: the share explained (b,) and the members
+    """Return for each set of points (b, r, d) with unit scatter about lines in `warm` (r,), a unit vector about zero or
+    zero, the split into two groups of at least three that explains most of it: the share explained (b,) and the members
     (b, r) of one group.
 
     The best split is a cut of the points sorted along some direction of their d coordinates and `warm`. Tried are the
@@ -227,8 +227,8 @@ class Runs:
     gravity_lsb: Floats = field(default_factory=lambda: np.zeros(3))
 
     def in_run(self, used: Sequence[int]) -> tuple[MeanVariance, ...]:
-        """For each axis what the runs at `used` places say of the variance of a run's mean; nothing if only means are
-        known.
+        """Return for each axis what the runs at `used` places say of the variance of a run's mean; nothing if only
+        means are known.
 
         A wander that is slower than a run is long can't be seen within it and counts as one from run to run.
         """

@@ -1,4 +1,4 @@
-"""What a bias does after it was calibrated: with temperature, from one switch-on to the next and while it runs; the
+"""Changes of a bias after its calibration: with temperature, from one switch-on to the next and while it runs; the
 lines of a sensor's noise; and where each figure came from.
 """
 
@@ -27,8 +27,8 @@ THERMOMETERS = ("barometer", "reference", "chip", "relative")
 
 @dataclass(frozen=True)
 class Thermal:
-    """How one sensor's counts change with temperature: ``slope (T - reference) + quadratic (T - reference)^2`` with T
-    the temperature of the `thermometer` after a first-order lag of `lag_s`.
+    """The change of one sensor's counts with temperature: ``slope (T - reference) + quadratic (T - reference)^2`` with
+    T the temperature of the `thermometer` after a first-order lag of `lag_s`.
 
     Shapes: everything (3,), one figure per sensor axis, but `lag_interval_s` (2,): 95 % likelihood interval. `meaning`
     says what the slope of an axis is: "bias", or "bias or scale" where one orientation could not tell. `scale_slope`
@@ -78,7 +78,7 @@ class BiasState:
 
 @dataclass(frozen=True)
 class TurnOn:
-    """How a bias changes from run to run, per sensor axis (3,), in counts.
+    """The change of a bias from run to run, per sensor axis (3,), in counts.
 
     `rms_lsb`: standard deviation from run to run about the run's state, the scatter within runs and the slope with
     temperature taken out, and its standard error; `spread_lsb`: the same with the scatter within runs left in, as a run
@@ -100,7 +100,7 @@ class TurnOn:
 
 @dataclass(frozen=True)
 class Drift:
-    """How a bias wanders while the sensor runs, per axis (3,), in counts: a first-order Gauss-Markov process, its
+    """The drift of a bias while the sensor runs, per axis (3,), in counts: a first-order Gauss-Markov process, its
     correlation ``rms^2 exp(-t / time_constant_s)``; what follows temperature is taken out where slopes are known.
 
     `rms_lsb` is what is likeliest (0 where nothing drifts), `rms_sem_lsb` its standard error and `rms_upper_lsb` what

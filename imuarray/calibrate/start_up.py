@@ -1,4 +1,6 @@
-"""How a sensor came up this time: in which of its stored states, or wrong, so that it should be started again."""
+"""State in which a sensor came up this time: in which of its stored states, or wrong, so that it should be started
+again.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ _NO_RANGES: Ranges = MappingProxyType({})
 
 @dataclass(frozen=True)
 class StartUp:
-    """How a sensor came up: the place of its state in the calibration's list, how many spreads its reading is from that
-    (root mean square over the axes), and whether it should be started again, and why.
+    """The state in which a sensor came up: the place of its state in the calibration's list, how many spreads its
+    reading is from that (root mean square over the axes), and whether it should be started again, and why.
     """
 
     state: int
@@ -54,7 +56,7 @@ def state_of(
     limit: float = 8.0,
     pose_g: float = 0.02,
 ) -> dict[str, StartUp]:
-    """How each sensor that has a `turn_on` came up, by its mean counts (3,) over some seconds at rest.
+    """Return how each sensor that has a `turn_on` came up, by its mean counts (3,) over some seconds at rest.
 
     Accelerometers are read in the pose of the calibrating runs, to `pose_g`. A run more than `limit` spreads from every
     state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.

@@ -248,7 +248,7 @@ class Heating:
 
     @property
     def carries_gravity(self) -> tuple[bool, ...]:
-        """For each axis, whether more than half a g lay along it."""
+        """Return for each axis whether more than half a g lay along it."""
         return tuple((np.abs(self.gravity_g) > CARRIES_G).tolist())
 
 

@@ -1,4 +1,4 @@
-"""How noisy a sensor at rest is: Allan deviation and fitted noise, spectrum and lines, correlation, codes, times; as
+"""Noise of sensors at rest: Allan deviation and fitted noise, spectrum and lines, correlation, codes, times; as
 numbers, text and figures. The names below are loaded when first used: SciPy takes its time.
 `imuarray.characterise(log)` does all of it and returns a `Characterisation` (`imuarray.analysis.characterise`).
 """

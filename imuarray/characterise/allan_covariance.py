@@ -1,4 +1,4 @@
-"""How Allan variances at different averaging times scatter together, for the noise that a model says there is.
+"""Covariance of Allan variances at different averaging times, for the noise of a model.
 
 Averaging factors m and m' see the same series, so that their estimates are correlated. With second differences D of the
 integrated series, M terms at m, M' at m', and Gaussian noise (the fourth moment of normal variables)::

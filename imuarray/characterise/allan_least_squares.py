@@ -58,7 +58,7 @@ class AllanEstimate:
         return decorrelated / spread
 
     def misfit(self, theta: Floats) -> float:
-        """How far the variances lie from what `theta` says; nearly chi-squared if it is the truth.
+        """Return how far the variances lie from what `theta` says; nearly chi-squared if it is the truth.
 
         By the cube roots of the variances: those of chi-squared numbers are nearly normal, even of few degrees of
         freedom (Wilson and Hilferty, PNAS 17, 1931).

@@ -1,4 +1,4 @@
-"""Which codes a converter gives, and what their density says: only even ones, codes that never come, clipped ends.
+"""Codes that a converter gives, and their density: only even ones, codes that never come, clipped ends.
 
 The probabilities here take readings for independent. Of noise that is correlated over many rows (a drift of several
 codes) they come out too small: shares and counts stand beside them.

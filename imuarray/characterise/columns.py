@@ -1,4 +1,4 @@
-"""What a survey found, column by column, as plain tables: fitted noise, spectrum and its lines, correlation, codes.
+"""Results of a survey, column by column, as plain tables: fitted noise, spectrum and its lines, correlation, codes.
 
 Values are in counts; `unit_per_count` of the sensor turns them into its unit.
 """

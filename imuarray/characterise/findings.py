@@ -1,4 +1,4 @@
-"""What stands out in a characterisation, in sentences: lines, codes, correlation, repeats, gaps, bad fits.
+"""Remarkable properties of a characterisation, in sentences: lines, codes, correlation, repeats, gaps, bad fits.
 
 Everything is told from the result of `characterise_log` alone.
 """

@@ -1,4 +1,4 @@
-"""How far an Allan variance can be trusted: which noise it is made of, and its equivalent degrees of freedom.
+"""Confidence of an Allan variance: which noise it is made of, and its equivalent degrees of freedom.
 
 An overlapping Allan variance is the mean of squared second differences of the integrated series, and these are
 correlated. For Gaussian noise whose second differences have the correlation rho(j) at lag j, the mean of M squares

@@ -1,4 +1,4 @@
-"""When a log's rows were taken: interval, jitter, two intervals in turn, and gaps with their places; block by block.
+"""Sampling times of a log's rows: interval, jitter, two intervals in turn, and gaps with their places; block by block.
 
 Intervals are counted in a histogram of fixed size, its bins 2^-16 of a typical interval (1 ns at least): so sure are
 medians. A gap is an interval longer than 1.5 times the upper quartile: that is about the median, but of two intervals

@@ -1,4 +1,4 @@
-"""Where readings clip: the codes beyond which a sensor gives none, by its range and by what it gave.
+"""Clipping of readings: the codes beyond which a sensor gives none, by its range and by what it gave.
 
 A rail is an end of the 16 bits; the code of range times sensitivity, where readings reach it and none goes beyond; or a
 pile of readings at the largest code, for a range, a filter or a driver may end elsewhere. A density falls towards its

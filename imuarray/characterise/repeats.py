@@ -22,7 +22,7 @@ APART = 64
 
 @dataclass(frozen=True)
 class Repeats:
-    """How often a row equals the one before; nan without two neighbouring rows.
+    """The share of rows that equal the one before; nan without two neighbouring rows.
 
     `repeat_share` of the rows that have a row before them; `chance_share` of those `APART` rows on that are equal (nan
     if there are none); `new_share` of the rows are new readings, equal by chance or not: 1 - (repeat_share -

@@ -70,7 +70,9 @@ def _fits(values: Values) -> bool:
 
 
 def sums_of_squares(phase: Floats, distances: Sequence[int], first: int = 0) -> list[float]:
-    """Per distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x reaches."""
+    """Return for each distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x
+    reaches.
+    """
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
     for start in range(first, len(phase), _BLOCK):

@@ -1,4 +1,4 @@
-"""Which part of a log is looked at: a phase at rest, and within it the longest run of rows at a steady interval."""
+"""The part of a log that is evaluated: a phase at rest, and within it the longest run of rows at a steady interval."""
 
 from __future__ import annotations
 
@@ -120,7 +120,9 @@ def _broken(sensor: SensorLog, part: slice) -> npt.NDArray[np.bool_]:
 
 
 def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
-    """For each of (n,) flags: the row doesn't continue the one before; the first row, as far as its own flags say."""
+    """Return for each of (n,) flags: the row doesn't continue the one before; the first row, as far as its own flags
+    say.
+    """
     doubt = (status & SUSPECT) != 0
     broken: npt.NDArray[np.bool_] = ((status & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt
     broken[1:] |= doubt[:-1]

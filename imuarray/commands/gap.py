@@ -31,7 +31,7 @@ FILES = ("gap.json", "repaired.toml", "report.html")
 
 @click.group("gap")
 def command() -> None:
-    """Where recordings and simulations differ, and why."""
+    """Show where recordings and simulations differ, and why."""
 
 
 command.add_command(validate)

@@ -30,7 +30,7 @@ class Screen:
         return shutil.get_terminal_size().columns - 1 if self.is_terminal else 80
 
     def show(self, lines: Sequence[str]) -> None:
-        """On a terminal over what was there before, as much as there is room for."""
+        """Print on a terminal over the previous output, as much as there is room for."""
         if not self.is_terminal:
             click.echo("\n".join(lines))
             return

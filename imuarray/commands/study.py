@@ -49,7 +49,7 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
 @force_option
 @json_option
 def command(**options: Any) -> None:
-    """What each fusion technique gains on simulated experiments of the paper's array.
+    """Determine what each fusion technique gains on simulated experiments of the paper's array.
 
     Errors over those of the simple average of the same sensors, with calibrations made from simulated logs; and, with
     the true parameters and a model that is right, over the Cramer-Rao bound: the least that any estimator can err.

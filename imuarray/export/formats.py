@@ -1,4 +1,4 @@
-"""Which formats there are, what is asked of a writer and what it answers. Loads nothing: `--help` shows it too."""
+"""File formats, the request to a writer and its answer. Loads nothing: `--help` shows it too."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ CSV_SUFFIX: Mapping[str, str] = MappingProxyType(
 
 
 def csv_names(column: str, cells: Sequence[str], unit: str) -> list[str]:
-    """What the cells of a column are called: time_s, counts_x, specific_force_x_mps2, temperature_degc."""
+    """Return the names of a column's cells: time_s, counts_x, specific_force_x_mps2, temperature_degc."""
     if column == "time":
         return ["time_s"]
     suffix = CSV_SUFFIX.get(unit, "")
@@ -75,9 +75,9 @@ Progress = Callable[[float], None]
 
 
 class ExportRequest(NamedTuple):
-    """What is asked for: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None: what
-    suits the format), a calibration to convert with (None: the data sheets' figures), and one of `TOOLS` (None: the
-    first of the format).
+    """A request for an export: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None:
+    what suits the format), a calibration to convert with (None: the data sheets' figures), and one of `TOOLS` (None:
+    the first of the format).
     """
 
     source: Path
@@ -88,8 +88,8 @@ class ExportRequest(NamedTuple):
 
 
 class ExportSummary(NamedTuple):
-    """What was written: files, rows by table, one of `UNITS`, in which they are, the sensors whose physical values
-    are the data sheets' though there was a calibration, and what is missing in them, as sentences.
+    """The result of an export: files, rows by table, one of `UNITS`, in which they are, the sensors whose physical
+    values are the data sheets' though there was a calibration, and what is missing in them, as sentences.
     """
 
     files: tuple[Path, ...]

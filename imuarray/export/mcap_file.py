@@ -82,7 +82,7 @@ class _Stream:
             self.waiting = _Rows(time_ns, self.waiting.messages + block.messages)
 
     def take(self, until_ns: int) -> _Rows:
-        """Those that wait up to a time."""
+        """Yield the messages that wait, up to a time."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
         time_ns, messages = self.waiting
         self.waiting = _Rows(time_ns[count:], messages[count:])

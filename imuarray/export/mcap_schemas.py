@@ -59,7 +59,7 @@ def log_message(nanoseconds: int, level: str, name: str, message: str) -> dict[s
 
 
 def imu_schema() -> dict[str, Any]:
-    """As sensor_msgs/Imu, in JSON."""
+    """Return the schema of sensor_msgs/Imu, in JSON."""
     triad = _object("", dict.fromkeys("xyz", _NUMBER))
     header = _object("", {"stamp": TIME, "frame_id": {"type": "string"}})
     covariances = {f"{name}_covariance": _NINE for name in ("orientation", *_IMU.values())}
@@ -85,7 +85,7 @@ def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def table_schema(table: Table) -> dict[str, Any]:
-    """Of a sensor's messages."""
+    """Return the schema of a sensor's messages."""
     fields = {column.name: _field(column) for column in table.columns if column.name != "time"}
     schema = _object(f"imuarray.{table.short}", {"timestamp": TIME, "frame_id": {"type": "string"}})
     schema["properties"] |= fields

@@ -41,7 +41,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def array_names(tables: Iterable[Table]) -> dict[str, dict[str, str]]:
-    """What the array of each column of each table is called: Gyro1_counts; once more is Gyro1_counts_2."""
+    """Return the name of the array of each column of each table: Gyro1_counts; once more is Gyro1_counts_2."""
     taken = {NPZ_HEADER}
     names: dict[str, dict[str, str]] = {}
     for table in tables:

@@ -43,8 +43,8 @@ def physical_columns(
 
 
 def compensated_columns(sensor: SensorLog) -> tuple[Column, ...]:
-    """What stands beside counts in units of its own, if the log has it: what a barometer's calibration words made of
-    them, how late a row arrived.
+    """Return the columns beside counts that have units of their own, if the log has them: what a barometer's
+    calibration words made of them, how late a row arrived.
     """
     columns = []
     for name, unit in (("temperature", "degC"), ("pressure", "Pa"), (ARRIVAL, "s")):

@@ -1,4 +1,4 @@
-"""What an export is made of: tables of equally long columns, read a stretch of rows at a time, and what they are.
+"""Tables of an export: tables of equally long columns, read a stretch of rows at a time, and what they are.
 
 Every writer takes the same tables, whether they come from a log, in counts or in physical units, or from a fused file.
 """
@@ -76,7 +76,7 @@ class Content:
     uncalibrated: tuple[str, ...] = ()
 
     def exported(self, *files: Path) -> ExportSummary:
-        """What there is to say once all of it is in `files`."""
+        """Return the summary, once all of it is in `files`."""
         rows = {table.name: table.rows for table in self.tables}
         return ExportSummary(files, rows, self.units, self.uncalibrated)
 

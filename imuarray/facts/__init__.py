@@ -1,4 +1,4 @@
-"""What the data sheets print about registers: address, access, reset value, bit fields. Nothing else.
+"""Registers as the data sheets print them: address, access, reset value, bit fields. Nothing else.
 
 These facts are written once and read by the driver and by the emulated chip alike. What a data sheet says in prose
 (byte order, sign, auto-increment, unlocking, timing, every scale factor) is *behaviour* and is written twice,

@@ -120,7 +120,7 @@ class Grid:
 
     @property
     def ahead_ns(self) -> int:
-        """How far beyond a time every row must be known for it to be certain whether it is in the grid."""
+        """Return how far beyond a time every row must be known for it to be certain whether it is in the grid."""
         return round(_SILENT * len(self.order) * self.period_ns)
 
     def times(self, rows: Sequence[Times]) -> Times:
@@ -299,7 +299,7 @@ _SECOND_ORDER = 0.375 * (1 - 1 / np.sqrt(3))
 
 
 class ElementTemperature(Protocol):
-    """How warm a sensor's element was."""
+    """The temperature of a sensor's element."""
 
     def at(self, time_s: Floats) -> Floats:
         """Degrees (n,) at times (n,) in s since the log's epoch; NaN where it is not known."""
@@ -319,8 +319,8 @@ class Unit:
     delay_s: float = 0.0
 
     def age_s(self, period_s: float) -> float:
-        """How old a reading is on average when it is read: half a conversion, unless there is one a frame, which then
-        has the time at which it was made (a queue's, an imported recording's).
+        """Return how old a reading is on average when it is read: half a conversion, unless there is one a frame, which
+        then has the time at which it was made (a queue's, an imported recording's).
         """
         is_its_own = abs(self.conversion_s - period_s) < _SAME_RATE * period_s
         return self.delay_s + (0.0 if is_its_own else self.conversion_s / 2)

@@ -1,4 +1,4 @@
-"""What an error of rate and of specific force does to a navigator that coasts: heading and velocity after a minute.
+"""Effect of errors of rate and of specific force on a navigator that coasts: heading and velocity after a minute.
 
 The box stands still for some seconds, in which the mean errors are taken out; then nothing is corrected any more. Over
 a minute the small errors of a strapdown navigator follow, in the level frame in which the box stood (Titterton and

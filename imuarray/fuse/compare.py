@@ -108,7 +108,7 @@ class _Parts:
         self._weights = iter([weight / sum(weights) for weight in weights])
 
     def next(self) -> Progress:
-        """That of the next part."""
+        """Return the estimate of the next part."""
         begin, weight = self._done, next(self._weights)
         self._done += weight
         return lambda share: self._progress(begin + weight * share)

@@ -92,8 +92,9 @@ def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:
 
 @dataclass(frozen=True)
 class TemperatureMismatch:
-    """How far a log is from where a sensor was calibrated: its temperature then and its mean one in the log (degC), the
-    root mean square of the difference, and what the bias (3,) is uncertain by for each degree, in counts.
+    """The distance of a log from the temperature at which a sensor was calibrated: its temperature then and its mean
+    one in the log (degC), the root mean square of the difference, and what the bias (3,) is uncertain by for each
+    degree, in counts.
     """
 
     sensor: str

@@ -1,4 +1,4 @@
-"""How far a fused result is from what the box really felt, where a log knows: emulated and simulated logs, or a
+"""Errors of a fused result against what the box really felt, where a log knows: emulated and simulated logs, or a
 reference.
 
 Whether errors are as large as their covariances say: the normalised error squared against its chi-square interval.

@@ -1,4 +1,4 @@
-"""What techniques are given and what they give: aligned readings, and estimates with their covariance."""
+"""Input and output of techniques: aligned readings, and estimates with their covariance."""
 
 from __future__ import annotations
 

@@ -72,8 +72,8 @@ WATCH = Watch()
 
 @dataclass(frozen=True)
 class Patience:
-    """How long frames wait for rows of a sensor; `tell` is given a sentence when a sensor is waited for no longer, and
-    when it is back.
+    """The time that frames wait for rows of a sensor; `tell` is given a sentence when a sensor is waited for no longer,
+    and when it is back.
     """
 
     timeout_s: float = TIMEOUT_S

@@ -1,4 +1,4 @@
-"""What techniques have to say of the sensors they were given, once a log is fused."""
+"""Remarks of techniques on the sensors, once a log is fused."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What a technique gains over the simple average of the same sensors, on a log that knows the truth, with its
-uncertainty.
-"""
+"""Gain of a technique over the simple average of the same sensors, on a log with truth, with its uncertainty."""
 
 from __future__ import annotations
 

@@ -142,7 +142,7 @@ def _part(block: FusedBlock, rows: slice) -> FusedBlock:
 
 @dataclass(frozen=True)
 class LiveFusionOptions:
-    """How rows are fused while they are recorded at `rate_hz` frames per second.
+    """The options of a fusion of rows while they are recorded at `rate_hz` frames per second.
 
     `watch`: whether failing sensors are left out (None: by `optimal` only); `ranges` are the sensitivities of chips by
     range, for a sensor that fell back to another one (`imuarray.chips.SENSITIVITIES`). `start_calibration` returns,

@@ -1,4 +1,4 @@
-"""What stands between aligned frames and the fused result: one object that is fed with consecutive blocks."""
+"""Pipelines between aligned frames and the fused result: one object that is fed with consecutive blocks."""
 
 from __future__ import annotations
 

@@ -153,8 +153,8 @@ class Verification:
 
 @dataclass(frozen=True)
 class Reference:
-    """What recordings are compared with: the base model of `model` (None: of the data sheets), or `earlier` recordings
-    of the same array if there are any.
+    """The thing that recordings are compared with: the base model of `model` (None: of the data sheets), or `earlier`
+    recordings of the same array if there are any.
     """
 
     model: Model | None = None
@@ -175,7 +175,8 @@ def diagnose(
     progress: Progress = lambda stage: None,
     bar: Bar = no_bar,
 ) -> Diagnosis:
-    """Where recordings of an array differ from what the simulator makes of them, why, and how far causes close that.
+    """Find where recordings of an array differ from what the simulator makes of them, why, and how far causes close
+    that.
 
     `logs` are paths, or open logs, which stay open (one, or several); of any experiments (static, tumble, heating,
     turn-on, motion), all of one array. `model` is what the simulator has: a model, its file, or the name of one that

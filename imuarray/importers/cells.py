@@ -230,8 +230,8 @@ class Block(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """How cells become counts: minus `offset`, or as two's complement of `bits`; with a `sensitivity` (counts per unit)
-    they are in a unit.
+    """The conversion of cells into counts: minus `offset`, or as two's complement of `bits`; with a `sensitivity`
+    (counts per unit) they are in a unit.
     """
 
     sensitivity: float | None = None

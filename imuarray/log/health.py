@@ -40,7 +40,7 @@ def is_trouble(event: Event) -> bool:
 
 @dataclass(frozen=True)
 class Observations:
-    """What was seen of a recording: its number of sensors and frames, `missed` frames; by name the seconds for which
+    """The observations of a recording: its number of sensors and frames, `missed` frames; by name the seconds for which
     sensors are `silent`, the readings that they `lost`, their `gaps` of unknown length and `clipped` readings; `faults`
     by sensor ("": the array) and kind of event; `stopped`: why it does not go on ("" it does, or ended as it should);
     `room_s` until the disk is full (None: not known).

@@ -119,7 +119,9 @@ class Log:
 
     @property
     def damaged_commits(self) -> int:
-        """Of an unfinished log: how many commits of its HDF5 file were found damaged, and come from the journal."""
+        """Return, for an unfinished log: how many commits of its HDF5 file were found damaged, and come from the
+        journal.
+        """
         return self._file.damaged_commits if isinstance(self._file, LiveView) else 0
 
     @property
@@ -134,7 +136,7 @@ class Log:
 
     @property
     def source(self) -> str:
-        """Where the counts came from: one of `imuarray.log.format.SOURCES`."""
+        """The origin of the counts: one of `imuarray.log.format.SOURCES`."""
         return _text(self._file.attrs["source"])
 
     @property
@@ -144,7 +146,7 @@ class Log:
 
     @property
     def software(self) -> str:
-        """What wrote the log."""
+        """The software that wrote the log."""
         return _text(self._file.attrs.get("software", ""))
 
     @property
@@ -174,7 +176,7 @@ class Log:
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """What happened, in file order."""
+        """The events, in file order."""
         columns = self._columns("events", ("time", "sensor", "kind", "message"), numbers=1)
         return tuple(Event(*row) for row in zip(*columns, strict=True))
 
@@ -207,17 +209,17 @@ class Log:
 
     @property
     def truth(self) -> Track | None:
-        """What the box really felt, in a simulated or emulated log."""
+        """The motion that the box really felt, in a simulated or emulated log."""
         return self._track("truth")
 
     @property
     def reference(self) -> Track | None:
-        """What a reference instrument saw, if one was there."""
+        """The measurements of a reference instrument, if one was there."""
         return self._track("reference")
 
     @property
     def clocks(self) -> ClockTrack | None:
-        """What the machine's clocks said now and then."""
+        """The readings of the machine's clocks."""
         group = self._group("clocks")
         return None if group is None else clocks_of(group, f"{self.path}: group clocks")
 

@@ -41,7 +41,7 @@ NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarr
 
 @dataclass(frozen=True)
 class TechniqueSet:
-    """What the files of a page know of each other: the calibrations, merged in their order, and whether to draw."""
+    """The links between the files of a page: the calibrations, merged in their order, and whether to draw."""
 
     calibration: Calibration
     drawn: bool

@@ -45,7 +45,7 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
 
 
 def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict, Section]:
-    """How quiet it is, which sensors were in use, and its course; the verdict on it."""
+    """Return the sections on the result's noise, the sensors that were in use, and its course; the verdict on it."""
     noise = quiet_noise(read_fused(path))
     course = _course(path, head.frames)
     rows = []

@@ -48,7 +48,7 @@ def shrink_figure(gap: Gap) -> Figure:
 
 
 def can_compare(use: Use) -> bool:
-    """Whether simulated figures can stand over the recorded one."""
+    """Return true if simulated figures can stand over the recorded one."""
     every = [
         getattr(estimate, end) for estimate in (use.real, use.before, use.after) for end in ("value", "low", "high")
     ]
@@ -115,8 +115,8 @@ def outside(overlay: Overlay, bands: Floats) -> float:
 
 
 def farthest(overlay: Overlay, bands: Floats) -> tuple[float, float]:
-    """Where on x the recording lies farthest outside the band (3, n), and how far, in half widths of the band (at
-    least a hundredth of the curve's size); nan and 0 if nowhere.
+    """Return where on x the recording lies farthest outside the band (3, n), and how far, in half widths of the band
+    (at least a hundredth of the curve's size); nan and 0 if nowhere.
     """
     _, low, high = bands
     width = np.maximum((high - low) / 2, 0.01 * np.nanmax(np.abs(overlay.real), initial=0.0))

@@ -27,7 +27,7 @@ _DARK = 0.82
 
 
 def top_of(shown: Map) -> float:
-    """Where the colour scale of both maps ends: the largest finite score, at least ten times the limit."""
+    """Return the end of the colour scale of both maps: the largest finite score, at least ten times the limit."""
     both = np.concatenate([shown.before.ravel(), shown.after.ravel(), [10 * shown.limit]])
     return float(both[np.isfinite(both)].max())
 

@@ -119,7 +119,7 @@ def _use_words(use: Use) -> str:
 
 
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
-    """What a person would say of it, a line each."""
+    """Return the diagnosis as a person would say it, a line each."""
     yield diagnosis.sentence
     yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
     gap = gap_text(diagnosis.gap)

@@ -69,7 +69,7 @@ def make_logarithmic(panel: Axes, which: str) -> None:
 
 
 def legend_above(panel: Axes) -> None:
-    """In one row above the panel's right end."""
+    """Draw the legend in one row above the panel's right end."""
     panel.legend(
         loc="lower right",
         bbox_to_anchor=(1, 1),

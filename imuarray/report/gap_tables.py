@@ -121,7 +121,7 @@ def where_table(where: Sequence[Where], caption: str) -> Table:
 
 
 def unshown_table(unshown: Sequence[Unobservable]) -> Table:
-    """What can't be told, of which sensors, and what to record."""
+    """Return the effects that can't be detected, for which sensors, and what to record."""
     rows = [[hidden.effect, ", ".join(hidden.sensors) or "all", hidden.record] for hidden in unshown]
     return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))
 
@@ -146,7 +146,7 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
 
 
 def missing_table(missing: Sequence[str]) -> Table:
-    """What is missing, a row each."""
+    """Return what is missing, a row each."""
     return Table(["", "missing"], [[str(place), phrase] for place, phrase in enumerate(missing, 1)], "Missing.", (1,))
 
 
@@ -174,7 +174,7 @@ def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
 
 
 def overlays_table(overlays: Sequence[Overlay]) -> Table:
-    """How much of each curve lies outside the simulated bands."""
+    """Return how much of each curve lies outside the simulated bands."""
     rows = [
         [
             f"{overlay.sensor} {overlay.axis}".rstrip(),
@@ -206,7 +206,7 @@ def recorded_table(diagnosis: Diagnosis) -> Table:
 
 
 def origin_table(diagnosis: Diagnosis) -> Table:
-    """From what this page comes, so that it can be made again."""
+    """Return the inputs of this page, so that it can be made again."""
     rows = [
         ["model", diagnosis.model],
         ["seed", str(diagnosis.seed)],
@@ -217,7 +217,7 @@ def origin_table(diagnosis: Diagnosis) -> Table:
 
 
 def notes_table(notes: Sequence[str]) -> Table:
-    """What was noticed on the way."""
+    """Return the remarks made on the way."""
     return Table(["", "note"], [[str(place), note] for place, note in enumerate(notes, 1)], "Notes.", (1,))
 
 

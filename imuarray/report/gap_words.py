@@ -1,4 +1,4 @@
-"""What each effect does, in a few words, for a page whose reader has no list of effects at hand."""
+"""Effects in a few words each, for a page whose reader has no list of effects at hand."""
 
 from __future__ import annotations
 

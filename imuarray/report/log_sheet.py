@@ -40,7 +40,9 @@ def log_summary(log: Log) -> Iterator[str]:
 def log_sections(
     log: Log, scales: Mapping[str, Any], *, drawn: bool, progress: Callable[[float], None] = lambda share: None
 ) -> Iterator[Section]:
-    """What was recorded; noise at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit."""
+    """Return the sections on what was recorded; noise at rest with figures if they can be `drawn`. `scales`: calibrated
+    counts per unit.
+    """
     yield _recorded(log)
     columns = itertools.count(1)
     total = 3 * sum(sensor.is_triad for sensor in log.sensors.values())

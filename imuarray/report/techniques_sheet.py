@@ -1,4 +1,4 @@
-"""What each fusion technique gains over the simple average on a log that knows the truth, on a page."""
+"""Report of what each fusion technique gains over the simple average on a log that knows the truth."""
 
 from __future__ import annotations
 

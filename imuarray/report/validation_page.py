@@ -49,7 +49,7 @@ def write_validation_page(
 
 
 def validation_verdict(figures: Figures) -> Verdict:
-    """How many of the bars that were set before the diagnosis meets."""
+    """Return how many of the bars that were set before the diagnosis meets."""
     judged = [row for row in figures.rows if row.mark in ("ok", "FAIL")]
     failed = [row for row in judged if row.mark == "FAIL"]
     if not judged:

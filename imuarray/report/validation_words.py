@@ -1,4 +1,4 @@
-"""What a validation run shows, in words: for the top of its page, and in Markdown for a page that is committed."""
+"""Sentences on the results of a validation run: for the top of its page, and in Markdown for a committed page."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
 
 
 def summary_lines(figures: Figures) -> Iterator[str]:
-    """How many figures reach their bar and which don't, what there were no cases for, what is lost."""
+    """Return how many figures reach their bar and which don't, what there were no cases for, what is lost."""
     judged = [row for row in figures.rows if row.passes is not None]
     sure = [row.name for row in figures.failed if row.is_refuted]
     maybe = [row.name for row in figures.failed if not row.is_refuted]

@@ -142,7 +142,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed: dict[str, Floats]) -> Verdict:
-    """How quiet the result is, and whether it is as good as it says. `noise` and `claimed` (3,) in SI by quantity."""
+    """Return how quiet the result is, and whether it is as good as it says. `noise` and `claimed` (3,) in SI by
+    quantity.
+    """
     figures, texts, ratios = [(f"{head.frames}", "frames")], [], []
     for quantity, values in noise.items():
         factor, unit = READABLE_SI[quantity]
@@ -164,7 +166,7 @@ def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed
 
 
 def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
-    """What fusion gains over the simple average of the same sensors; None if there is nothing to compare."""
+    """Return what fusion gains over the simple average of the same sensors; None if there is nothing to compare."""
     scores = [score for score in comparison.scores if score.technique != "mean"]
     if not scores:
         return None

@@ -1,4 +1,4 @@
-"""What each chip makes of its element's signal: codes, and the temperature that its own thermometer reads.
+"""Conversion of each chip's element signal: codes, and the temperature that its own thermometer reads.
 
 Codes are rounded to the nearest multiple of the step and end at the code span. Sensitivities are those of
 `imuarray.chips`.
@@ -114,8 +114,8 @@ def converted(analog: Analog, span: CodeSpan) -> Counts:
 
 
 def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> Integers:
-    """When the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a second, one
-    of them `phase` periods before time 0; the instant itself for a chip without a rate.
+    """Return when the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a
+    second, one of them `phase` periods before time 0; the instant itself for a chip without a rate.
     """
     if rate_hz <= 0:
         return instant_ns
@@ -133,8 +133,8 @@ def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
 
 
 def held(codes: Codes, rate_hz: float, phase: float = 0.0) -> Codes:
-    """What is read of a chip that makes `rate_hz` readings a second, one of them `phase` periods before time 0, and is
-    asked more often: the latest one, once more and not fresh.
+    """Return what is read of a chip that makes `rate_hz` readings a second, one of them `phase` periods before time 0,
+    and is asked more often: the latest one, once more and not fresh.
     """
     sample = _reading(codes.instant_ns, rate_hz, phase)
     fresh = np.concatenate([[True], np.diff(sample) > 0])

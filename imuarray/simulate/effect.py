@@ -1,4 +1,4 @@
-"""What every effect is: a frozen dataclass of parameters, and up to four places in the chain where it acts.
+"""The interface of every effect: a frozen dataclass of parameters, and up to four places in the chain where it acts.
 
 The chain of one sensor, in physical order::
 
@@ -62,19 +62,19 @@ class Effect:
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def lookback(self, at: Place) -> int:
-        """How many rows before a stretch it must see to know what the stretch holds."""
+        """Return how many rows before a stretch it must see to know what the stretch holds."""
         return 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """When rows are read, and which of them arrive."""
+        """Return when rows are read, and which of them arrive."""
         return instants
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
-        """What the logger makes of it: (n,) flags of the rows."""
+        """Return the logger's flags: (n,) flags of the rows."""
         return status
 
     def felt(self, felt: Felt, at: Place) -> Felt:
-        """What is felt where the sensor sits."""
+        """Return the stimulus at the sensor's place."""
         return felt
 
     def analog(self, analog: Analog, at: Place) -> Analog:
@@ -82,7 +82,7 @@ class Effect:
         return analog
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """What the bus delivers."""
+        """Return the codes that the bus delivers."""
         return codes
 
 

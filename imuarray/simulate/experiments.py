@@ -32,8 +32,8 @@ _REST_SHARE = 1 / 6
 
 @dataclass(frozen=True)
 class ExperimentOptions:
-    """What an experiment may be told: its length in s (None: its own), the box axis that points up, the temperature,
-    what moves the box ("hand", "vehicle" or a trajectory file), and which run of a series it is (1, 2, ...).
+    """The options of an experiment: its length in s (None: its own), the box axis that points up, the temperature, what
+    moves the box ("hand", "vehicle" or a trajectory file), and which run of a series it is (1, 2, ...).
     """
 
     seconds: float | None = None
@@ -44,7 +44,7 @@ class ExperimentOptions:
 
 
 def static(wanted: ExperimentOptions) -> Motion:
-    """At rest."""
+    """Return a box at rest."""
     return Still(wanted.up, wanted.seconds or _STATIC_S, wanted.temperature_degc)
 
 
@@ -70,7 +70,7 @@ def turn_on(wanted: ExperimentOptions) -> Motion:
 
 
 def motion(wanted: ExperimentOptions) -> Motion:
-    """At rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
+    """Return a box at rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
     if wanted.drive not in DRIVES:
         if not Path(wanted.drive).exists():
             near = guess(wanted.drive, DRIVES) or guess_file(wanted.drive)

@@ -1,4 +1,4 @@
-"""When the host that read an array was kept waiting, as the times of all its sensors' rows in a log tell.
+"""Delays of the host that read an array, as the times of all its sensors' rows in a log tell.
 
 The sensors of a frame are read one after the other, as fast as the bus gives their bytes. Where another program had the
 processor before one of them, it and all that follow it come late by that. Of a reading that took longer than its bits
@@ -54,7 +54,7 @@ class DelayedTimes:
 
     @property
     def rows_per_s(self) -> float:
-        """That of its own timeline."""
+        """The rate of its own timeline."""
         return self.own.rows_per_s
 
     def stamps(self, start: int, stop: int) -> Integers:

@@ -83,7 +83,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Model:
-    """What a model file says: the designs, the known units, and its text."""
+    """The contents of a model file: the designs, the known units, and its text."""
 
     name: str
     about: str

@@ -1,4 +1,5 @@
-"""What the units of one design differ by: a parameter is a number, or a population from which every unit draws its own.
+"""Scatter between the units of one design: a parameter is a number, or a population from which every unit draws its
+own.
 
 In a model file a population is a table: ``offset_g = { mean = 0.0, sigma = 0.03, limit = 0.06, shared = 0.5 }``, drawn
 anew for each axis, or a list with one such table or number for each axis. Draws are keyed by (seed, sensor, effect,

@@ -26,7 +26,7 @@ _AHEAD = 4
 
 
 class Written(NamedTuple):
-    """What a log got: frames, seconds, rows by sensor, and rows that were dropped on the way."""
+    """The contents of a written log: frames, seconds, rows by sensor, and rows that were dropped on the way."""
 
     frames: int
     seconds: float
@@ -45,8 +45,8 @@ class _Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Origin:
-    """What a simulated log says of itself: the wall time of time 0 (ISO 8601, UTC), and a note (which model, which
-    seed) that becomes an event at time 0.
+    """The statements of a simulated log about itself: the wall time of time 0 (ISO 8601, UTC), and a note (which model,
+    which seed) that becomes an event at time 0.
     """
 
     epoch: str = EPOCH

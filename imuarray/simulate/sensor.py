@@ -56,8 +56,8 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What all triads of a simulation share: the motion, the random streams, the function that gives a neighbour's
-    codes by its name and rows, and the type of the numbers.
+    """The things that all triads of a simulation share: the motion, the random streams, the function that gives a
+    neighbour's codes by its name and rows, and the type of the numbers.
     """
 
     motion: Motion

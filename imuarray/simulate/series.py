@@ -1,4 +1,4 @@
-"""Which logs a simulation writes: one, a log for each boot of a turn-on series, or one like a recorded log."""
+"""Logs that a simulation writes: one, a log for each boot of a turn-on series, or one like a recorded log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What passes through the effects: instants, what the box feels there, the sensing element's signal, counts.
+"""Signals that pass through the effects: instants, what the box feels there, the sensing element's signal, counts.
 
 Each stage is a frozen dataclass of equally long arrays for consecutive rows of one sensor; `first` is the number of
 the first row. An effect returns a new one and leaves the one it was given as it was. Vectors carry their frame:
@@ -31,9 +31,9 @@ __all__ = ["Analog", "Codes", "Felt", "Instants", "Motion", "Place", "Triple", "
 
 @dataclass(frozen=True)
 class Instants:
-    """When rows are read: `stamp_ns` (n,) is what the log will say, `instant_ns` (n,) when the chip was really asked;
-    rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings a second; at the
-    log's epoch so much of a period as `phase` says has passed since one of them.
+    """The instants at which rows are read: `stamp_ns` (n,) is what the log will say, `instant_ns` (n,) when the chip
+    was really asked; rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings
+    a second; at the log's epoch so much of a period as `phase` says has passed since one of them.
     """
 
     first: int
@@ -75,8 +75,8 @@ class Analog:
 
 @dataclass(frozen=True)
 class Codes:
-    """What the bus delivers: `counts` (n, 3) integers, `temperature_counts` (n,) or None, `fresh` (n,): False where
-    the chip had nothing newer than the row before.
+    """The codes that the bus delivers: `counts` (n, 3) integers, `temperature_counts` (n,) or None, `fresh` (n,): False
+    where the chip had nothing newer than the row before.
     """
 
     first: int
@@ -88,7 +88,7 @@ class Codes:
 
 @dataclass(frozen=True)
 class Place:
-    """Where an effect acts: the sensor, the motion, the random streams.
+    """The place where an effect acts: the sensor, the motion, the random streams.
 
     `rows_per_s` is the nominal rate of the rows, `neighbour(name, first, stop)` the codes of another sensor of the
     array (KeyError if there is none), `reaching(effect, row)` the codes of one row as they reach that effect of this
@@ -111,7 +111,7 @@ class Place:
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
-        """What `make` gives, made once; `key` says all that it depends on besides this place."""
+        """Return the result of `make`, evaluated once; `key` says all that it depends on besides this place."""
         kept: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
         return kept
 
@@ -120,8 +120,8 @@ class Place:
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
-        """Of each stretch (from, until) that reaches into rows first ... stop - 1: its first row, and the one behind
-        it, or `stop` if that comes first.
+        """Yield, for each stretch (from, until) that reaches into rows first ... stop - 1: its first row, and the one
+        behind it, or `stop` if that comes first.
         """
         first_ns, last_ns = (int(self.stamps(row, row + 1)[0]) for row in (first, stop - 1))
         for due_ns, over_ns in stretches_ns:

@@ -40,7 +40,9 @@ _FRAMES_LIKE_HZ = 50.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Which sensors are read when: what a simulation and a recording of the same run have in common."""
+    """The sensors and the times at which they are read: what a simulation and a recording of the same run have in
+    common.
+    """
 
     sensors: Mapping[str, tuple[SensorHeader, Timeline]]
     frames: PollTimes
@@ -164,8 +166,8 @@ def effects_of(
 
 
 def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:
-    """Where a sensor with these effects sits, and how it lies: as its header says, or as that of another one in whose
-    place it is. ValueError if there is no such sensor.
+    """Return where a sensor with these effects sits, and how it lies: as its header says, or as that of another one in
+    whose place it is. ValueError if there is no such sensor.
     """
     for effect in effects:
         if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:

@@ -1,5 +1,5 @@
-"""When each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a log, with
-or without the rows that it lost.
+"""Times at which each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a
+log, with or without the rows that it lost.
 
 A frame visits the segments of the bus there and, the next time, back (one switch of the multiplexer a frame), so that a
 sensor's readings lie alternately a little nearer and a little farther apart. A burst takes its clocks at 400 kHz.
@@ -50,7 +50,7 @@ class Timeline(Protocol):
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """The number of rows."""
 
     @property
     def rows_per_s(self) -> float:

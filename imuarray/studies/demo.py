@@ -101,7 +101,7 @@ class Case:
 
     @property
     def label(self) -> str:
-        """In words, for a table."""
+        """Return the name in words, for a table."""
         which = f", {self.only[0]} to {self.only[-1]}" if self.only else ""
         return f"{self.technique}, {self.run}{which}{', drift' if self.slow else ''}"
 

@@ -67,7 +67,9 @@ class Fold(NamedTuple):
 
 
 class ConfusablePair(NamedTuple):
-    """In `times` of the `cases` in which `effect` was active and a gap was reported, `said` was the first cause."""
+    """Effects that are confused: in `times` of the `cases` in which `effect` was active and a gap was reported, `said`
+    was the first cause.
+    """
 
     effect: str
     said: str

@@ -1,4 +1,4 @@
-"""What `characterise_log` found as figures, drawn from its result alone.
+"""Figures of a characterisation, drawn from the result of `characterise_log` alone.
 
 Needs matplotlib (extra "report"), imported when a figure is drawn. Bare `Figure`s with the Agg canvas: no display, no
 global state.

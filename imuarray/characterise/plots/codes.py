@@ -1,4 +1,4 @@
-"""Which codes every sensor axis gave and how often: a small panel each, with the Gaussian of same mean and spread."""
+"""Histogram of codes of every sensor axis: a small panel each, with the Gaussian of same mean and spread."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _is_shown(axis: Table) -> bool:
 
 
 def chosen(sensors: list[Table], level: float) -> list[Table]:
-    """At most `MOST_SENSORS`, in their order; those with the most marked axes if there are more."""
+    """Return at most `MOST_SENSORS`, in their order; those with the most marked axes if there are more."""
     marked = [sum(bool(marks(axis, level)) for axis in sensor["axes"]) for sensor in sensors]
     first = sorted(range(len(sensors)), key=lambda at: -marked[at])[:MOST_SENSORS]
     return [sensors[at] for at in sorted(first)]

@@ -1,4 +1,4 @@
-"""What the figures have in common: sensors grouped by quantity, their colours and dashes, titles, scales, legends."""
+"""Common parts of the figures: sensors grouped by quantity, their colours and dashes, titles, scales, legends."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def unit_of(sensor: Table) -> str:
 
 
 def scale_of(axis: Table, unit: str) -> float:
-    """How much of the `unit` a count of this axis is, without its sign."""
+    """Return how much of the `unit` a count of this axis is, without its sign."""
     return 1.0 if unit == "counts" else abs(float(axis["unit_per_count"]))
 
 
@@ -193,7 +193,9 @@ def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) ->
 
 
 def legend(panel: Axes, kind: Kind, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
-    """Beside the panel: sensors by colour, each with its note below, axes by dashes, and what `more` there is."""
+    """Draw a legend beside the panel: sensors by colour, each with its note below, axes by dashes, and what `more`
+    there is.
+    """
     from matplotlib.lines import Line2D
 
     handles: list[Artist] = []
@@ -224,7 +226,7 @@ def label(sensor: Table) -> str:
 
 
 def axes_of(result: Table) -> int:
-    """How many axes share a figure's chance of a false alarm; at least 1."""
+    """Return how many axes share a figure's chance of a false alarm; at least 1."""
     return max(1, sum(len(sensor["axes"]) for sensor in result["sensors"]))
 
 

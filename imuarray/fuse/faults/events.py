@@ -1,4 +1,4 @@
-"""What a fault monitor tells: which axes it left out, since when, why, and when it took them back."""
+"""Events of a fault monitor: which axes it left out, since when, why, and when it took them back."""
 
 from __future__ import annotations
 

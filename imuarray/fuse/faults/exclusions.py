@@ -1,4 +1,4 @@
-"""Which axes are left out, and when they may come back.
+"""Axes that are left out, and the conditions for their return.
 
 Puts what was decided into events.
 """
@@ -120,7 +120,7 @@ class FaultReport:
         self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "back")
 
     def blind(self, sensor: int, time_ns: int) -> None:
-        """What is left besides this sensor can't be checked any more."""
+        """Return true if the sensors left besides this one can't be checked any more."""
         self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "no redundancy")
 
     def _add(self, sensor: int, axes: Sequence[int], time_ns: int, kind: Kind, state: State, **more: Any) -> None:

@@ -120,8 +120,8 @@ class WindowSeries:
         return passed
 
     def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
-        """What a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting` to be
-        used again may agree with the others, or where this way does not tell.
+        """Return what a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting`
+        to be used again may agree with the others, or where this way does not tell.
         """
         frames, rows, state = self._frames, self._rows, normal.state
         offset = self._gain @ state[:, 0]

@@ -72,7 +72,7 @@ _SHORT = 3
 
 
 class Stillness:
-    """Which sensors stand still, by two windows in a row; what is normal is learnt of the windows before."""
+    """The sensors that stand still, by two windows in a row; what is normal is learnt of the windows before."""
 
     def __init__(self, sensors: int) -> None:
         self._quiet, self._stale = _Runs(sensors), _Runs(sensors)
@@ -97,8 +97,8 @@ class Stillness:
         return self._quiet.any or self._stale.any
 
     def moves(self, changes: Floats, normal: Normal) -> bool:
-        """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
-        none is stale: its mean squares of `changes` (m,).
+        """Return true if no sensor stood still in the window before nor does in this one, of which every reading is
+        there and none is stale: its mean squares of `changes` (m,).
         """
         if self.anybody:
             return False

@@ -1,4 +1,4 @@
-"""Which axis, or which whole sensor, explains best what a window shows: generalised likelihood ratios.
+"""Hypotheses of which axis, or which whole sensor, explains best what a window shows: generalised likelihood ratios.
 
 Two tests, for every axis and for every sensor as a whole:
 
@@ -131,7 +131,7 @@ _CLEARLY = 0.7
 
 
 class Baseline:
-    """Where each axis began, and how far it is from there."""
+    """The starting point of each axis, and its distance from there."""
 
     def __init__(self, rows: Floats, quantity: str) -> None:
         self._spaces = Spaces(rows)
@@ -141,8 +141,8 @@ class Baseline:
         self._covariance: Floats | None = None
 
     def departed(self, included: Booleans, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
-        """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off farthest,
-        beyond what drift allows, and how far in SI; None if none has.
+        """Return, of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off
+        farthest, beyond what drift allows, and how far in SI; None if none has.
 
         To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
         """

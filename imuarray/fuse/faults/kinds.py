@@ -1,4 +1,4 @@
-"""What a fault looks like, once it is known whose it is: another range, stuck, off, walked off, noisy, spikes."""
+"""Kinds of faults, and how each looks: another range, stuck, off, walked off, noisy, spikes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class TriadComparison:
 
     @property
     def ratio(self) -> float:
-        """How many times what the others tell it reads; NaN where there is too little to tell it from."""
+        """Return the multiple of the other axes that an axis reads; NaN where there is too little to tell it from."""
         power = float((self.expected**2).mean(axis=0).sum())
         if not power > _TOLD**2 * float((self.noise**2).sum()) / len(self.expected):
             return np.nan

@@ -42,14 +42,14 @@ NO_RANGES: Ranges = MappingProxyType({})
 
 
 class ExclusionMasks:
-    """Which axes a monitor left out of which frames: what does not change for long takes no room."""
+    """The axes that a monitor left out of each frame: what does not change for long takes no room."""
 
     def __init__(self, window: int, axes: int) -> None:
         self._window, self._windows = window, 0
         self._begins, self._masks = [0], [np.zeros(axes, bool)]
 
     def add(self, masks: Sequence[Booleans]) -> None:
-        """Those (m,) of the next windows."""
+        """Add the masks (m,) of the next windows."""
         for mask in masks:
             if (mask != self._masks[-1]).any():
                 self._begins.append(self._windows * self._window)

@@ -1,4 +1,4 @@
-"""What is normal for each axis of an array: noise, slow bias, and errors of calibration that show in motion only.
+"""Normal behaviour of each axis of an array: noise, slow bias, and errors of calibration that show in motion only.
 
 An axis reads ``value = row @ triad + regressors @ state + noise``: the state holds a bias, three errors of its response
 (what share of each box component it reads too much) and a delay. Each axis' state is a small Kalman filter of its own
@@ -57,8 +57,8 @@ Q_WINDOWS = 50
 
 
 class Learnt(NamedTuple):
-    """What windows change of a `Normal` whose noise is settled: `state` (m, 5), `covariance` (m, 5, 5), and (m,)
-    `colour`, `change`, the windows `seen` and the means of the window `before`, NaN where it had none.
+    """The changes that windows make to a `Normal` whose noise is settled: `state` (m, 5), `covariance` (m, 5, 5), and
+    (m,) `colour`, `change`, the windows `seen` and the means of the window `before`, NaN where it had none.
     """
 
     state: Floats

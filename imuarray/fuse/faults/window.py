@@ -1,4 +1,4 @@
-"""What sensors feel besides the box's origin because they sit elsewhere on a turning box (the size effect).
+"""Size effect: what sensors feel besides the box's origin because they sit elsewhere on a turning box.
 
 Parity space of an array: what its axes say that no motion of the box can explain.
 

@@ -1,4 +1,4 @@
-"""What is known beforehand of the errors of an array: the model that `Optimal` weighs its readings by.
+"""Prior knowledge of the errors of an array: the model that `Optimal` weighs its readings by.
 
 A reading of axis i of a sensor, along that axis, in SI::
 

@@ -1,4 +1,5 @@
-"""What does not go with the stimulus but with its change: no reading's time is known exactly.
+"""The part of slow errors that goes with the change of the stimulus, not with the stimulus: no reading's time is known
+exactly.
 
 A reading that is late by t errs by t times the stimulus's change in a second. While a box is moved to and fro that
 comes and goes as noise does: where the change is fast frames teach less about slow errors, what is told of their own
@@ -182,7 +183,7 @@ class Step(NamedTuple):
 
 
 class Segments:
-    """Where segments of up to `full` frames end, counted from the first frame."""
+    """The ends of segments of up to `full` frames, counted from the first frame."""
 
     def __init__(self, full: int) -> None:
         self._full = full

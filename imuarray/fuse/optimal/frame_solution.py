@@ -31,9 +31,9 @@ is so little off costs is of second order.
 
 
 class NominalGain(NamedTuple):
-    """What most frames of a segment with the same rows in use have: `gain` (k, r), 0 for the others, what it makes of
-    the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), of the slow errors' terms,
-    (terms^2, k, k), and, for a unit of change in a second, of times, (k, k).
+    """The gain of most frames of a segment, which have the same rows in use: `gain` (k, r), 0 for the others, what it
+    makes of the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), of the slow errors'
+    terms, (terms^2, k, k), and, for a unit of change in a second, of times, (k, k).
     """
 
     gain: Floats
@@ -121,7 +121,7 @@ class SegmentView:
 
     @cached_property
     def reach(self) -> float:
-        """How far the stimulus may be from the usual one for the usual gain to be as good as the best."""
+        """Return how far the stimulus may be from the usual one for the usual gain to be as good as the best."""
         if len(self.errors) == 1 or self.final:
             return np.inf
         own = np.einsum("jkrr->rjk", self.errors)

@@ -1,4 +1,4 @@
-"""What the rows of an array see of the unknowns of a frame, and with how much noise.
+"""Sensitivity of an array's rows to the unknowns of a frame, and their noise.
 
 Frames made ready: what is a value, what is only a bound, and what is left out.
 """

@@ -1,4 +1,4 @@
-"""What an array has found out about its own slow errors: for reports.
+"""Estimates that an array makes of its own slow errors: for reports.
 
 How much warmer the axes are than they were when their biases were measured.
 
@@ -114,7 +114,7 @@ class Optimal:
         return {quantity: _estimate(solutions[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
-        """What the array knows of its own slow errors, by quantity: at the last frame it was given, or after
+        """Return what the array knows of its own slow errors, by quantity: at the last frame it was given, or after
         `smoothed` at the end of that log.
         """
         return {
@@ -207,7 +207,7 @@ class _Group:
         return self._geometry.spans(np.ones(len(self._geometry.noise), bool))
 
     def turn_back(self) -> None:
-        """From now on, frames are the same ones again."""
+        """Begin the second pass over the same frames."""
         self.filter.end()
         if self._recorder is not None:
             self._recorder.smooth()

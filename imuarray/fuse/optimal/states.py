@@ -24,14 +24,14 @@ from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorMod
 
 
 class Normal(NamedTuple):
-    """What is believed of n states: mean (n,) and covariance (n, n)."""
+    """The belief about n states: mean (n,) and covariance (n, n)."""
 
     mean: Floats
     covariance: Floats
 
 
 class Innovation(NamedTuple):
-    """What one step of measurements brought: the `rows` (p, n), the inverse of the innovations' covariance (p, p) and
+    """The result of one step of measurements: the `rows` (p, n), the inverse of the innovations' covariance (p, p) and
     that times the innovations, (p,).
     """
 
@@ -41,8 +41,8 @@ class Innovation(NamedTuple):
 
 
 class Adjoint(NamedTuple):
-    """What all later measurements say of a predicted state: ``smoothed = predicted - covariance @ vector``, and its
-    covariance less ``covariance @ matrix @ covariance``.
+    """The information of all later measurements on a predicted state: ``smoothed = predicted - covariance @ vector``,
+    and its covariance less ``covariance @ matrix @ covariance``.
     """
 
     vector: Floats
@@ -68,7 +68,7 @@ def corrected(before: Normal, rows: Floats, values: Floats) -> tuple[Normal, Inn
 
 
 def backwards(later: Adjoint, at: Normal, step: Innovation) -> Adjoint:
-    """What these and all later measurements say of the state `at`, as predicted before them."""
+    """Return what these and all later measurements say of the state `at`, as predicted before them."""
     kept = np.eye(len(at.mean)) - at.covariance @ step.rows.T @ (step.inverse @ step.rows)
     vector = kept.T @ later.vector - step.rows.T @ step.weighted
     matrix = kept.T @ later.matrix @ kept + step.rows.T @ step.inverse @ step.rows

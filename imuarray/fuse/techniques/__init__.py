@@ -1,4 +1,5 @@
-"""How the axes of an array become one triad: the simple average and the paper's three techniques, each alone.
+"""Techniques: ways in which the axes of an array become one triad. the simple average and the paper's three techniques,
+each alone.
 
 All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects
 the values before, `planes` chooses the weights, `ranges` does both. None of them, the average included, uses a reading

@@ -1,4 +1,4 @@
-"""What anti-parallel axes of one design can cancel of their errors, pair by pair, as a calibration tells it.
+"""Errors that anti-parallel axes of one design can cancel, pair by pair, as a calibration tells it.
 
 The mean of a pair, one axis counted with the other's sign, keeps half the difference of the two errors (paper, section
 2.1): of the slopes with temperature, and of the biases.

@@ -54,7 +54,7 @@ class Monitor:
 
 
 def planes(axes: Sequence[Axis]) -> Technique:
-    """In-plane and out-of-plane axes by their noise and stability (paper, section 2.2): a `PlaneBlend`."""
+    """Weights of in-plane and out-of-plane axes by their noise and stability (paper, section 2.2): a `PlaneBlend`."""
     return PlaneBlend(axes)
 
 

@@ -1,4 +1,4 @@
-"""What a technique is, and what is asked of the axes that some of them weigh.
+"""The interface of a technique, and its queries to the axes that some of them weigh.
 
 `mean`: every axis weighs the same.
 """

@@ -146,7 +146,7 @@ def _undoes(trial: Evaluation, before: UnitState) -> bool:
 
 
 class Support(NamedTuple):
-    """How much the data support a cause: its probability, and the effects with which it can be confused."""
+    """The support of a cause by the data: its probability, and the effects with which it can be confused."""
 
     probability: float
     confusable: tuple[str, ...]

@@ -115,8 +115,8 @@ def next_experiment(
     unshown: Sequence[Unobservable],
     run: Run,
 ) -> str:
-    """What to record next, in words: what separates the most probable cause from its rivals; otherwise what shows more
-    of the unexplained remainder (worst first), or of what is not observable.
+    """Return what to record next, in words: what separates the most probable cause from its rivals; otherwise what
+    shows more of the unexplained remainder (worst first), or of what is not observable.
     """
     rivals = rivals_of(searched, causes)
     if rivals is not None:

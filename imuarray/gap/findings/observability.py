@@ -1,5 +1,5 @@
-"""What a campaign cannot show: effects that no recorded experiment shows, and statistics with more scatter than the
-differences that matter.
+"""Effects that a campaign cannot show: effects that no recorded experiment shows, and statistics with more scatter than
+the differences that matter.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ _TRIAD = 3
 
 @dataclass(frozen=True)
 class Facts:
-    """What was recorded in a campaign.
+    """The facts about a campaign's recordings.
 
     Number of `faces` the box rested on, including poses by hand; largest `span_degc` of temperature in one log; `runs`
     of a turn-on series; whether the box `has_turned` while gyroscopes were read; total `rest_s` at rest; `warm_faces`:
@@ -205,8 +205,8 @@ def uncertain_domains(
 
 
 def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tuple[str, ...]:
-    """What recordings lack for statistics that are therefore not compared, in phrases: reference temperatures, chip
-    thermometers, and statistics of other than these `domains`.
+    """Return what recordings lack for statistics that are therefore not compared, in phrases: reference temperatures,
+    chip thermometers, and statistics of other than these `domains`.
     """
     phrases = []
     for recording in recordings:

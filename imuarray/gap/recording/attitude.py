@@ -1,4 +1,4 @@
-"""Which way is up in a box that was put down by hand, estimated from the array's own accelerometers.
+"""Attitude of a box that was put down by hand, estimated from the array's own accelerometers.
 
 In every pose the specific force is one g long and the same for all accelerometers. Poses in many directions therefore
 separate the bias that the accelerometers have in common from the direction, if the scale is taken as nominal. The

@@ -112,7 +112,9 @@ def two_pole_cutoff_hz(delay_s: float) -> float:
 
 
 def correlation(decay: float, poles: float, band: float = math.inf) -> float:
-    """Of noise behind the filter, `decay` time constants later; of noise that ends at `band` times the cutoff."""
+    """Return the correlation of noise behind the filter, `decay` time constants later; of noise that ends at `band`
+    times the cutoff.
+    """
     if math.isfinite(band):
         return _band_limited(decay, poles, band)
     fade = math.exp(-decay)

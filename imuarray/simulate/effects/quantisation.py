@@ -69,7 +69,7 @@ class Quantisation(Effect):
         return replace(codes, counts=self.coded(codes.counts)) if changed else codes
 
     def coded(self, counts: Whole) -> Whole:
-        """What comes in the place of these codes."""
+        """Return the codes that come in the place of these."""
         if self.missing_lsb:
             carry, most = int(self.carry_lsb), np.iinfo(counts.dtype).max
             short = carry - (counts - int(self.carry_at_lsb)) % carry

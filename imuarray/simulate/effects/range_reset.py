@@ -23,8 +23,8 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True)
 class RangeReset(Effect):
-    """From `onset_s` on, in a run with this probability, or only in that number `run`, or in those with numbers in
-    `runs`: counts per unit of that other range, y = x + offset, and noise times `noise_share`.
+    """A range that is reset from `onset_s` on, in a run with this probability, or only in that number `run`, or in
+    those with numbers in `runs`: counts per unit of that other range, y = x + offset, and noise times `noise_share`.
 
     `range` in the sensor's unit (nan: no reset), `offset` too: each range has an offset of its own (BMA-79). A chip
     that lost its settings has another filter and another gain before its converter: its noise, in the unit, is another.

@@ -18,8 +18,9 @@ KINDS = ("stale", "new")
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """From `onset_s` for `duration_s` seconds every reading is the last one before, temperature and all, not fresh; and
-    again and again where `every_s` is given: free for so long on average, exponentially distributed, then held.
+    """A stuck sensor: from `onset_s` for `duration_s` seconds every reading is the last one before, temperature and
+    all, not fresh; and again and again where `every_s` is given: free for so long on average, exponentially
+    distributed, then held.
 
     Rows are counted at their nominal rate, row 0 at 0 s; with an onset of 0 the first reading stays. A chip stands
     still when its registers are locked (L3G-51: one byte of a pair unread; HMC-33: some of six; BMA-100: only high

@@ -1,4 +1,4 @@
-"""What happens to the box, a file each; `imuarray.simulate.experiments` has the experiments by name.
+"""Motions of the box, a file each; `imuarray.simulate.experiments` has the experiments by name.
 
 ::
 

@@ -1,4 +1,4 @@
-"""What the box feels, as a function of time: the boundary between motions and everything that senses them.
+"""Stimulus of the box as a function of time: the boundary between motions and everything that senses them.
 
 A motion is a pure function of time; its one required method is `felt`. Times are int64 nanoseconds since the log's
 epoch, vectors are in the box frame.
@@ -15,9 +15,9 @@ from imuarray.log.format import Phase
 
 @dataclass(frozen=True)
 class Felt:
-    """What the box feels at n instants `time_ns` (n,): `force` (n, 3) specific force in m/s2, `rate` (n, 3) angular
-    rate in rad/s, `angular_acceleration` (n, 3) in rad/s2, magnetic `field` (n, 3) in gauss, all in the box frame and
-    at its origin; `temperature_degc` (n,) and `pressure_pa` (n,).
+    """The stimulus of the box at n instants `time_ns` (n,): `force` (n, 3) specific force in m/s2, `rate` (n, 3)
+    angular rate in rad/s, `angular_acceleration` (n, 3) in rad/s2, magnetic `field` (n, 3) in gauss, all in the box
+    frame and at its origin; `temperature_degc` (n,) and `pressure_pa` (n,).
 
     Constant columns may be broadcast (read-only); nobody writes into them.
     """
@@ -42,7 +42,7 @@ class Motion(Protocol):
 
     @property
     def seconds(self) -> float:
-        """How long it lasts; what it shows last it goes on showing."""
+        """The duration; what it shows last it goes on showing."""
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return what the box senses at these times (n,), in any order."""

@@ -12,7 +12,7 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 
 
 class PhaseField(NamedTuple):
-    """From `start_ns` until the next one begins the field is `field_box`, in gauss."""
+    """A magnetic field: from `start_ns` until the next one begins it is `field_box`, in gauss."""
 
     start_ns: int
     field_box: tuple[float, float, float]

@@ -54,8 +54,8 @@ class _Sines:
 
 @dataclass(frozen=True)
 class HandShake:
-    """At rest upright for `still_s`, shaken for `motion_s`, at rest again in the same place; phases static, motion,
-    static.
+    """A box at rest upright for `still_s`, shaken for `motion_s`, at rest again in the same place; phases static,
+    motion, static.
 
     Position (level frame) and rotation vector of the attitude are two sines an axis, frequencies and phases drawn from
     `seed`, under an envelope that swells and fades within a second. The acceleration's magnitude never exceeds `peak_g`

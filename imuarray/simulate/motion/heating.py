@@ -43,7 +43,7 @@ def _heat(minutes: float, begins_degc: float, ends_degc: float) -> _Stretch:
 
 @dataclass(frozen=True)
 class Heating:
-    """On the -Z face: 5 minutes at room temperature, 5 of heat, 5 to cool, 5 of more heat, 90 to cool.
+    """A heating on the -Z face: 5 minutes at room temperature, 5 of heat, 5 to cool, 5 of more heat, 90 to cool.
 
     From the paper: these times, about 24 degC to begin with, 42 to 43 and 52 degC reached, and that the end was not
     quite the beginning. Ours, read off no table: exponential approaches with time constants of 2 minutes (heating) and
@@ -103,7 +103,7 @@ class Heating:
         return np.array([towards, begins - towards, -1 / constants_ns])
 
     def felt(self, time_ns: Integers) -> Felt:
-        """At rest, at the temperature of that moment."""
+        """Return the stimulus of a box at rest, at the temperature of that moment."""
         since_ns = np.clip(time_ns, 0, self._edges_ns[-1])
         index = np.searchsorted(self._edges_ns[1:-1], since_ns, side="right")
         towards, distance, decay = self._columns

@@ -1,4 +1,4 @@
-"""From an attitude that is known as a function of time to what the box feels: exact rates and angular accelerations.
+"""Conversion of an attitude as a function of time into what the box feels: exact rates and angular accelerations.
 
 Everything is laid out as (3, n), one row for each axis, which is much faster than (n, 3). An attitude R turns the box
 frame into the level frame: ``vector_level = R @ vector_box``.
@@ -35,7 +35,7 @@ class Attitude(Protocol):
 def felt_by(
     time_ns: Integers, attitude: Attitude, acceleration_level: Reals, height_m: Reals, temperature_degc: float
 ) -> Felt:
-    """What a box feels that moves so: `acceleration_level` (3, n) of its origin in m/s2, its height (n,)."""
+    """Return the stimulus of a moving box: `acceleration_level` (3, n) of its origin in m/s2, its height (n,)."""
     rate, angular_acceleration = attitude.rates()
     force_level = acceleration_level + np.array([[0.0], [0.0], [STANDARD_GRAVITY]])
     return Felt(

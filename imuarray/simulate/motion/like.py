@@ -49,7 +49,7 @@ _LAST = 8
 
 @dataclass(frozen=True, eq=False)
 class LikeLog:
-    """What the box of `log` felt, at the log's own times.
+    """The motion of the box of `log`, at the log's own times.
 
     Force and rate come from `/truth`, else from `/reference`, if it has both, by splines (`SplineColumns`); the angular
     acceleration is the derivative of that rate, so what happened between two rows is not in it. Without them the box is

@@ -20,8 +20,8 @@ from imuarray.simulate.motion.world import Steady
 
 
 class Attitude(NamedTuple):
-    """How the box lies in a phase: the direction up in the box frame, of length 1; whether it was `estimated` from the
-    box's own accelerometers, and not noted by who put it there.
+    """The attitude of the box in a phase: the direction up in the box frame, of length 1; whether it was `estimated`
+    from the box's own accelerometers, and not noted by who put it there.
     """
 
     phase: Phase
@@ -55,7 +55,7 @@ class PoseSequence:
 
     @property
     def seconds(self) -> float:
-        """As long as the surroundings."""
+        """The duration of the surroundings."""
         return self.surroundings.seconds
 
     def is_estimated(self, phase: Phase) -> bool:

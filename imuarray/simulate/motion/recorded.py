@@ -45,7 +45,7 @@ class _Block(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """How much memory it takes; a broadcast row takes none."""
+        """The size in memory; a broadcast row takes none."""
         arrays = (self.time_ns, self.moves, self.length_s, self.curve)
         return sum(array.nbytes for array in arrays) + (self.start.nbytes if self.start.strides[1] else 0)
 

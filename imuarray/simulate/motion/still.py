@@ -16,7 +16,7 @@ from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, n
 
 @dataclass(frozen=True)
 class Still:
-    """At rest for `seconds` with the box axis `up` upwards; one phase, `name`.
+    """A box at rest for `seconds` with the box axis `up` upwards; one phase, `name`.
 
     The temperature begins at `temperature_degc` and changes by `drift_degc_per_h`. `tilt_deg` are small angles by which
     box and table are turned about the level x and y axes: no table is level, no box square. ValueError for what can't

@@ -29,7 +29,7 @@ class _Rows:
 
     @property
     def seconds(self) -> float:
-        """When the last row is."""
+        """The time of the last row."""
         return int(self.time_ns[-1]) * 1e-9
 
     @property
@@ -56,7 +56,7 @@ class Trajectory(_Rows):
     attitudes: Rotation
 
     def felt(self, time_ns: Integers) -> Felt:
-        """From the second derivative of the place and two of the attitude."""
+        """Return the stimulus, from the second derivative of the place and two of the attitude."""
         if len(time_ns) == 0:  # no rotations at all are an error in SciPy below 1.16
             first = self.felt(np.zeros(1, np.int64))
             return Felt(*(getattr(first, item.name)[:0] for item in fields(Felt)))

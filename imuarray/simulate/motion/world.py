@@ -13,8 +13,8 @@ Triple = tuple[float, float, float]
 
 
 class Stimulus(NamedTuple):
-    """What the box feels at one instant, in the box frame: specific force in m/s2, angular rate in rad/s, temperature,
-    air pressure, magnetic flux density in gauss.
+    """The stimulus of the box at one instant, in the box frame: specific force in m/s2, angular rate in rad/s,
+    temperature, air pressure, magnetic flux density in gauss.
     """
 
     force_box: Triple
@@ -29,7 +29,9 @@ class Steady(Protocol):
     """A motion that knows when nothing changes."""
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """From `at_ns` to just before this time it shows the same; `at_ns` itself if it is changing."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive; `at_ns` itself if it is
+        changing.
+        """
 
 
 class World:

@@ -166,7 +166,7 @@ def tone_dps() -> float:
 
 
 def gyro3_other_state_lsb() -> Floats:
-    """From Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs came up in that."""
+    """Return the step from Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs came up in that."""
     first, second = bias_states()
     return np.asarray(np.array(second.centre) - np.array(first.centre))
 
@@ -181,7 +181,7 @@ def bma1_reset_offset_g() -> Floats:
 
 
 def bma1_reset_noise_share() -> Floats:
-    """How noisy BMA1 is in run 10, as a share of its usual noise in g.
+    """Return how noisy BMA1 is in run 10, as a share of its usual noise in g.
 
     Table 11 prints the mean deviation of the 15 runs; the fourteen sound ones are taken to differ from the continuous
     run as BMA2's do, and what is left is run 10's.

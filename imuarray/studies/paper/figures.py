@@ -179,7 +179,7 @@ _MILLI_G = {"ADXL1": 1000 / 256, "BMA2": 1000 / 512}
 
 
 def in_run_figure(curves: Curves) -> Figure:
-    """Like Figure 6: a continuous run, averaged over five minutes, less its mean."""
+    """Draw a figure like Figure 6: a continuous run, averaged over five minutes, less its mean."""
     figure, panels = _sheet(7.5, 8.0, 3)
     for panel, (title, names) in zip(panels, _GROUPS, strict=True):
         for name, colour in zip(names, _SENSOR_COLOURS, strict=False):
@@ -195,7 +195,7 @@ def in_run_figure(curves: Curves) -> Figure:
 
 
 def profile_figure(curves: Curves) -> Figure:
-    """Like Figure 7: the temperature while the box is heated twice."""
+    """Draw a figure like Figure 7: the temperature while the box is heated twice."""
     figure, (panel,) = _sheet(7.5, 3.0, 1)
     _draw_profile(panel, curves)
     panel.set_xlabel("time (min)")
@@ -203,7 +203,7 @@ def profile_figure(curves: Curves) -> Figure:
 
 
 def temperature_figure(curves: Curves, channel: str, slope: float, intercept: float) -> Figure:
-    """Like Figures 8 and 9: readings against temperature, the line through them, and the printed one."""
+    """Draw figures like Figures 8 and 9: readings against temperature, the line through them, and the printed one."""
     figure, (panel,) = _sheet(7.5, 4.2, 1)
     result = curves.against_temperature[channel]
     points = panel.plot(result.degc, result.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
@@ -220,7 +220,7 @@ def temperature_figure(curves: Curves, channel: str, slope: float, intercept: fl
 
 
 def opposed_figure(curves: Curves) -> Figure:
-    """Like Figure 10: two gyroscopes that point in opposite directions and half of their difference."""
+    """Draw a figure like Figure 10: two gyroscopes that point in opposite directions and half of their difference."""
     figure, (panel, below) = _sheet(7.5, 5.6, 2, (5, 2))
     curve = curves.opposed
     styles = (("Gyro1 y", _BLUE), ("Gyro2 y", _RED), ("half of the difference", _GREEN))
@@ -234,7 +234,7 @@ def opposed_figure(curves: Curves) -> Figure:
 
 
 def gyro_allan_figure(curves: Curves) -> Figure:
-    """Like Figure 11: Allan deviation of Gyro1 alone at both ranges."""
+    """Draw a figure like Figure 11: Allan deviation of Gyro1 alone at both ranges."""
     figure, (panel,) = _sheet(7.5, 4.8, 1)
     for name, (_, dps, colour) in _RANGES.items():
         _draw_allan(panel, curves.noise[name], dps, dict.fromkeys("xyz", colour))
@@ -244,7 +244,7 @@ def gyro_allan_figure(curves: Curves) -> Figure:
 
 
 def gyro_memory_figure(curves: Curves) -> Figure:
-    """Like Figures 13 and 14: autocorrelation and spectrum of Gyro1 at 250 dps."""
+    """Draw figures like Figures 13 and 14: autocorrelation and spectrum of Gyro1 at 250 dps."""
     figure, (upper, lower) = _sheet(7.5, 6.4, 2, shared=False)
     noise = curves.noise["250dps"]
     for axis, values in zip("xyz", noise.correlogram.T, strict=True):
@@ -259,7 +259,9 @@ def gyro_memory_figure(curves: Curves) -> Figure:
 
 
 def histogram_figure(curves: Curves) -> Figure:
-    """Like Figure 15: how often Gyro1 x read each code, at both ranges, and the normal curve of that deviation."""
+    """Draw a figure like Figure 15: how often Gyro1 x read each code, at both ranges, and the normal curve of that
+    deviation.
+    """
     figure, panels = _sheet(7.5, 5.0, 2, shared=False)
     for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
         counts, codes, often = curves.noise[name].counts[:, 0], curves.noise[name].codes, curves.noise[name].often
@@ -276,7 +278,7 @@ def histogram_figure(curves: Curves) -> Figure:
 
 
 def accelerometer_figure(curves: Curves, name: str) -> Figure:
-    """Like Figures 16 to 19: Allan deviation and spectrum of an accelerometer, from the continuous run."""
+    """Draw figures like Figures 16 to 19: Allan deviation and spectrum of an accelerometer, from the continuous run."""
     figure, (upper, lower) = _sheet(7.5, 6.8, 2, shared=False)
     _draw_allan(upper, curves.noise[name], _MILLI_G[name], _OF_AXES)
     _finish_allan(upper, "Allan deviation (mg)")

@@ -1,4 +1,4 @@
-"""What the paper's tables print that the chips' data sheets do not foretell, with the likely cause of each.
+"""Contents of the paper's tables that the chips' data sheets do not foretell, with the likely cause of each.
 
 A fixed list, `findings.toml`: nothing is fitted, simulated or ranked here, so no finding has a probability or a share
 that it closes. `imuarray gap diagnose` gives those for logs; the paper publishes none.

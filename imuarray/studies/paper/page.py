@@ -373,7 +373,9 @@ def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[Line]:
 
 
 def counted(lines: Sequence[Line]) -> list[str]:
-    """How many were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near, neither."""
+    """Return how many statistics were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near,
+    neither.
+    """
     sizes = [abs(line.twin.z) for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
     within = [sum(size <= limit for size in sizes) for limit in (1, 2, 3)]
@@ -437,7 +439,7 @@ _ENOUGH = 0.9
 
 
 def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
-    """How far the simulated array reproduces the paper's numbers, and how many of its conclusions hold."""
+    """Return how far the simulated array reproduces the paper's numbers, and how many of its conclusions hold."""
     whole = replica.summary
     agreeing = whole.within[1] / max(1, whole.count)
     held, of = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])

@@ -271,7 +271,7 @@ def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mend
 
 
 def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
-    """How many of Table 3's scale factors this form gives to within one unit of the last printed digit."""
+    """Return how many of Table 3's scale factors this form gives to within one unit of the last printed digit."""
     count = 0
     for row in table(3):
         readings = numbers_in(row_of(10, row["channel"]), READINGS)

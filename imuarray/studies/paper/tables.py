@@ -240,7 +240,7 @@ def plain(text: str) -> float | int | str | None:
 
 
 def tally(rows: Iterable[RecomputedRow], *, within_input_rounding: bool = False) -> dict[str, list[int]]:
-    """Per recomputed column [cells that agree, all]: to the printed digits, or within the inputs' rounding."""
+    """Count for each recomputed column [agreeing cells, all]: to the printed digits, or within the inputs' rounding."""
     result: dict[str, list[int]] = {}
     for cell in (cell for row in rows for cell in row.cells):
         count = result.setdefault(cell.column, [0, 0])

@@ -60,7 +60,7 @@ class AxisPair:
 
     @property
     def reduction(self) -> Decimal:
-        """How many times less the mean drifts than a single sensor does (mean of the two magnitudes)."""
+        """Return how many times less the mean drifts than a single sensor does (mean of the two magnitudes)."""
         return mean([abs(slope) for slope in self.slopes]) / abs(self.fused_slope)
 
     def as_json(self) -> dict[str, Any]:

@@ -156,7 +156,8 @@ def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
 
 
 def range_over_deviation() -> dict[str, Any]:
-    """How many ranges of fifteen means were over their standard deviations in Table 11, and what is possible at all.
+    """Return how many ranges of fifteen means were over their standard deviations in Table 11, and what is possible at
+    all.
 
     `rows` hold a channel's two series; `mean` is over the inertial ones, `normal` what fifteen normal numbers have on
     average over their sample deviation.
@@ -483,7 +484,7 @@ def _extra(row: Row) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Readings:
-    """How many readings a column of standard errors admits, `least` to `most`, and what that tells."""
+    """The number of readings that a column of standard errors admits, `least` to `most`, and what that tells."""
 
     table: int
     log: str

@@ -1,4 +1,4 @@
-"""How far each low-range sensor may be trusted, frame by frame: off the end of its range, and its filter settled.
+"""Fading of low-range sensors, frame by frame: off the end of its range, and its filter settled.
 
 A reading near the end of the range is less linear, one at the end is no measurement, and for a while after it the
 sensor's low-pass still remembers what it was not able to measure: an input that was too small by up to the difference

@@ -194,8 +194,8 @@ _DOUBT = 1.0
 
 @dataclass(frozen=True)
 class Relative:
-    """How one axis differs from the blend of the array: `bias_si`, `scale` (a share) and `delay_s` (it is late by so
-    much), each with its standard error. Differences between two axes are what has a meaning.
+    """The difference of one axis from the blend of the array: `bias_si`, `scale` (a share) and `delay_s` (it is late by
+    so much), each with its standard error. Differences between two axes are what has a meaning.
     """
 
     label: str
@@ -261,7 +261,7 @@ class Tracker:
         self._held: Rows | None = None
 
     def relative(self) -> list[Relative]:
-        """How each axis differs from the blend, as far as is known by now."""
+        """Return how each axis differs from the blend, as far as is known by now."""
         errors = np.sqrt(np.diagonal(self._covariances, axis1=1, axis2=2))
         return [
             Relative(axis.label, *(float(figure) for pair in zip(result, error, strict=True) for figure in pair))

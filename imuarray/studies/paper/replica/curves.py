@@ -1,4 +1,4 @@
-"""What the paper's Figures 6 to 19 show, from the simulated experiments: plain arrays, for whoever draws them."""
+"""Curves of the paper's Figures 6 to 19, from the simulated experiments: plain arrays, for whoever draws them."""
 
 from __future__ import annotations
 

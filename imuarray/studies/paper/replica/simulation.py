@@ -164,7 +164,7 @@ class ExperimentData:
 
 
 class State(NamedTuple):
-    """How the two odd sensors came up."""
+    """The states in which the two odd sensors came up."""
 
     faulty: bool
     second: bool
@@ -209,8 +209,8 @@ def run_temperatures() -> Floats:
 
 
 def high_rate_s(range_name: str) -> float:
-    """How long a high-rate experiment was, by Table 9's (std / sem)^2 readings at 350 Hz: 1379 s at 250 dps, but 987 s
-    at 2000 dps, which the text calls about 1400 s too.
+    """Return how long a high-rate experiment was, by Table 9's (std / sem)^2 readings at 350 Hz: 1379 s at 250 dps, but
+    987 s at 2000 dps, which the text calls about 1400 s too.
     """
     rows = [row for row in table(9) if row["range"] == range_name]
     counts = [(float(number_in(row, "std_lsb")) / float(number_in(row, "sem_lsb"))) ** 2 for row in rows]

@@ -41,7 +41,7 @@ class Statistic:
 
     @property
     def z(self) -> float:
-        """How many uncertainties the simulation is off."""
+        """The number of uncertainties that the simulation is off."""
         if self.simulated == self.published:
             return 0.0
         if self.scale == "log":
@@ -70,7 +70,7 @@ def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[st
 
 @dataclass(frozen=True)
 class Summary:
-    """How many statistics lie `within` 1, 2 and 3 uncertainties of how many (`count`); `chi_square` of the
+    """The number of statistics `within` 1, 2 and 3 uncertainties, of how many (`count`); `chi_square` of the
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
     Statistics with a common cause are fewer than they seem: with the correlations r that the causes give, the mean of n

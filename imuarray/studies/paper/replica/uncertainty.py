@@ -1,4 +1,4 @@
-"""By how much the paper's own tables disagree where they tell the same thing twice: the uncertainty of a comparison.
+"""Disagreement of the paper's own tables where they state the same thing twice: the uncertainty of a comparison.
 
 All in counts, or as natural logarithms of standard deviations. Channels are pooled in groups that ought to be alike:
 one design at one range, x and y together and z apart; a design's thermometers together.
