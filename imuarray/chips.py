@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, mpu6050
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
@@ -71,6 +71,8 @@ _ICM42688_RATES_HZ = (12.5, 25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 400
 _ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
     rate_hz: tuple(max(400.0, rate_hz) / share for share in (4, 5, 8, 10, 16, 20, 40)) for rate_hz in _ICM42688_RATES_HZ
 }
+
+_LSM6DSO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666.0: 1108.1}  # gyroscope: LSM-19
 
 _HMC5883_RATES_HZ = (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0)  # HMC-28
 
@@ -194,6 +196,41 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["icm42688"],
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
+        "lsm6dso_acc": ChipSpec(
+            quantity="specific_force",
+            unit="g",
+            addresses=lsm6dso.ADDRESSES,
+            identity=lsm6dso.WHO_AM_I,
+            label="IMU{}_acc",
+            burst_bytes=14,
+            sensitivity={2.0: 1000 / 0.061, 4.0: 1000 / 0.122, 8.0: 1000 / 0.244, 16.0: 1000 / 0.488},  # LSM-30
+            rates_hz=tuple(_LSM6DSO_BANDWIDTHS_HZ),  # LSM-15
+            default_rate_hz=208.0,
+            bandwidths_hz={rate_hz: (rate_hz / 2,) for rate_hz in _LSM6DSO_BANDWIDTHS_HZ},  # LSM-19
+            thermometer=THERMOMETERS["lsm6dso"],
+            proposed={"range": 4, "rate_hz": 416},
+        ),
+        "lsm6dso_gyro": ChipSpec(
+            quantity="angular_rate",
+            unit="dps",
+            addresses=lsm6dso.ADDRESSES,
+            identity=lsm6dso.WHO_AM_I,
+            label="IMU{}_gyro",
+            burst_bytes=14,
+            # LSM-31
+            sensitivity={
+                125.0: 1000 / 4.375,
+                250.0: 1000 / 8.75,
+                500.0: 1000 / 17.5,
+                1000.0: 1000 / 35,
+                2000.0: 1000 / 70,
+            },
+            rates_hz=tuple(_LSM6DSO_BANDWIDTHS_HZ),
+            default_rate_hz=208.0,
+            bandwidths_hz={rate_hz: (bandwidth_hz,) for rate_hz, bandwidth_hz in _LSM6DSO_BANDWIDTHS_HZ.items()},
+            thermometer=THERMOMETERS["lsm6dso"],
+            proposed={"range": 500, "rate_hz": 416},
+        ),
         "bmp180": ChipSpec(
             quantity="pressure",
             unit="Pa",
@@ -258,7 +295,7 @@ SENSITIVITIES: Mapping[str, Mapping[float, float]] = MappingProxyType(
 """Counts per unit by range, by chip."""
 
 HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {die: (f"{die}_acc", f"{die}_gyro") for die in ("mpu6050", "icm42688")}
+    {die: (f"{die}_acc", f"{die}_gyro") for die in ("mpu6050", "icm42688", "lsm6dso")}
 )
 """Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
 

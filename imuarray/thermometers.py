@@ -21,6 +21,7 @@ THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
         "l3g4200d": ChipThermometer(0.0, -1.0),  # falls by a count per degree, and has no zero: L3G-60
         "mpu6050": ChipThermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
         "icm42688": ChipThermometer(25.0, 132.48, 16),  # TDK-32
+        "lsm6dso": ChipThermometer(25.0, 256.0, 16),  # LSM-32
     }
 )
 

@@ -11,6 +11,7 @@ from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandD
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
+from imuarray.drivers.lsm6dso import Lsm6dsoAccelerometer, Lsm6dsoGyroscope
 from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
 
 __all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
@@ -23,6 +24,8 @@ DRIVERS: dict[str, type[Driver]] = {
     "mpu6050_gyro": Mpu6050Gyroscope,
     "icm42688_acc": Icm42688Accelerometer,
     "icm42688_gyro": Icm42688Gyroscope,
+    "lsm6dso_acc": Lsm6dsoAccelerometer,
+    "lsm6dso_gyro": Lsm6dsoGyroscope,
     "bmp180": Bmp180,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,

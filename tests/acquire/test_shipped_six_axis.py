@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -20,14 +21,29 @@ from imuarray.log import open_log
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = {
     "icm42688x8": ("icm42688", 16, (0.060, 1.0, 5.0)),
+    "lsm6dso_pair": ("lsm6dso", 4, (0.040, 1.5, 15.0)),
 }
 """By array: die, sensors, and how far g, dps and degC may be off at rest: the data sheet's zero, scale and cross-axis
-tolerances added up, with room for the mean of the noise (TDK-51 ... TDK-64).
+tolerances added up, with room for the mean of the noise (TDK-51 ... TDK-64, LSM-33 ... LSM-62).
 """
-RESETS = {  # register and value that reset the die; how its data read then
-    "icm42688": (b"\x11\x01", -32768),  # TDK-13, TDK-20
+
+
+class Reset(NamedTuple):
+    """What resets a die at `address`, how its data read then, and the accelerometer's own register (address, value) at
+    4 g and the default rate; `data` are the data registers.
+    """
+
+    address: int
+    write: bytes
+    counts: int
+    own: tuple[int, int]
+    data: range
+
+
+RESETS = {
+    "icm42688": Reset(0x68, b"\x11\x01", -32768, (0x50, 0x46), range(0x1D, 0x2B)),  # TDK-13, -14, -15, -20
+    "lsm6dso": Reset(0x6A, b"\x12\x01", 0, (0x10, 0x58), range(0x1E, 0x2E)),  # LSM-10, -14, -15, -16
 }
-DATA = {"icm42688": range(0x1D, 0x2B)}
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -64,6 +80,7 @@ def test_what_answers_is_proposed_as_it_is(name: str) -> None:
     [
         ("icm42688x8", 0x42, "identity 42, an ICM-42605, expected 47"),  # TDK-03: the kernel's
         ("icm42688x8", 0x68, "identity 68, an MPU-6050, expected 47"),  # INV-02: the same register
+        ("lsm6dso_pair", 0x6A, "identity 6a, an LSM6DSL, LSM6DSM or LSM6DS3TR-C, expected 6c"),  # LSM-03: the kernel's
         ("icm42688x8", 0x00, "identity 00, expected 47"),
     ],
 )
@@ -77,21 +94,22 @@ def test_another_chip_is_named_as_what_it_is(name: str, identity: int, said: str
 
 @pytest.mark.parametrize("die", RESETS)
 def test_a_reset_die_is_set_up_again_by_either_half_and_the_other_is_left_alone(die: str) -> None:
-    text = f'[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "{die}_acc"\nrange = 4\n'
-    text += f'address = 0x68\n[[sensor]]\nname = "G"\nchip = "{die}_gyro"\nrange = 500\naddress = 0x68\n'
+    reset = RESETS[die]
+    text = f'[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "{die}_acc"\nrange = 4\naddress = {reset.address}\n'
+    text += f'[[sensor]]\nname = "G"\nchip = "{die}_gyro"\nrange = 500\naddress = {reset.address}\n'
     array = parse_array(text)
-    (reset, after) = RESETS[die]
     with open_array(array) as bus:
         accelerometer, gyroscope = (route.driver for route in connect(array, bus))
-        bus.transfer(0x68, reset)
+        page = bus.chips["A"].page
+        bus.transfer(reset.address, reset.write)
         bus.clock.sleep_until(bus.clock.now_ns() + 100_000_000)
         counts = accelerometer.decode(np.frombuffer(accelerometer.fetch(), np.uint8).reshape(1, -1)).counts
-        assert (counts == after).all()
+        assert (counts == reset.counts).all()
         gyroscope.configure()
-        before = bytes(bus.chips["A"].page)
+        before = bytes(page)
         accelerometer.configure()
-        changed = {address for address, byte in enumerate(bus.chips["A"].page) if byte != before[address]}
-        own = accelerometer.watched[2]
-    assert own.register.address in changed
-    assert changed <= {own.register.address, *DATA[die]}
-    assert bus.chips["A"].page[own.register.address] & own.mask == own.value
+        changed = {address for address, byte in enumerate(bytes(page)) if byte != before[address]}
+        own, value = reset.own
+        assert own in changed
+        assert changed <= {own, *reset.data}
+        assert page[own] == value

@@ -22,6 +22,8 @@ SENSORS = {
     "mpu6050_gyro": "address = 0x68\nrange = 500\n",
     "icm42688_acc": "address = 0x68\nrange = 4\n",
     "icm42688_gyro": "address = 0x68\nrange = 500\n",
+    "lsm6dso_acc": "address = 0x6A\nrange = 8\n",
+    "lsm6dso_gyro": "address = 0x6A\nrange = 500\n",
     "bmp180": "address = 0x77\n",
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
@@ -34,8 +36,12 @@ DEAD_WITHOUT = {
     "mpu6050_gyro": (0x1B, 0xE0),
     "icm42688_acc": (0x70, 0x38),
     "icm42688_gyro": (0x70, 0x07),
+    "lsm6dso_acc": (0x14, 0x03),
+    "lsm6dso_gyro": (0x14, 0x0C),
 }
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, TDK-41): without them it is dead."""
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, TDK-41, LSM-20): without them a chip
+is dead.
+"""
 
 
 class Slow:

@@ -11,7 +11,7 @@ import pytest
 
 PATHS = sorted(Path(__file__).parent.glob("*.jsonl"))
 CHIPS = {"adxl345", "bma180", "bmp180", "hmc5883", "hmc5883l", "l3g4200d", "pca9544a"}
-CHIPS |= {f"{die}_{half}" for die in ("mpu6050", "icm42688") for half in ("acc", "gyro")}
+CHIPS |= {f"{die}_{half}" for die in ("mpu6050", "icm42688", "lsm6dso") for half in ("acc", "gyro")}
 Lines = list[dict[str, Any]]
 
 

@@ -1,0 +1,221 @@
+"""LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -73.
+
+After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set. Not
+modelled: queue, interrupts, embedded functions, low-power modes, the gyroscope's optional filters, settling.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from firmware_emulator.chip import Element, Triple
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.tolerances import NONE, Tolerances, typical
+from imuarray.facts import lsm6dso as facts
+from imuarray.facts.registers import Field, Register
+
+NEVER_NS = 1 << 62
+RESET_NS = 50_000  # LSM-16
+RATES_HZ = (12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0)  # by code from 1 on: LSM-15
+RANGES_G = {0b00: (2.0, 0.061), 0b01: (16.0, 0.488), 0b10: (4.0, 0.122), 0b11: (8.0, 0.244)}  # with mg a code: LSM-30
+RANGES_DPS = {  # with mdps a code: LSM-14, LSM-31
+    0b000: (250.0, 8.75),
+    0b001: (125.0, 4.375),
+    0b010: (500.0, 17.5),
+    0b100: (1000.0, 35.0),
+    0b110: (2000.0, 70.0),
+}
+ACCEL_FILTER_SHARES = (4, 10, 20, 45, 100, 200, 400, 800)  # of the rate, with LPF2: LSM-19
+GYRO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666.0: 1108.1}  # LSM-19
+PUSH_G, PUSH_DPS = 0.4, 300.0
+"""What the self-test adds (DEC-72): inside the data sheet's limits."""
+
+_DATA = range(facts.OUT_TEMP_L.address, facts.OUTZ_H_A.address + 1)
+
+
+@dataclass
+class _Sampling:
+    """One half's grid: samples at `start_ns` + n * `period_ns`; `index` is the latest."""
+
+    rate: Field
+    first: Register
+    ready: Field
+    start_ns: int = NEVER_NS
+    period_ns: int = 1_000_000
+    index: int = -1
+
+    def latest(self, at_ns: int) -> int:
+        """Number of the latest sample at `at_ns`; -1 before the first."""
+        return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+
+
+class Lsm6dso(SixAxis):
+    """The registers; `identity` is what WHO_AM_I says."""
+
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        half: str = ACCELEROMETER,
+        identity: int = facts.WHO_AM_I.reset,
+    ) -> None:
+        self._identity = identity
+        super().__init__(address, facts, element, powered_on_ns, half=half)
+
+    def power_on(self, at_ns: int) -> None:
+        """Both halves off, every register at its reset value (LSM-10)."""
+        super().power_on(at_ns)
+        self.page[facts.WHO_AM_I.address] = self._identity
+        self._halves = {
+            ACCELEROMETER: _Sampling(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY),
+            GYROSCOPE: _Sampling(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY),
+        }
+        self._held: dict[int, int] = {}
+        self._reset_end_ns = at_ns
+
+    # Sampling -------------------------------------------------------------------------------------------------------
+
+    def _sync(self, at_ns: int) -> None:
+        """The latest sample of each half into the data registers."""
+        for name, half in self._halves.items():
+            latest = half.latest(at_ns)
+            if latest <= half.index:
+                continue
+            half.index = latest
+            sampled_ns = half.start_ns + (latest + 1) * half.period_ns
+            self._convert(name, half, sampled_ns)
+            self._put(facts.OUT_TEMP_L.address, [clipped(round((self.degc(sampled_ns) - 25.0) * 256.0))])  # LSM-32
+            self.page[facts.STATUS_REG.address] |= half.ready.mask | facts.TEMPERATURE_READY.mask
+
+    def _put(self, address: int, codes: list[int]) -> None:
+        data = b"".join(code.to_bytes(2, "little", signed=True) for code in codes)
+        self.page[address : address + len(data)] = data
+
+    def _convert(self, name: str, half: _Sampling, at_ns: int) -> None:
+        """One sample of one half; the self-test adds to it, or takes from it (LSM-20)."""
+        rate_hz, page = 1e9 / half.period_ns, self.page
+        test = page[facts.CTRL5_C.address]
+        if name == ACCELEROMETER:
+            control = page[facts.CTRL1_XL.address]
+            full_scale, step = RANGES_G[facts.ACCEL_RANGE.of(control)]
+            filtered = facts.ACCEL_LPF2_ON.of(control)
+            share = ACCEL_FILTER_SHARES[facts.ACCEL_FILTER.of(page[facts.CTRL8_XL.address])] if filtered else 2
+            felt = self.felt(ACCELEROMETER, at_ns, full_scale, rate_hz / share)
+            push = {0b01: PUSH_G, 0b10: -PUSH_G}.get(facts.ACCEL_SELF_TEST.of(test), 0.0)
+        else:
+            control = page[facts.CTRL2_G.address]
+            full_scale, step = RANGES_DPS.get(facts.GYRO_RANGE.of(control), RANGES_DPS[0])
+            bandwidth_hz = min(GYRO_BANDWIDTHS_HZ.items(), key=lambda known: abs(known[0] - rate_hz))[1]
+            felt = self.felt(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
+            push = {0b01: PUSH_DPS, 0b11: -PUSH_DPS}.get(facts.GYRO_SELF_TEST.of(test), 0.0)
+        self._put(half.first.address, self._codes(felt, push, step))
+
+    def _codes(self, felt: Triple, push: float, step: float) -> list[int]:
+        return [clipped(round((value + push) * 1000.0 / step)) for value in felt]
+
+    # Reading and writing ----------------------------------------------------------------------------------------------
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A byte as it stands when it is fetched; with BDU a number's two bytes are of one sample (LSM-13)."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
+            return 0  # pages of the embedded functions: DEC-71
+        if address not in _DATA:
+            return self.page[address]
+        if address & 1:
+            self._taken(address)
+            return self._held.pop(address, self.page[address])
+        if facts.BLOCK_UPDATE.of(self.page[facts.CTRL3_C.address]):
+            self._held[address + 1] = self.page[address + 1]
+        return self.page[address]
+
+    def _taken(self, address: int) -> None:
+        """Reading the high byte of any number clears the flag of its sensor (LSM-11)."""
+        if address == facts.OUT_TEMP_H.address:
+            mask = facts.TEMPERATURE_READY.mask
+        else:
+            mask = facts.GYRO_READY.mask if address < facts.OUTX_L_A.address else facts.ACCEL_READY.mask
+        self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
+
+    def advance(self, pointer: int, reading: bool) -> int:
+        """The next register, with IF_INC; otherwise the same (LSM-12)."""
+        return (
+            super().advance(pointer, reading) if facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]) else pointer
+        )
+
+    def _wake_up(self, at_ns: int) -> None:
+        """The reset bit clears itself when the reset is over."""
+        if at_ns >= self._reset_end_ns:
+            self.page[facts.CTRL3_C.address] &= ~facts.SW_RESET.mask & 0xFF
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to a register: what was sampled before stays as it was."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
+            return
+        if address == facts.CTRL3_C.address and value & facts.SW_RESET.mask:
+            pointer = self.pointer
+            self.power_on(at_ns)
+            self.pointer = pointer
+            self.page[address] |= facts.SW_RESET.mask
+            self._reset_end_ns = at_ns + RESET_NS
+            return
+        super().store(address, value, at_ns)
+        if address == facts.CTRL3_C.address:
+            self.page[address] &= ~facts.BOOT.mask & 0xFF  # DEC-73
+        for half in self._halves.values():
+            if address in (half.rate.register.address, facts.CTRL4_C.address):
+                self._restart(half, at_ns)
+
+    def _restart(self, half: _Sampling, at_ns: int) -> None:
+        """The grid begins anew with another rate, and when the half is switched on (DEC-70)."""
+        code = half.rate.of(self.page[half.rate.register.address])
+        asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
+        if not 1 <= code <= len(RATES_HZ) or asleep:
+            half.start_ns = NEVER_NS
+            return
+        period_ns = round(1e9 / RATES_HZ[code - 1])
+        if half.start_ns == NEVER_NS or period_ns != half.period_ns:
+            half.start_ns, half.index = at_ns, -1
+        half.period_ns = period_ns
+
+
+def accelerometer_tolerances(range_g: float) -> Tolerances:
+    """LSM-50 ... LSM-52; alignment, cross-axis and linearity are not specified."""
+    density = {2.0: 70e-6, 4.0: 75e-6, 8.0: 80e-6, 16.0: 110e-6}.get(range_g, 70e-6)
+    return Tolerances(
+        bias=(typical(0.020),) * 3,
+        slope_per_degc=(typical(0.1e-3),) * 3,
+        scale=typical(0.01),
+        cross_axis=NONE,
+        alignment_deg=NONE,
+        noise=(density * math.sqrt(104.0),) * 3,
+        noise_full_scale=range_g or 2.0,
+        noise_bandwidth_hz=104.0,
+        scale_slope_per_degc=typical(1e-4),
+        thermometer_degc=typical(15.0),
+    )
+
+
+def gyroscope_tolerances(_: float) -> Tolerances:
+    """LSM-60 ... LSM-62; alignment, linearity and a sensitivity to force are not specified."""
+    return Tolerances(
+        bias=(typical(1.0),) * 3,
+        slope_per_degc=(typical(0.01),) * 3,
+        scale=typical(0.01),
+        cross_axis=NONE,
+        alignment_deg=NONE,
+        noise=(3.8e-3 * math.sqrt(66.8),) * 3,
+        noise_full_scale=250.0,
+        noise_bandwidth_hz=66.8,
+        scale_slope_per_degc=typical(7e-5),
+        thermometer_degc=typical(15.0),
+    )
+
+
+DIE = Die(Lsm6dso, (facts.OUTX_L_A, facts.OUTX_L_G), (accelerometer_tolerances, gyroscope_tolerances))

@@ -1,0 +1,132 @@
+"""LSM6DSO: accelerometer and gyroscope of one die, two sensors that share a place.
+
+ST DS12140 Rev 2; facts LSM-*. A burst is 0x20 ... 0x2D, thermometer, gyroscope and accelerometer, low byte first, with
+IF_INC (LSM-12); 256 counts a degC, 0 at 25 degC (LSM-32). BDU keeps the two bytes of each number together (LSM-13); a
+sample that falls into a burst may still come between two axes. Each half has a register of its own for rate and range
+and is on when its rate is not 0. Both filters are left as they are after power-on: their bandwidths follow the rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Limits, SelfTest, compared
+from imuarray.drivers.six_axis import SixAxisHalf
+from imuarray.facts import lsm6dso as facts
+from imuarray.facts.registers import Field, Register, Setting
+
+_START_S = 0.15  # ST's own program waits as long for the gyroscope, and 0.1 s for the accelerometer: LSM-17
+_RATE_CODES = {104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7, 1666.0: 8}  # LSM-15
+_SELF_TEST_RATE = 5  # 208 Hz: LSM-20
+_SELF_TEST_SETTLE_S = 0.1  # LSM-20
+_RELATIVES: Mapping[int, str] = MappingProxyType(
+    {
+        0x69: "an LSM6DS3",
+        0x6A: "an LSM6DSL, LSM6DSM or LSM6DS3TR-C",
+        0x6B: "an LSM6DSR",
+        0x6D: "an LSM6DST",
+        0x70: "an LSM6DSV",
+    }
+)
+"""By identity: LSM-03."""
+
+
+class _Half(SixAxisHalf):
+    """What both halves of the die have in common."""
+
+    first: ClassVar[Register] = facts.OUT_TEMP_L
+    identity: ClassVar[Register] = facts.WHO_AM_I
+    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    temperature: ClassVar[slice] = slice(0, 2)
+    order: ClassVar[str] = "<i2"
+    full_scale: ClassVar[Field]
+    rate: ClassVar[Field]
+    range_codes: ClassVar[Mapping[float, int]]
+    deflected: ClassVar[Setting]
+    self_test_range: ClassVar[float]
+    limits: ClassVar[Limits]
+    allowed: ClassVar[str]
+    still: ClassVar[float]
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self.sensitivity = sensor.spec.sensitivity
+        full_scale = sensor.range or min(self.range_codes)
+        self.settings: tuple[Setting, ...] = (
+            facts.FUNC_CFG_ACCESS[7:0](0),
+            facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
+            facts.CTRL4_C[7:0](0),
+            facts.CTRL5_C[7:0](0),
+            facts.CTRL6_C[7:0](0),
+            facts.CTRL7_G[7:0](0),
+            facts.CTRL8_XL[7:0](0),
+            self._range_and_rate(full_scale, _RATE_CODES[self.rate_hz]),
+        )
+        self.watched: tuple[Setting, ...] = self.settings
+
+    def _range_and_rate(self, full_scale: float, rate_code: int) -> Setting:
+        value = (self.full_scale(self.range_codes[full_scale]) | self.rate(rate_code)).value
+        return self.full_scale.register[7:0](value)
+
+    def steps(self) -> Iterator[float]:
+        """Write every setting, of which the last switches this half on; wait until it measures."""
+        for setting in self.settings:
+            self.registers.set(setting)
+            yield 0.0
+        yield _START_S
+        yield 2 / self.rate_hz
+
+    def mark(self, code: int) -> bool:
+        """Mark the die in the watermark of the queue, which is off (LSM-18). Both halves are given the same code."""
+        setting = facts.FIFO_CTRL1[7:0](code)
+        self.settings, self.watched = (setting, *self.settings), (*self.watched, setting)
+        return True
+
+    def self_test(self) -> SelfTest:
+        """Size of the change with the self-test on, in g or dps (LSM-20, LSM-21)."""
+        self.configure()
+        setting = self._range_and_rate(self.self_test_range, _SELF_TEST_RATE)
+        self.registers.poke(setting.register, setting.value)
+        scale = self.sensitivity[self.self_test_range]
+        before = self.readings(_SELF_TEST_SETTLE_S) / scale
+        self.registers.poke(self.deflected.register, self.deflected.value)
+        during = self.readings(_SELF_TEST_SETTLE_S) / scale
+        self.configure()
+        sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)  # either direction is good
+        text = f"changes by {{change}} {self.allowed}"
+        return compared(before * sign, during * sign, self.limits, text, still=self.still)
+
+
+class Lsm6dsoAccelerometer(_Half):
+    """Driver of the accelerometer of one LSM6DSO."""
+
+    triad: ClassVar[slice] = slice(8, 14)
+    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
+    rate: ClassVar[Field] = facts.ACCEL_RATE
+    range_codes: ClassVar[Mapping[float, int]] = {2.0: 0, 4.0: 2, 8.0: 3, 16.0: 1}  # LSM-14
+    deflected: ClassVar[Setting] = facts.ACCEL_SELF_TEST(0b01)
+    self_test_range: ClassVar[float] = 4.0
+    limits: ClassVar[Limits] = ((0.05, 1.7),) * 3
+    allowed: ClassVar[str] = "g; 0.05 to 1.7 g allowed"
+    still: ClassVar[float] = 0.02
+
+
+class Lsm6dsoGyroscope(_Half):
+    """Driver of the gyroscope of one LSM6DSO."""
+
+    triad: ClassVar[slice] = slice(2, 8)
+    full_scale: ClassVar[Field] = facts.GYRO_RANGE
+    rate: ClassVar[Field] = facts.GYRO_RATE
+    range_codes: ClassVar[Mapping[float, int]] = {125.0: 1, 250.0: 0, 500.0: 2, 1000.0: 4, 2000.0: 6}  # LSM-14
+    deflected: ClassVar[Setting] = facts.GYRO_SELF_TEST(0b01)
+    self_test_range: ClassVar[float] = 2000.0
+    limits: ClassVar[Limits] = ((150.0, 700.0),) * 3
+    allowed: ClassVar[str] = "dps; 150 to 700 dps allowed"
+    still: ClassVar[float] = 10.0
