@@ -175,9 +175,9 @@ class Course:
     def __call__(self, at_ns: int) -> Stimulus:
         """What the box feels."""
         at_s = max(at_ns, 0) * 1e-9
-        return self.shaken(at_s, self.told(at_ns))
+        return self.shaken(at_s, self.commanded(at_ns))
 
-    def told(self, at_ns: int) -> Stimulus:
+    def commanded(self, at_ns: int) -> Stimulus:
         """Return what the bench was told to do, in the room's temperature: without what makes the table vibrate."""
         at_s = max(at_ns, 0) * 1e-9
         felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
@@ -277,7 +277,7 @@ class ReferenceWorld:
 
     def __call__(self, at_ns: int) -> Stimulus:
         """Without what nobody ordered."""
-        return self.course.told(at_ns)
+        return self.course.commanded(at_ns)
 
 
 def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:

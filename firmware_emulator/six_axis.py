@@ -49,7 +49,7 @@ class Half(NamedTuple):
 
 
 class Die(NamedTuple):
-    """What there is to know of a six-axis chip: how it is built, and of both halves, accelerometer first, where the
+    """The properties of a six-axis chip: how it is built, and of both halves, accelerometer first, where the
     triad begins and what the data sheet says of units.
     """
 

@@ -1,4 +1,4 @@
-"""How the units of one kind of chip differ: the words in which each chip's data sheet states it, in g, dps or gauss.
+"""Differences between the units of one kind of chip: the words in which each chip's data sheet states it, in g, dps or gauss.
 
 "Typ" tolerances of Bosch, ST and InvenSense are taken as two sigma and as the limit, Analog Devices' as one sigma with
 the printed minimum and maximum as limits (DEC-51); without printed limits, three sigma.
@@ -46,7 +46,7 @@ NONE = Spread(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How the units of one chip differ, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one."""
+    """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one."""
 
     bias: tuple[Spread, Spread, Spread]
     slope_per_degc: tuple[Spread, Spread, Spread]

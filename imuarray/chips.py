@@ -50,7 +50,7 @@ class ChipSpec:
 
     @property
     def has_thermometer(self) -> bool:
-        """Whether its readings come with the temperature of the chip."""
+        """True if its readings come with the temperature of the chip."""
         return self.thermometer is not None
 
     def rate_hz(self, asked: float | None) -> float:

@@ -1,4 +1,4 @@
-"""What a count of each chip's own thermometer means, by the name of the chip (of a six-axis chip: of the die)."""
+"""Scales of the chips' own thermometers, by the name of the chip (of a six-axis chip: of the die)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the drivers of six-axis chips have in common: accelerometer and gyroscope of one die, two sensors in one place.
+"""Common parts of the drivers of six-axis chips: accelerometer and gyroscope of one die, two sensors in one place.
 
 Each half is a driver of its own that sets what both need to the same values (the configuration is refused if they
 differ) and never resets the die, which would take the other half's range. A burst holds both triads and the

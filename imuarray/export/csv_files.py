@@ -54,8 +54,8 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
     """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
-    phases = [(seconds(one.start_ns), seconds(one.end_ns), one.name, one.up) for one in content.phases]
-    events = [(seconds(one.time_ns), one.sensor, one.kind, one.message) for one in content.events]
+    phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
+    events = [(seconds(event.time_ns), event.sensor, event.kind, event.message) for event in content.events]
     with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
         wanted = (path, path.with_suffix(".json"), *files)
         listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in wanted)
@@ -81,7 +81,7 @@ def file_names(path: Path, names: Sequence[str]) -> list[str]:
     """
     taken: dict[str, str] = {}
     for name in names:
-        free = next(one for one in numbered(f"{path.stem}_{name}") if one.lower() not in taken)
+        free = next(stem for stem in numbered(f"{path.stem}_{name}") if stem.lower() not in taken)
         taken[free.lower()] = f"{free}{path.suffix}"
     return list(taken.values())
 

@@ -270,10 +270,10 @@ def _form(
     text = json.dumps(message(row), allow_nan=False, separators=(",", ":"))
     form: list[bytes | int] = []
     end = 0
-    for found in _STAND_IN.finditer(text):
-        form.append(text[end : found.start()].encode())
-        form.append(int(found[1]) if found[1] else -2 if found[0] == str(_SECONDS) else -1)
-        end = found.end()
+    for match in _STAND_IN.finditer(text):
+        form.append(text[end : match.start()].encode())
+        form.append(int(match[1]) if match[1] else -2 if match[0] == str(_SECONDS) else -1)
+        end = match.end()
     return [*form, text[end:].encode()]
 
 
@@ -383,6 +383,8 @@ def _events(content: Content) -> list[_Entry]:
 
 def _phases(content: Content) -> list[_Entry]:
     """A line where each phase begins, and one where it ends."""
-    said = [(one.start_ns, f"{one.name} begins{f', {one.up} up' if one.up else ''}") for one in content.phases]
-    said += [(one.end_ns, f"{one.name} ends") for one in content.phases]
+    said = [
+        (phase.start_ns, f"{phase.name} begins{f', {phase.up} up' if phase.up else ''}") for phase in content.phases
+    ]
+    said += [(phase.end_ns, f"{phase.name} ends") for phase in content.phases]
     return [_Entry(time_ns, "INFO", "phase", text) for time_ns, text in sorted(said)]

@@ -60,7 +60,7 @@ class Watch:
 
     on: bool | None = None
     ranges: Ranges = field(default_factory=lambda: NO_RANGES)
-    found: EventCallback = lambda event: None
+    on_fault: EventCallback = lambda event: None
 
     def over(self, technique: str | PipelineFactory) -> bool:
         """Return whether there is any watching."""
@@ -231,7 +231,7 @@ class _Array(Generic[_Sensor]):
         """The pipeline behind fault monitors, if there is to be any watching."""
         if not self.watch.over(self.technique):
             return pipeline
-        return MonitoredPipeline(pipeline, axes, period_s, self.watch.ranges, self.watch.found)
+        return MonitoredPipeline(pipeline, axes, period_s, self.watch.ranges, self.watch.on_fault)
 
 
 def _smoothed(

@@ -210,7 +210,7 @@ _RATE = "angular_rate"
 
 class MonitoredPipeline(Generic[Out]):
     """A fault monitor of each quantity before another pipeline; both monitors judge in the same windows, so that they
-    give back the same frames. `found` hears each event as it is found.
+    give back the same frames. `report` is called with each event as it is found.
     """
 
     def __init__(
@@ -219,13 +219,13 @@ class MonitoredPipeline(Generic[Out]):
         axes: Mapping[str, Sequence[Axis]],
         period_s: float,
         ranges: Ranges,
-        found: Callable[[FaultEvent], None],
+        report: Callable[[FaultEvent], None],
     ) -> None:
         self._inner = inner
         self._monitors = {
             quantity: FaultMonitor(its, quantity, period_s=period_s, ranges=ranges) for quantity, its in axes.items()
         }
-        self._found, self._reported = found, dict.fromkeys(axes, 0)
+        self._report, self._reported = report, dict.fromkeys(axes, 0)
         self._gyroscopes = directions(axes.get(_RATE, []))
         self._apart = any(axis.position_m != its[0].position_m for its in axes.values() for axis in its)
         self._degc: dict[str, Floats] = {}
@@ -273,7 +273,7 @@ class MonitoredPipeline(Generic[Out]):
     def _tell(self) -> None:
         for quantity, monitor in self._monitors.items():
             for event in monitor.events[self._reported[quantity] :]:
-                self._found(event)
+                self._report(event)
             self._reported[quantity] = len(monitor.events)
 
 

@@ -53,7 +53,9 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
         raise LogError(f"{where}: nested without end")
     if origin in (Union, types.UnionType):
         return (
-            None if value is None else _read(value, next(one for one in inside if one is not type(None)), where, depth)
+            None
+            if value is None
+            else _read(value, next(option for option in inside if option is not type(None)), where, depth)
         )
     if is_dataclass(kind):
         return _dataclass(value, kind, where, depth)
@@ -61,13 +63,13 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
         if not isinstance(value, list) or (inside[-1] is not Ellipsis and len(value) != len(inside)):
             raise LogError(f"{where}: must be a list")
         kinds = [inside[0]] * len(value) if inside[-1] is Ellipsis else inside
-        return tuple(_read(one, each, where, depth - 1) for one, each in zip(value, kinds, strict=True))
+        return tuple(_read(item, each, where, depth - 1) for item, each in zip(value, kinds, strict=True))
     if origin is np.ndarray or kind is np.ndarray:
         return _array(value, where)
     if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
             raise LogError(f"{where}: must be an object")
-        return {_text(key, where): _read(one, inside[1], where, depth - 1) for key, one in value.items()}
+        return {_text(key, where): _read(item, inside[1], where, depth - 1) for key, item in value.items()}
     if kind is Any or kind is object:
         return _anything(value, where, depth)
     return _plain(value, kind, where)
@@ -86,7 +88,7 @@ def _dataclass(value: Any, kind: Any, where: str, depth: int) -> Any:
 
 def _array(value: Any, where: str) -> Any:
     try:
-        rows = [[nan if one is None else float(one) for one in row] for row in value]
+        rows = [[nan if item is None else float(item) for item in row] for row in value]
         table = np.array(rows, float).reshape(len(value), -1)
         if (np.abs(table) >= _HUGE).any():
             raise ValueError("beyond any figure of a diagnosis")
@@ -115,9 +117,9 @@ def _anything(value: Any, where: str, depth: int) -> Any:
     if depth == 0:
         raise LogError(f"{where}: nested without end")
     if isinstance(value, Mapping):
-        return {_text(key, where): _anything(one, where, depth - 1) for key, one in value.items()}
+        return {_text(key, where): _anything(item, where, depth - 1) for key, item in value.items()}
     if isinstance(value, list):
-        return [_anything(one, where, depth - 1) for one in value]
+        return [_anything(item, where, depth - 1) for item in value]
     if isinstance(value, str):
         return _text(value, where)
     return value if value is None or isinstance(value, bool) else _number(value, where)

@@ -40,7 +40,7 @@ def with_origins(
 
     def is_felt(cause: Cause) -> bool:
         if cause.effect == "tone":
-            return any(any(cause is one for one in line.causes) for line in lines)
+            return any(any(cause is known for known in line.causes) for line in lines)
         return bool(cause.sensors) and all(_wanders_with(cause, headers[name], shared) for name in cause.sensors)
 
     return tuple(

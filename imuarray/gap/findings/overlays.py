@@ -315,8 +315,8 @@ def _temperature(axis: int, recorded: Sequence[Summary]) -> CurveShape:
         return np.asarray(np.divide(sums, weights, out=np.full(len(filled), np.nan), where=weights > 0))
 
     def values(own: Sequence[Summary]) -> Floats:
-        found = means(factor * np.concatenate([summary.segments.mean[:, axis] for summary in own]))
-        return np.asarray(found - np.nanmean(found)) if np.isfinite(found).any() else found
+        course = means(factor * np.concatenate([summary.segments.mean[:, axis] for summary in own]))
+        return np.asarray(course - np.nanmean(course)) if np.isfinite(course).any() else course
 
     return CurveShape(means(degc), values)
 

@@ -34,8 +34,8 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
 def _draw_worst(panel: Axes, diagnosis: Diagnosis) -> None:
     """The statistics that differ most."""
     worst = diagnosis.where[:_MOST]
-    labels = [f"{one.sensor} {one.axis} {one.statistic}".replace("  ", " ") for one in worst]
-    panel.barh(np.arange(len(worst)), [abs(one.significance) for one in worst], color=PALETTE[2], height=0.6)
+    labels = [f"{entry.sensor} {entry.axis} {entry.statistic}".replace("  ", " ") for entry in worst]
+    panel.barh(np.arange(len(worst)), [abs(entry.significance) for entry in worst], color=PALETTE[2], height=0.6)
     panel.set_yticks(range(len(worst)), labels, fontsize=8)
     panel.invert_yaxis()
     panel.set_xlabel("difference, standard deviations of chance")
