@@ -143,7 +143,7 @@ def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
 def _seconds(table: Mapping[str, Any], key: str, default: float | None) -> float:
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= FOR_GOOD_S:
-        raise ValueError(f"{key} = {value!r}; wanted are seconds")
+        raise ValueError(f"{key} = {value!r}; required are seconds")
     return float(value)
 
 
@@ -163,5 +163,5 @@ def _switch(table: Mapping[str, Any], key: str) -> bool:
 
 def _triple(value: Any) -> tuple[float, float, float]:
     if not (isinstance(value, list) and len(value) == 3 and all(isinstance(number, int | float) for number in value)):
-        raise ValueError(f"bias = {value!r}; wanted are three numbers")
+        raise ValueError(f"bias = {value!r}; required are three numbers")
     return float(value[0]), float(value[1]), float(value[2])

@@ -72,7 +72,7 @@ class Firmware:
 
     @property
     def due_ns(self) -> int | None:
-        """Return when the next frame begins, on the true clock; None while none is wanted."""
+        """Return when the next frame begins, on the true clock; None while none is required."""
         return self._begun_ns + round(self._number * self._period_ns) if self._period_ns else None
 
     def feed(self, data: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""Differences between the units of one kind of chip: the words in which each chip's data sheet states it, in g, dps or gauss.
+"""Tolerances of the units of one kind of chip, as each data sheet states them, in g, dps or gauss.
 
 "Typ" tolerances of Bosch, ST and InvenSense are taken as two sigma and as the limit, Analog Devices' as one sigma with
 the printed minimum and maximum as limits (DEC-51); without printed limits, three sigma.

@@ -293,7 +293,9 @@ def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions
     from imuarray.simulate.series import run_like
 
     if conditions:
-        raise ConfigError(f"{', '.join(conditions)}: the log that is simulated says so; give an array to choose it")
+        raise ConfigError(
+            f"{', '.join(conditions)}: with a recorded log these come from the log; give an array to choose them"
+        )
     return run_like(log, path, only, boot)
 
 

@@ -20,10 +20,10 @@ _TOLD = 12
 """Maximum number of mistakes that are listed; a file with more is another kind of file."""
 
 _IN_OTHER_WORDS = {
-    "int_type": "{came}: a whole number without quotes is wanted (0x40 is one)",
-    "float_type": "{came}: a number without quotes is wanted",
-    "string_type": "{came}: a text in quotes is wanted",
-    "list_type": "a list is wanted; an array of tables is written with two brackets, as in [[sensor]]",
+    "int_type": "{came}: a whole number without quotes is required (0x40 is one)",
+    "float_type": "{came}: a number without quotes is required",
+    "string_type": "{came}: a text in quotes is required",
+    "list_type": "a list is required; an array of tables is written with two brackets, as in [[sensor]]",
     "missing": "is missing",
 }
 """What pydantic says in the words of its own types."""

@@ -95,7 +95,7 @@ def test_a_wrong_word_is_told_with_what_is_allowed(tmp_path: Path, options: dict
 
 @pytest.mark.slow
 def test_a_log_that_is_simulated_again_has_its_own_conditions(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="seconds: the log that is simulated says so"):
+    with pytest.raises(ConfigError, match="seconds: with a recorded log these come from the log"):
         ia.simulate(folder / "rest.h5", tmp_path / "a.h5", seconds=1.0)
 
 

@@ -190,7 +190,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("--nonsense",), "No such option"),
     (("log",), "Missing argument 'CONFIG'"),
     (("log", "one.toml"), "Missing option '-o'"),
-    (("log", "one.toml", "-o", "r.h5", "--seconds", "1"), "one.toml: no bus: say --bus"),
+    (("log", "one.toml", "-o", "r.h5", "--seconds", "1"), "one.toml: no bus: give --bus"),
     (("log", "none.toml", "--bus", "emulated:", "-o", "r.h5"), "none.toml: No such file or directory"),
     (("log", ".", "--bus", "emulated:", "-o", "r.h5"), ".: Is a directory"),
     (("log", "broken.toml", "--bus", "emulated:", "-o", "r.h5"), "broken.toml: not TOML"),

@@ -149,7 +149,7 @@ def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
         control = bus.transfer(address, read=1)[0]
         return Detection(f"trunk address {address:#04x}", "mux", MUX, f"{MUX}, control {control:#04x}", True)
     except OSError as error:
-        return Detection(f"trunk address {address:#04x}", "mux", MUX, f"nobody: {error.strerror or error}", False)
+        return Detection(f"trunk address {address:#04x}", "mux", MUX, f"no answer: {error.strerror or error}", False)
 
 
 def explore(bus: OpenBus) -> list[Detection]:

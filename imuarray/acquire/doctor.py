@@ -334,7 +334,7 @@ def examine(
     elif scheme == "replay":
         checks = [Check("transcript", Path(rest).is_file(), rest, "name a file that `log --transcript` wrote")]
     elif not url:
-        advice = "say --bus i2c:/dev/i2c-1 (or serial:/dev/ttyACM0), or give [array] a bus"
+        advice = "give --bus i2c:/dev/i2c-1 (or serial:/dev/ttyACM0), or give [array] a bus"
         checks = [Check("bus", False, "none is named", advice)]
     else:
         checks = [Check("bus", scheme == "emulated", "emulated, no hardware" if scheme == "emulated" else url)]

@@ -80,7 +80,7 @@ class Streaming:
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read = clocks_beside(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read, epoch_ns, log.clocks, self._note_of_all)
-        self._periods: int | None = None  # how many are wanted; `split` of them are a frame
+        self._periods: int | None = None  # how many are required; `split` of them are a frame
         self._begun = 0  # periods before the stream was last started
         self._newest = -1  # number of the newest period since
         self._heard_ns = self._written_ns = now_ns

@@ -174,7 +174,7 @@ def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: 
 
 
 _WHY = {
-    AGE_NOBODY: "nobody acknowledges (errno 121)",
+    AGE_NOBODY: "no acknowledgement (errno 121)",
     AGE_HELD: "the clock is held (errno 110)",
     0: "the conversion was not finished",
 }

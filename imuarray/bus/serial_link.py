@@ -198,7 +198,7 @@ def start_payload(period_us: int) -> bytes:
 def capacity_of(payload: bytes) -> Capacity:
     """Decode the answer to HELLO; LinkError for a payload that can't be one."""
     if len(payload) < _HELLO.size:
-        raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are wanted")
+        raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are required")
     return Capacity(*_HELLO.unpack_from(payload))
 
 

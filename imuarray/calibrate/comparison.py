@@ -104,7 +104,7 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
     """
     names, files = tuple(calibrations), list(calibrations.values())
     if len(files) < 2:
-        raise CalibrationError("two calibrations at least are wanted to compare")
+        raise CalibrationError("at least two calibrations are required")
     results: dict[str, dict[int, SensorCalibration]] = {}
     for number, file in enumerate(files):
         for name, sensor in file.sensors.items():

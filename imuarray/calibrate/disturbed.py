@@ -59,7 +59,8 @@ def another_go(poses: Sequence[Pose]) -> dict[int, str]:
     if len(goes) == 1 or 2 * len(most) <= len(poses):
         return {}
     return {
-        int(place): f"more than {longest_s:.0f} s passed between it and the {len(most)} poses that were read in one go"
+        int(place): f"more than {longest_s:.0f} s passed between it and the {len(most)} poses that were"
+        f" recorded together"
         for go in goes
         if go is not most
         for place in go

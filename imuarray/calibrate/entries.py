@@ -56,7 +56,7 @@ def read_table(entry: object, where: str, kind: type[T], readers: Mapping[str, R
     """A `kind` from a table; CalibrationError names a key that is missing, unknown or holds what it can't."""
     wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
     if not isinstance(entry, dict) or not set(wanted) <= set(entry):
-        raise CalibrationError(f"{where}: a table is wanted with {', '.join(wanted)}")
+        raise CalibrationError(f"{where}: a table is required with {', '.join(wanted)}")
     if unknown := set(entry) - set(readers):
         raise CalibrationError(f"{where}: unknown key {sorted(unknown)[0]!r}; allowed are {', '.join(sorted(readers))}")
     return kind(**{key: readers[key](value, f"{where}: {key}") for key, value in entry.items()})
@@ -81,7 +81,7 @@ def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[st
 
     def read(value: object, where: str) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
-            raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are wanted")
+            raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are required")
         return {name: read_table(entry, f"{where}.{name}", kind, readers) for name, entry in value.items()}
 
     return read
@@ -144,7 +144,7 @@ def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
 def whole(value: object, where: str) -> int:
     """A reader of a whole number from 0 to a million."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _HUGE:
-        raise CalibrationError(f"{where}: a whole number is wanted")
+        raise CalibrationError(f"{where}: a whole number is required")
     return value
 
 
@@ -153,7 +153,7 @@ def text(*allowed: str, empty: bool = False) -> Reader:
 
     def read(value: object, where: str) -> str:
         if not isinstance(value, str) or not (value or empty) or (allowed and value not in allowed):
-            choice = f"; allowed are {', '.join(allowed)}" if allowed else "; a text is wanted"
+            choice = f"; allowed are {', '.join(allowed)}" if allowed else "; a text is required"
             raise CalibrationError(f"{where}: {value!r:.40}{choice}")
         return value
 
@@ -166,7 +166,7 @@ def several(reader: Reader, count: int | None = None) -> Reader:
     def read(value: object, where: str) -> tuple[object, ...]:
         entries = _list(value, where)
         if count not in (None, len(entries)):
-            raise CalibrationError(f"{where}: {count} entries are wanted")
+            raise CalibrationError(f"{where}: {count} entries are required")
         return tuple(reader(entry, where) for entry in entries)
 
     return read
@@ -174,5 +174,5 @@ def several(reader: Reader, count: int | None = None) -> Reader:
 
 def _list(value: object, where: str) -> list[object]:
     if not isinstance(value, list):
-        raise CalibrationError(f"{where}: a list is wanted")
+        raise CalibrationError(f"{where}: a list is required")
     return value

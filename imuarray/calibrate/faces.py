@@ -27,7 +27,7 @@ from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 
-_WANTED = "z_up, x_up, y_up, x_down, y_down, z_down are wanted"
+_WANTED = "z_up, x_up, y_up, x_down, y_down, z_down are required"
 
 LEANS_G = 0.01
 """A face this far from the straight line through the others did not stand as its label says: 0.6 degrees."""

@@ -68,7 +68,7 @@ def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
 
 def same_sides(sensor: SensorLog) -> str:
     """Describe what poses leave open."""
-    return f"{sensor.where}: the poses do not tell bias from scale; put the box on more different sides"
+    return f"{sensor.where}: the poses do not separate bias from scale; add poses on other sides"
 
 
 def _common(directions: Sequence[Floats]) -> Floats:
@@ -182,7 +182,7 @@ def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[LeftOut]) -> N
     if count < MIN_POSES:
         why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)
         sound = "static" if not left_out else "undisturbed"
-        raise CalibrationError(f"{sensor.where}: {count} {sound} poses, at least {MIN_POSES} are wanted{why}")
+        raise CalibrationError(f"{sensor.where}: {count} {sound} poses, at least {MIN_POSES} are required{why}")
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
     except CalibrationError:
         return None
     longest = max(poses, key=lambda pose: pose.end_ns - pose.start_ns, default=None)
-    chosen_by = "the longest at rest, as the sensors show: no phase says so"
+    chosen_by = "the longest at rest by the sensors: no phase names one"
     return longest and Stretch(longest.start_ns, longest.end_ns, longest.name, "", chosen_by)
 
 
@@ -74,7 +74,7 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
         if moving.mean() > MOVING_SHARE:
             factor, unit = READABLE[sensors[0].unit]
             most = factor * float(np.maximum(off, change)[moving].max())
-            return f"the box moved in {100 * moving.mean():.0f} % of it (by up to {most:.3g} {unit}); at rest is wanted"
+            return f"the box moved in {100 * moving.mean():.0f} % of it (by up to {most:.3g} {unit}), but must rest"
     return ""
 
 
@@ -101,5 +101,5 @@ def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
         listed = ", ".join(names[place] for place in elsewhere[:5])
         raise CalibrationError(
             f"{listed}: the box lay {np.median(degrees[elsewhere]):.0f} degrees otherwise than in the other runs; one"
-            " pose is wanted"
+            " pose is required"
         )

@@ -97,7 +97,7 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
     ups = np.array([pose.up_box for pose in poses], float)
     if np.linalg.matrix_rank(ups) < 2:
         raise CalibrationError(
-            f"{log.path}: poses with one box axis up don't tell how sensors point: hold it three ways"
+            f"{log.path}: poses with one box axis up do not determine the axes: hold the box in three orientations"
         )
     results: dict[str, Pointing] = {}
     for sensor in log.of("specific_force"):
@@ -105,7 +105,7 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
     untold = [each for each in results.values() if each.left > _MOST]
     if untold and 2 * len(untold) > len(results):
         raise CalibrationError(
-            f"{log.path}: no way of mounting {untold[0].sensor} explains what it felt: the poses were not"
+            f"{log.path}: no orientation of {untold[0].sensor} explains its readings: the poses were not"
             f" {', '.join(_name(up) for up in ups)} up, in this order"
         )
     carried = {sensor.name: _carried(sensor, poses) for sensor in log.of("angular_rate")}
@@ -132,7 +132,7 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
     """Estimate the axes of an accelerometer by gravity; biases are too small to hide it."""
     felt = np.array([_mean(sensor, pose) for pose in poses])
     if not np.isfinite(felt).all():
-        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
+        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
     remaining = np.sqrt(np.mean((felt - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
     return _best(sensor, remaining)
 
@@ -201,11 +201,11 @@ def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Flo
     run = max(runs, key=len)
     if len(run) < 3:
         return Pointing(
-            sensor.name, sensor.chip, "", np.nan, np.nan, "no gyroscope tells how the box turned between three poses"
+            sensor.name, sensor.chip, "", np.nan, np.nan, "no gyroscope measured the turns between three poses"
         )
     read = np.concatenate([_mean(sensor, poses[place]) for place, _ in run])
     if not np.isfinite(read).all():
-        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
+        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
     remaining = []
     for turn in TURNS:
         design = np.concatenate([np.hstack([turn @ attitude, np.eye(3)]) for _, attitude in run])
@@ -221,7 +221,7 @@ def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
     best, second = float(residuals[order[0]]), float(residuals[order[1]])
     axes = axes_text(TURNS[order[0]])
     if best > _MOST:
-        return Pointing(sensor.name, sensor.chip, "", best, second, "no way of mounting explains what it read")
+        return Pointing(sensor.name, sensor.chip, "", best, second, "no orientation explains its readings")
     if second < _CLEARLY * best or second - best < 1e-6:
         return Pointing(
             sensor.name, sensor.chip, "", best, second, f"{axes_text(TURNS[order[1]])} is as good as {axes}"

@@ -173,7 +173,7 @@ def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
     """
     sensors = _rows_of(log, "specific_force", only)
     if not sensors:
-        raise CalibrationError(f"{log.path}: no accelerometer, so nothing tells when the box stood still")
+        raise CalibrationError(f"{log.path}: no accelerometer to detect when the box stood still")
     return _rests(log, sensors, only)
 
 
@@ -181,7 +181,7 @@ def find_rests(log: Log) -> list[Pose]:
     """`find_poses`, in a log without accelerometers by its gyroscopes, else by its magnetometers; CalibrationError."""
     sensors = next(filter(None, (_rows_of(log, quantity, ()) for quantity in _SAME_POSE)), [])
     if not sensors:
-        raise CalibrationError(f"{log.path}: no sensor with three axes, so nothing tells when the box stood still")
+        raise CalibrationError(f"{log.path}: no sensor with three axes to detect when the box stood still")
     return _rests(log, sensors, ())
 
 

@@ -69,7 +69,7 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
     if len(readings.poses) < FEWEST_STRETCHES:
         raise CalibrationError(
             f"{sensors[0].where}: {len(readings.poses)} slow stretches of {STRETCH_S:g} s, at least {FEWEST_STRETCHES}"
-            " are wanted"
+            " are required"
         )
     kept = _spread(readings, motion_g)
     readings, motion_g = readings.only(kept), motion_g[kept]
@@ -94,7 +94,8 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
     worst_g = max(float(f.bias_sem_lsb.max() / s.sensitivity) for f, s in zip(fit.fits, sensors, strict=True))
     if not worst_g < WORTHLESS_G:
         raise CalibrationError(
-            f"{sensors[0].where}: the path tells biases to {1e3 * worst_g:.0f} mg only: turn the box slower, and to all"
+            f"{sensors[0].where}: the path determines biases to {1e3 * worst_g:.0f} mg only: turn the box"
+            f" slower, and to all"
             " sides"
         )
     return fit

@@ -269,7 +269,9 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
             temperatures.append(degc)
             ups.add(up)
     if len(ups) > 1:
-        raise CalibrationError(f"{sensor.where}: runs with up {', '.join(map(repr, sorted(ups)))}: one pose is wanted")
+        raise CalibrationError(
+            f"{sensor.where}: runs with up {', '.join(map(repr, sorted(ups)))}: one pose is required"
+        )
     means = [np.full(3, np.nan) if part is None else part.mean.mean(axis=0) for part in segments]
     return Runs(
         sensor.name,

@@ -44,7 +44,7 @@ class StartUp:
         states = 0 if known is None else len(known.states)
         if states < 2:
             return ""
-        holds = ": its bias is taken" if calibration.sensors[name].quantity == "angular_rate" else ""
+        holds = ": its bias is used" if calibration.sensors[name].quantity == "angular_rate" else ""
         return f"{name} came up in state {self.state + 1} of {states}{holds}"
 
 

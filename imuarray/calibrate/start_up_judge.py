@@ -54,7 +54,7 @@ class StartUpJudge:
         """Verdicts by sensor; a sensor that is judged again is compared with the first readings of the others."""
         known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
         if known and np.median([_restlessness(counts) for counts in known.values()]) > _RESTLESS:
-            self._say("the box was moved in the first seconds: how the sensors came up is not known")
+            self._say("the box was moved in the first seconds: the states of the sensors are not known")
             return {}
         self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
         states = state_of(self._means, self._calibration, ranges=self._ranges)
@@ -62,8 +62,8 @@ class StartUpJudge:
         self._starts.update(starts)
         verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
         if not any(verdict.text for verdict in verdicts.values()):
-            usual = f"{len(starts)} sensors came up as ever"
-            self._tell(usual if states else "the calibration does not say how sensors come up")
+            usual = f"{len(starts)} sensors came up as usual"
+            self._tell(usual if states else "the calibration holds no turn-on states")
         return verdicts
 
     def _verdict(self, name: str, start: StartUp) -> StartUpVerdict:

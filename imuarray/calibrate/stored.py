@@ -59,12 +59,12 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         raise CalibrationError(f"{path}: calibration format_version is {version}; this software reads {FORMAT_VERSION}")
     sources, entries = head.get("sources", []), file.get("sensor", [])
     if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
-        raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are wanted")
+        raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are required")
     sensors: dict[str, SensorCalibration] = {}
     for index, entry in enumerate(entries, start=1):
         sensor = _from_table(entry, f"{path}, sensor {index}")
         if sensor.name in sensors:
-            raise CalibrationError(f"{path}, sensor {index}: {sensor.name!r} stands in it twice")
+            raise CalibrationError(f"{path}, sensor {index}: {sensor.name!r} appears twice")
         sensors[sensor.name] = sensor
     return Calibration(sensors, tuple(sources))
 

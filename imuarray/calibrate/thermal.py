@@ -319,7 +319,7 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
     named = {phase.up for phase in log.phases if phase.up}
     if len(named) > 1 or not named <= set(UP_AXES):
         raise CalibrationError(
-            f"{log.path}: its phases say up {', '.join(sorted(named))}; one orientation a log is wanted"
+            f"{log.path}: its phases say up {', '.join(sorted(named))}; one orientation a log is required"
         )
     if named:
         return np.array(up_vector(named.pop()))
@@ -362,13 +362,13 @@ def _heating(
     segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
     if len(segments.time_s) < _FEWEST_SEGMENTS:
         raise CalibrationError(
-            f"{sensor.where}: {len(segments.time_s)} segments of {segment_s:g} s; {_FEWEST_SEGMENTS} are wanted"
+            f"{sensor.where}: {len(segments.time_s)} segments of {segment_s:g} s; {_FEWEST_SEGMENTS} are required"
         )
     degc = thermometer.at(segments.time_s)
     span = (float(degc.min()), float(degc.max()))
     if span[1] - span[0] < _LEAST_CHANGE_DEGC:
         raise CalibrationError(
-            f"{sensor.where}: the temperature changed by {np.ptp(degc):.1f} degC; {_LEAST_CHANGE_DEGC:g} are wanted"
+            f"{sensor.where}: the temperature changed by {np.ptp(degc):.1f} degC; {_LEAST_CHANGE_DEGC:g} are required"
         )
     steady = np.polynomial.Polynomial.fit(segments.time_s, degc, 1)(segments.time_s)
     if np.std(degc - steady) < _LEAST_BEND * np.std(degc):

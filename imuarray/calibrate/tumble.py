@@ -166,19 +166,19 @@ def _warnings(
         ups = {pose.phase.up for pose in faces.fitted}
         if missing := [up for up in UP_AXES if up not in ups]:
             yield (
-                f"no face with {', '.join(missing)} up: nothing checks the opposite one, and an error of it is one of"
-                " bias and scale factor; read all six"
+                f"no face with {', '.join(missing)} up: the opposite one is not checked, and its error"
+                " enters bias and scale factor; record all six"
             )
     apart = [sensor.name for sensor in sensors if sensor.name not in known]
     if apart:
-        yield f"{', '.join(apart)} not calibrated: a box that never rests does not tell a gyroscope's bias"
+        yield f"{', '.join(apart)} not calibrated: the bias of a gyroscope needs a box at rest"
     for sensor in sensors:
         sem = known[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
         worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
         if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
             yield (
                 f"{sensor.name} {'xyz'[worst]}: bias within +- {1e3 * sem[worst] / sensor.sensitivity:.3g} mg only:"
-                " poses disagree with each other; was the box still, and as noted?"
+                " the poses disagree; check that the box was still and the labels are right"
             )
 
 
@@ -193,8 +193,8 @@ def _by_gravity(
             fit = fit_path(accelerometers, logs)
         except CalibrationError as error:
             raise CalibrationError(
-                f"{accelerometers[0].where}: {len(poses)} static poses, at least {MIN_POSES} are wanted; nor does what"
-                f" lies between them tell enough ({error})"
+                f"{accelerometers[0].where}: {len(poses)} static poses, at least {MIN_POSES} are required; the path"
+                f" between them does not determine the parameters either ({error})"
             ) from None
     else:
         fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))

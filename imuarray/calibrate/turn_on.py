@@ -171,7 +171,7 @@ def compare_runs(
     apart = _faults(runs, ranges)
     used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
     if len(used) < _FEWEST_RUNS:
-        raise CalibrationError(f"sensor {runs.sensor}: {len(used)} sound runs, at least {_FEWEST_RUNS} are wanted")
+        raise CalibrationError(f"sensor {runs.sensor}: {len(used)} sound runs, at least {_FEWEST_RUNS} are required")
     means, warm = runs.mean_lsb[used], None if runs.temperature_degc is None else runs.temperature_degc[used]
     second, p_states = two_states(means, warm, seed)
     groups = [~second, second] if p_states < significant else [np.ones(len(used), bool)]

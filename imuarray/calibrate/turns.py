@@ -119,7 +119,7 @@ def fit_turns(
         strange = worst(chances, off, np.radians(_FAR_DEG))
         if strange is None:
             return fit
-        reason = f"ends {np.degrees(off[strange]):.2f} degrees from where the other turns let it end"
+        reason = f"ends {np.degrees(off[strange]):.2f} degrees from where the other turns predict its end"
         left_out.append(LeftOut(good[strange].name, good[strange].log, reason))
         good.pop(strange)
     return None

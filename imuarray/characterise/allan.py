@@ -49,7 +49,7 @@ def allan_deviation(
     series = _checked(values, interval_s)
     chosen = _factors(len(series), factors)
     if estimator not in get_args(Estimator):
-        raise ValueError(f"estimator is {estimator!r}, one of {', '.join(get_args(Estimator))} is wanted")
+        raise ValueError(f"estimator is {estimator!r}, one of {', '.join(get_args(Estimator))} is required")
     if estimator == "decimated":
         stream = AllanStream(interval_s, chosen)
         stream.feed(series)
@@ -64,10 +64,10 @@ def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:
     """The series as an array; ValueError."""
     series = np.asarray(values)
     if series.ndim not in (1, 2) or len(series) < 2 or series.size == 0 or series.dtype.kind not in "biuf":
-        wanted = "an (n,) or (n, k) series of at least 2 real numbers is wanted"
+        wanted = "an (n,) or (n, k) series of at least 2 real numbers is required"
         raise ValueError(f"{wanted}, not {series.dtype} {series.shape}")
     if not 0 < interval_s < np.inf:
-        raise ValueError(f"interval_s is {interval_s}, a positive number is wanted")
+        raise ValueError(f"interval_s is {interval_s}, a positive number is required")
     return series
 
 

@@ -186,6 +186,6 @@ def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[
     terms = " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
     share = f"{abs(ratio - 1):.1%} {'above' if ratio > 1 else 'below'}"
     return (
-        f"no sum of {terms} gives this curve (p = {p_value:.1g}): a line spectrum, a drift or a filter; it lies up to "
+        f"no sum of {terms} fits this curve (p = {p_value:.1g}): a line spectrum, a drift or a filter; it lies up to "
         f"{share} the fit, at tau = {tau_s:.3g} s, and the intervals do not hold"
     )

@@ -49,7 +49,7 @@ class AllanStream:
         self, interval_s: float, factors: Sequence[int] | None = None, estimator: Estimator = "decimated"
     ) -> None:
         if not 0 < interval_s < np.inf:
-            raise ValueError(f"interval_s is {interval_s}, a positive number is wanted")
+            raise ValueError(f"interval_s is {interval_s}, a positive number is required")
         if estimator == "overlapping" and factors is None:
             raise ValueError("the overlapping estimator needs its averaging factors beforehand")
         self._factors = tuple(int(m) for m in (_OCTAVES if factors is None else factors))
@@ -66,7 +66,7 @@ class AllanStream:
         """The next rows (n,) or (n, k); ValueError if they are not real, finite, or of the shape of those before."""
         block = np.asarray(values)
         if block.ndim not in (1, 2) or block.dtype.kind not in "biuf" or 0 in block.shape[1:]:
-            raise ValueError(f"(n,) or (n, k) real numbers are wanted, not {block.dtype} {block.shape}")
+            raise ValueError(f"(n,) or (n, k) real numbers are required, not {block.dtype} {block.shape}")
         if len(block) == 0:
             return
         if not self._columns:
@@ -74,7 +74,7 @@ class AllanStream:
             columns = block.shape[1] if block.ndim == 2 else 1
             self._columns = [_Pyramid(self._factors, self._strides) for _ in range(columns)]
         if block.shape[1:] != self._shape:
-            raise ValueError(f"rows of shape {self._shape} are wanted as before, not {block.shape[1:]}")
+            raise ValueError(f"rows of shape {self._shape} are required as before, not {block.shape[1:]}")
         for pyramid, column in zip(self._columns, block.reshape(len(block), -1).T, strict=True):
             pyramid.feed(column)
         self._rows += len(block)
@@ -85,7 +85,7 @@ class AllanStream:
         Octaves end at a third of the rows, named factors at half of them.
         """
         if self._rows < 2:
-            raise ValueError(f"{self._rows} rows have no Allan deviation, at least 2 are wanted")
+            raise ValueError(f"{self._rows} rows have no Allan deviation, at least 2 are required")
         longest = self._rows // 2 if self._is_named else max(self._rows // 3, 1)
         chosen = [index for index, m in enumerate(self._factors) if m <= longest]
         if not chosen:

@@ -50,7 +50,9 @@ class Autocovariance:
 
     def __init__(self, lags: int = LAGS, columns: int = 1, segment_rows: int = SEGMENT) -> None:
         if lags < 1 or columns < 1 or segment_rows < 2 * (lags + 1):
-            raise ValueError(f"{lags} lags in segments of {segment_rows} rows: segments of {2 * (lags + 1)} are wanted")
+            raise ValueError(
+                f"{lags} lags in segments of {segment_rows} rows: segments of {2 * (lags + 1)} are required"
+            )
         self._line = np.empty((columns, segment_rows))
         self._products = np.zeros((lags + 1, columns))
         self._pairs = np.zeros(lags + 1)
@@ -61,7 +63,7 @@ class Autocovariance:
         """The next rows of the run, (n,) or (n, k); ValueError for another number of columns."""
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
-            raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are wanted")
+            raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
         self._seen += len(rows)
         start, length = 0, self._line.shape[1]
         while start < len(rows):

@@ -43,7 +43,7 @@ def _rails(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     rails = sensor["rails"]
     if rails is None:
         return
-    flagged = "" if rails["flagged"] else "; the log flags none of them as saturated: import it again"
+    flagged = "" if rails["flagged"] else "; none of them is flagged as saturated: import the log again"
     for axis, low, high, readings in zip(sensor["axes"], rails["low"], rails["high"], rails["rows"], strict=True):
         ends = [f"{code:.0f}" for code in (low, high) if code is not None]
         if ends:
@@ -69,7 +69,7 @@ def _codes(axis: Axis) -> Iterator[str]:
     missing = [gap for gap in codes["missing"] if gap["p_value"] < SURE]
     if missing:
         spans = ", ".join(_span(gap) for gap in missing[:_LINES])
-        yield f"codes that never come: {spans}"
+        yield f"codes that never occur: {spans}"
     for end in (codes["low_end"], codes["high_end"]):
         if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
             yield f"readings pile up at code {end['code']}: clipped"
@@ -108,7 +108,7 @@ def _fit(axis: Axis) -> Iterator[str]:
     if fit is not None and fit["verdict"]:
         way = "above" if fit["worst_ratio"] > 1 else "below"
         off = abs(fit["worst_ratio"] - 1)
-        yield f"its Allan curve is none of the fitted noises': {off:.0%} {way} the fit at {fit['worst_tau_s']:.3g} s"
+        yield f"its Allan curve is no sum of the fitted noises: {off:.0%} {way} the fit at {fit['worst_tau_s']:.3g} s"
 
 
 def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
@@ -121,7 +121,7 @@ def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
     repeats = timing["repeats"]
     if rate_hz and repeats["new_share"] is not None and repeats["new_share"] < _SLOW_SHARE:
         yield (
-            f"gives {repeats['update_rate_hz']:.4g} new readings a second, and is read {rate_hz:.4g} times; up to"
+            f"gives {repeats['update_rate_hz']:.4g} new readings a second, but is read {rate_hz:.4g} times; up to"
             f" {repeats['longest']} times the same"
         )
 

@@ -85,7 +85,7 @@ class LineSearch:
 def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_ALARM) -> LineSearch:
     """The lines in one column of a spectrum; ValueError if `false_alarm` is no probability."""
     if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm is {false_alarm}, a probability is wanted")
+        raise ValueError(f"false_alarm is {false_alarm}, a probability is required")
     floor = noise_floor(spectrum, column)
     frequency_hz = spectrum.frequency_hz[floor.bins]
     if len(floor.bins) == 0:
@@ -104,7 +104,7 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
     |n rate +- apparent| for all whole n. ValueError for an apparent frequency outside that range, or no positive rate.
     """
     if not 0 < rate_hz < inf or not 0 <= apparent_hz <= rate_hz / 2:
-        raise ValueError(f"{apparent_hz} Hz sampled at {rate_hz} Hz: 0 to half of a positive rate is wanted")
+        raise ValueError(f"{apparent_hz} Hz sampled at {rate_hz} Hz: 0 to half of a positive rate is required")
     turns = range(int(max(0.0, highest_hz + apparent_hz) / rate_hz) + 1)
     frequencies_hz = {turn * rate_hz + side * apparent_hz for turn in turns for side in (-1, 1)}
     return tuple(sorted(frequency_hz for frequency_hz in frequencies_hz if 0 <= frequency_hz <= highest_hz))

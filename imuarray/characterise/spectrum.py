@@ -89,7 +89,7 @@ class Welch:
         self, rate_hz: float, segment_rows: int = SEGMENT, columns: int = 1, precision: Precision = "single"
     ) -> None:
         if not 0 < rate_hz < np.inf:
-            raise ValueError(f"rate_hz is {rate_hz}, a positive number is wanted")
+            raise ValueError(f"rate_hz is {rate_hz}, a positive number is required")
         if segment_rows < 16 or segment_rows % 2 or columns < 1:
             raise ValueError(f"{segment_rows} rows, {columns} columns: an even number from 16, and at least 1, wanted")
         self._rate_hz, self._segment_rows = rate_hz, segment_rows
@@ -107,7 +107,7 @@ class Welch:
         """The next rows of the run, (n,) or (n, k); ValueError for another number of columns or what isn't finite."""
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
-            raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are wanted")
+            raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
         start = 0
         while start < len(rows):
             part = rows[start : start + self._line.shape[1] - self._filled]

@@ -20,8 +20,9 @@ _ROWS_HEAD = (
 _NOTES = (
     "error of the mean: its standard error, correlation allowed for. N: density of the white noise, two-sided "
     "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
-    "the Allan deviation with 95 % intervals; '<': not there, and no more than so much. p: chance that noise so made "
-    "gives such a misfit; '!' where it is too small to believe the figures. lowest: lowest point of the curve / 0.664, "
+    "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
+    "such a misfit if the model holds; '!' if it is too small to trust the figures. lowest: lowest point of"
+    " the curve / 0.664, "
     "'<' where it still falls at its end. Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
     "the calibration that was given, else by the data sheet's typical sensitivity."
 )
@@ -56,7 +57,7 @@ def _heading(result: Mapping[str, Any]) -> Iterator[str]:
     up = f", {stretch['up']} up" if stretch["up"] else ""
     yield from _wrapped(f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{up} ({stretch['chosen_by']})")
     if stretch["phase"] is None:
-        yield "no phase says that the box stood still: motion, if there was any, counts as noise here"
+        yield "no phase is at rest: any motion counts as noise here"
 
 
 def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:

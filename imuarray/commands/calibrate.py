@@ -35,7 +35,7 @@ _logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, typ
 def command(context: click.Context) -> None:
     """Determine sensor parameters from logs and write them to a TOML file."""
     if context.invoked_subcommand is None:
-        raise click.UsageError(f"name what to calibrate: {', '.join(command.commands)}")
+        raise click.UsageError(f"choose what to calibrate: {', '.join(command.commands)}")
 
 
 @command.command("tumble")
@@ -201,7 +201,7 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
     from imuarray.commands.calibrate_compare import print_report, report_of
 
     if len(set(files)) < len(files):
-        raise click.UsageError("a calibration is given twice")
+        raise click.UsageError("a calibration is given more than once")
     report = json_ready(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
     if as_json:
         print_json(report)

@@ -35,7 +35,8 @@ def print_report(report: dict[str, Any]) -> None:
     _print_changes(report["changes"])
     if report["common"]:
         click.echo(
-            "biases over the calibrations, standard deviations: common to all units of a design, and of each alone"
+            "standard deviation of biases over the calibrations: common to all units of a design, and of"
+            " each unit alone"
         )
         for row in report["common"]:
             factor, unit = _in_words(row["unit"])
@@ -47,7 +48,9 @@ def print_report(report: dict[str, Any]) -> None:
                 )
             )
     if report["opposed"]:
-        click.echo("opposing axes, rms change of each alone and of their mean; p: of such a correlation by chance")
+        click.echo(
+            "opposing axes: rms change of each alone and of their mean; p: probability of such a correlation by chance"
+        )
         for row in report["opposed"]:
             factor, unit = _in_words(row["unit"])
             chance = "-" if row["p_value"] is None else f"{row['p_value']:.2g}"

@@ -79,11 +79,11 @@ def print_report(report: dict[str, Any]) -> None:
         f"slope: at {' and '.join(f'{each:.1f}' for each in references)} degC, the middle of the temperatures, where it"
         " is the mean one over them;"
     )
-    click.echo("  curvature: half of what it changes by in a degree, in brackets where chance makes as much")
+    click.echo("  curvature: half the change of the slope per degree, in brackets if within chance")
     click.echo(
-        "lag: how long the sensor follows the thermometer, with its 95 % interval; of: what has the slope (an axis that"
+        "lag: delay of the sensor behind the thermometer, with its 95 % interval; of: the quantity with that slope"
     )
-    click.echo("  feels gravity and was warmed on one face alone can't tell its bias from its scale)")
+    click.echo("  (an axis along gravity that was heated on one face only does not separate bias from scale)")
     _print_pairs(report["pairs"])
 
 
@@ -107,7 +107,7 @@ def _scale(row: dict[str, Any], index: int) -> str:
 def _print_pairs(pairs: list[dict[str, Any]]) -> None:
     if not pairs:
         return
-    click.echo("opposing axes of one design: slopes, and half their difference, which is what their mean drifts by")
+    click.echo("opposing axes of one design: slopes, and half their difference, by which their mean drifts")
     click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p':>9}")
     for pair in pairs:
         less = "-" if pair["reduction"] is None else f"{pair['reduction']:.1f}"
@@ -115,4 +115,6 @@ def _print_pairs(pairs: list[dict[str, Any]]) -> None:
         line = f"{line:27} {pair['slope_first']:9.4f} {pair['slope_second']:9.4f} {pair['half_difference']:9.4f}"
         line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
         click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))
-    click.echo("less by: how many times less than one axis's slope; p: of such slopes if opposing them gained nothing")
+    click.echo(
+        "less by: slope of one axis over that of the mean; p: probability of such slopes if opposing gained nothing"
+    )

@@ -183,11 +183,13 @@ def _print_residuals(report: dict[str, Any]) -> None:
         scales = zip(rows[name]["drift_lsb"], rows[name]["scale_lsb_per_g"], strict=True)
         drift = " ".join(f"{-1e3 * change / scale:+.2f}" for change, scale in scales)
         click.echo(f"{name:14} {' '.join(cells)}   {worst[0]} {worst[1]:+.3f}, {drift}")
-    click.echo("fitted: drift allowed for; others: poses left out in turn; steady: by the mean bias, which is kept")
+    click.echo(
+        "fitted: drift removed; others: each pose left out of its fit; steady: with the mean bias, which is stored"
+    )
 
 
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
-    click.echo("bias in the box frame: axes of one design that point along, those against, and both ways averaged")
+    click.echo("bias in the box frame: axes of one design along the box axis, axes against it, and the average of both")
     for pair in pairs:
         factor, unit = READABLE[pair["unit"]]
         line = f"  {pair['chip']:10} {pair['quantity'].replace('_', ' '):14} {pair['box_axis']}:"

@@ -61,7 +61,9 @@ def print_report(report: dict[str, Any]) -> None:
                 f" {'-' if within is None else f'{within:.3f}':>8}  {factor * rms / row['sensitivity']:10.3f} {unit:3}"
                 f"  {'-' if p is None else f'{p:.2g}':>8}"
             )
-    click.echo("p: of so much if switching on changed nothing, all axes of the array allowed for (Holm)")
+    click.echo(
+        "p: probability of such a change if switching on had no effect, corrected for all axes of the array (Holm)"
+    )
     for row in report["sensors"]:
         _print_states(row)
         for fault in row["apart"]:

@@ -43,13 +43,13 @@ def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) ->
         yield f"{'axes of one design that oppose each other':43}{'drift with 1 degC':>30}{'bias':>33}"
         yield f"{'':43}{_HEADING}   {_HEADING}"
         yield from map(_row, known[:_MOST])
-        yield "less by: 95 %; -: no gain to speak of; *: a slope may be one of scale, which does not cancel"
+        yield "less by: 95 % interval; -: no significant gain; *: the slope may be that of scale, which does not cancel"
         taken = "biases and slopes" if follows_temperature else "biases"
-        yield f"the calibration takes out {taken} as it knows them: opposing the axes cancels what came since"
+        yield f"the calibration removes known {taken}; opposing the axes cancels what has changed since"
     if len(known) > _MOST:
         yield f"{len(known) - _MOST} more opposing pairs (--json lists all)"
     if len(known) < len(pairs):
-        yield f"{len(pairs) - len(known)} opposing pairs: what they cancel is not known (`imuarray calibrate thermal`)"
+        yield f"{len(pairs) - len(known)} opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
 
 
 def _row(pair: dict[str, Any]) -> str:

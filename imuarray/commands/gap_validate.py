@@ -103,7 +103,7 @@ def _validate(options: ValidateOptions) -> None:
     planned = cases(cast("Half", options.half), SIZES[options.size], options.seed)
     planned = shuffle([*planned, *cases_in(options.folders, cast("Half", options.half), len(planned))], options.seed)
     if not planned:
-        raise click.UsageError("--size none: --cases FOLDER is wanted with it")
+        raise click.UsageError("--size none: --cases FOLDER is required with it")
     names = [folder.name for folder in options.folders]
     if not options.score_only:
         plan = {"half": options.half, "size": options.size, "seed": options.seed, "cases": len(planned)}

@@ -79,7 +79,7 @@ def _run(options: ImportOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     ours = _exported(options.source) if options.map_path is None and options.format_name is None else None
     if ours is None and (options.map_path is None) == (options.format_name is None):
-        raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
+        raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
         raise click.UsageError("--up goes with --map")
     refuse_existing(options.output, options.force)

@@ -247,7 +247,7 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
     url = options.bus_url or array.bus
     if url is None:
         raise ConfigError(
-            f"{options.config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse),"
+            f"{options.config}: no bus: give --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse),"
             " or give [array] a bus"
         )
     return array.only(tuple(options.only.split(","))) if options.only else array, url
@@ -307,7 +307,7 @@ def _page_arguments(options: LogOptions) -> dict[str, Any]:
 def _connect(
     stack: ExitStack, options: LogOptions, url: str, array: ArrayConfig
 ) -> tuple[OpenBus, RecordingBus | None]:
-    """The bus, open as long as `stack` is, and what writes its transcript, if one is wanted."""
+    """The bus, open as long as `stack` is, and what writes its transcript, if one is required."""
     from imuarray.bus import open_bus
     from imuarray.bus.transcript import RecordingBus
 

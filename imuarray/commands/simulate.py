@@ -195,7 +195,7 @@ def _run(options: SimulateOptions) -> None:
     from imuarray.simulate.series import remarks_on
 
     if (options.config is None) == (options.like is None):
-        raise click.UsageError("say one thing to simulate: a CONFIG, or --like RUN.h5")
+        raise click.UsageError("give either a CONFIG or --like RUN.h5")
     _refuse_idle(click.get_current_context(), options.experiment, options.like)
     seed, left_out, population = options.seed, options.left_out, options.population
     with ExitStack() as stack:
@@ -240,7 +240,7 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
     for name in given:
         option, experiments = _FOR.get(name, (f"--{name.replace('_', '-')}", (experiment,)))
         if like is not None:
-            raise click.UsageError(f"{option}: with --like it is the log that says so")
+            raise click.UsageError(f"{option}: with --like it comes from the log")
         if experiment not in experiments:
             raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
 

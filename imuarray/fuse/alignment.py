@@ -1,4 +1,4 @@
-"""Rows of one sensor as they come, kept as long as they are wanted.
+"""Rows of one sensor as they come, kept as long as they are required.
 
 The times of the frames: those of a sensor that is read in the middle of them, and of others while it is silent.
 
@@ -15,7 +15,7 @@ sensor axis, with the bias at the temperature of the reading where that is known
 The slope m' of a spline through white noise scatters by 1.18 a frame, and makes the mean of readings whose mean delay
 is d noisier by ``9 (2 / sqrt 3 - 1) d^2`` of its variance, d in frames. The curvature m'' goes against the noise of the
 mean itself, by ``-6 (sqrt 3 - 1)`` of its variance: a part ``K d^2 m''`` of the second order of Taylor's series, whose
-half is wanted, with ``K = 3/8 (1 - 1 / sqrt 3)``, takes back what the slope added, but for terms in d^4, and the
+half is required, with ``K = 3/8 (1 - 1 / sqrt 3)``, takes back what the slope added, but for terms in d^4, and the
 motion is followed the better for it.
 """
 

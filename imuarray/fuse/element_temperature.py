@@ -176,7 +176,7 @@ def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureM
         sizes = " and ".join(f"{size:.2g} {unit}" for unit, size in most.items())
         yield (
             f"calibrated at {calibrated_degc:.1f} degC, this log is at {np.mean([e.mean_degc for e in group]):.1f}:"
-            f" {names}; biases are sure to {sizes} only, which the covariances allow for"
+            f" {names}; biases are known to {sizes} only; the covariances include this"
         )
 
 
@@ -378,7 +378,7 @@ def _feed(thermometer: CausalThermometer, source: Described) -> Callable[[Block]
         return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))
     degc = degc_of(source)
     if degc is None:
-        raise ValueError(f"{source.name}: nobody knows what the counts of its thermometer mean")
+        raise ValueError(f"{source.name}: the scale of its thermometer is unknown")
     zero, step = degc
 
     def add(block: Block) -> None:

@@ -305,7 +305,7 @@ def _replayed(
 
 
 def _read(sensor: SensorLog, rows: slice, warm: bool) -> Block:
-    """Some rows of a log; what its thermometers say only if it is wanted (`warm`)."""
+    """Some rows of a log; what its thermometers say only if it is required (`warm`)."""
     time, counts = np.asarray(sensor.time[rows]), np.asarray(sensor.counts[rows])
     status, degrees = np.asarray(sensor.status[rows]), sensor.temperature_counts
     if not warm:

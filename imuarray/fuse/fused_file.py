@@ -159,7 +159,7 @@ def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
         shape = column.shape or ()
         tail = (shape[1:] if width < 0 else (width,)) if width else ()
         if len(shape) != (2 if width else 1) or shape[1:] != tail or max(tail, default=0) > MOST_SENSORS:
-            raise LogError(f"{place}: its shape is {shape}; wanted is {_wanted(width)}")
+            raise LogError(f"{place}: its shape is {shape}; required is {_wanted(width)}")
         results[name] = NamedColumn(column, place)
     return results
 
@@ -179,7 +179,7 @@ def _wanted(width: int) -> str:
 def _finite(triads: Floats, name: str, path: str | PathLike[str]) -> Floats:
     """Rows in which nothing is infinite; LogError."""
     if np.isinf(triads).any():
-        raise LogError(f"{path}: fused/{name}: infinite values; what can't be told is NaN")
+        raise LogError(f"{path}: fused/{name}: infinite values; unknown values must be NaN")
     return triads
 
 

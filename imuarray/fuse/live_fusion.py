@@ -231,7 +231,7 @@ class LiveFusion:
                 return
             except queue.Full:
                 self._overrun = True
-                self.tell("fusion can't keep up: frames are skipped in its file, the log has them")
+                self.tell("fusion can't keep up: its file skips frames, the log has them")
         self._dropped[sensor] = self._dropped.get(sensor, 0) + len(block.time)
         self.skipped = max(self._dropped.values())
 
@@ -305,7 +305,7 @@ class LiveFusion:
         except Exception as error:  # whatever it is, the log goes on
             known = isinstance(error, ImuArrayError | OSError)
             self.failure = str(error) if known else f"{type(error).__name__}: {error}"
-            self.tell(f"fusion ends, the log goes on: {self.failure}")
+            self.tell(f"fusion stops, recording continues: {self.failure}")
         finally:
             with suppress(queue.Empty):
                 while True:
@@ -331,7 +331,7 @@ class LiveFusion:
 
     def _write(self, files: FusedFiles, blocks: Sequence[FusedBlock]) -> None:
         if free_bytes(self.path) < 2 * WATERMARK:
-            raise OSError(f"{self.path}: the disk is nearly full, what is left is the log's")
+            raise OSError(f"{self.path}: the disk is nearly full; the remaining space is kept for the log")
         if blocks:
             block = FusedBlock.joined(blocks)
             files.append(block)

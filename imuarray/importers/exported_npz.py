@@ -146,7 +146,7 @@ class _Arrays:
         if dtype != kind or shape[1:] != tail or not shape:
             declared = f"{dtype.str} {shape}"
             raise SourceError(
-                f"{self._where}: {printable(info.filename)}: {declared}; wanted are rows of {kind.str} {tail}"
+                f"{self._where}: {printable(info.filename)}: {declared}; required are rows of {kind.str} {tail}"
             )
         bytes_declared = kind.itemsize * math.prod(shape)
         if shape[0] < 0 or file.tell() + bytes_declared != info.file_size:

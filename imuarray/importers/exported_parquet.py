@@ -138,5 +138,5 @@ def _numbers(array: Any, kind: np.dtype[Any], where: str) -> npt.NDArray[Any]:
     if pyarrow.types.is_timestamp(array.type):
         array = array.cast(pyarrow.int64())
     if array.type != pyarrow.from_numpy_dtype(kind) or array.null_count:
-        raise SourceError(f"{where} has type {array.type} or missing values; wanted are numbers of type {kind.name}")
+        raise SourceError(f"{where} has type {array.type} or missing values; required are numbers of type {kind.name}")
     return np.asarray(array.to_numpy(zero_copy_only=False))

@@ -70,7 +70,7 @@ class Preamble:
             raise LogError(f"the log's preamble can't be read: {printable(repr(error))[:_LONGEST_TEXT]}") from None
         texts = [getattr(preamble, field.name) for field in fields(cls) if field.name not in _NO_TEXTS]
         if not all(isinstance(text, str) and "\0" not in text for text in texts):
-            raise LogError("the log's preamble can't be read: text is wanted")
+            raise LogError("the log's preamble can't be read: text is required")
         if not _is_number(preamble.frame_rate_hz) or preamble.frame_rate_hz < 0:
             raise LogError("the log's preamble can't be read: a frame rate is a positive number, or 0")
         return preamble
@@ -86,10 +86,10 @@ def _header(values: dict[str, Any]) -> SensorHeader:
         raise TypeError("a column of that name is there already")
     numbers = (header.range, header.sensitivity, header.rate_hz, header.bandwidth_hz, *header.position_mm)
     if len(header.position_mm) != 3 or not all(_is_number(number) for number in numbers):
-        raise TypeError("finite numbers are wanted")
+        raise TypeError("finite numbers are required")
     texts = (header.chip, header.quantity, header.unit, header.axes)
     if not all(isinstance(text, str) for text in texts) or not isinstance(header.has_temperature, bool):
-        raise TypeError("text is wanted")
+        raise TypeError("text is required")
     if header.quantity not in QUANTITIES or header.unit not in SI_PER_UNIT:
         raise ValueError(f"quantity {header.quantity}, unit {header.unit}")
     if not (header.delay_ns is None or (isinstance(header.delay_ns, int) and abs(header.delay_ns) < 1 << 63)):

@@ -1,6 +1,6 @@
 """A long recording cut into parts of equal time: `RUN_001.h5`, `RUN_002.h5`, ..., logs of their own with one epoch.
 
-A part is begun in the background, shortly before it is wanted, and finished there as soon as every sensor has rows
+A part is begun in the background, shortly before it is required, and finished there as soon as every sensor has rows
 behind its end: files take time, and sensors don't wait. Nothing is lost in between.
 """
 
@@ -61,7 +61,7 @@ class RotatingWriter:
         `started` is called with the time of the first part's first frame, before there are rows.
         """
         if every_s <= 0:
-            raise ValueError(f"parts of {every_s} s: a positive length is wanted")
+            raise ValueError(f"parts of {every_s} s: a positive length is required")
         self.path = Path(path)
         self.paths: list[Path] = []
         self._sensors, self._every_ns = tuple(sensors), round(every_s * 1e9)
@@ -117,7 +117,7 @@ class RotatingWriter:
 
     def _look_ahead(self, time_ns: int) -> None:
         """Begin the part behind this time, if it will be wanted soon. One that would replace an older log (`force`)
-        is begun when it is wanted and not before: maybe it never is.
+        is begun when it is required and not before: maybe it never is.
         """
         number = max(self._number(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)

@@ -87,9 +87,9 @@ class SensorLog:
         try:
             number = float(cast(Any, value))
         except (TypeError, ValueError):
-            raise LogError(f"{self.where}: attribute {attribute} is {value!r}, a number is wanted") from None
+            raise LogError(f"{self.where}: attribute {attribute} is {value!r}, a number is required") from None
         if not np.isfinite(number):
-            raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is wanted")
+            raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is required")
         return number
 
     def _numbers(self, attribute: str, default: Floats) -> Floats:

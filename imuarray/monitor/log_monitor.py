@@ -152,7 +152,7 @@ def _parts_behind(path: Path) -> list[Path]:
 
 
 def _has_begun(path: Path) -> bool:
-    """Return whether a log is there and has rows: the next part of one is begun seconds before it is wanted."""
+    """Return whether a log is there and has rows: the next part of one is begun seconds before it is required."""
     if not path.exists():
         return False
     if not is_running(path):

@@ -300,7 +300,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
 
 
 def _before(file: h5py.File, groups: Sequence[Group], commits: list[Commit], span_ns: int) -> Commit | None:
-    """The last commit behind which there are `span_ns` at least; None: all of the journal is wanted."""
+    """The last commit behind which there are `span_ns` at least; None: all of the journal is required."""
     sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
 
     def newest_ns(commit: Commit) -> int:

@@ -89,14 +89,14 @@ class Effect:
 def _spans(values: Any) -> tuple[float, ...]:
     spans = tuple(float(value) for value in values)
     if len(spans) % 3 or any(not begin < end for begin, end in zip(spans[1::3], spans[2::3], strict=True)):
-        raise ValueError(f"spans: {values}; three numbers each are wanted: a run, from when, and until when, in s")
+        raise ValueError(f"spans: {values}; three numbers each are required: a run, from when, and until when, in s")
     return spans
 
 
 def _triple(value: Any, name: str) -> Triple:
     values = np.broadcast_to(np.asarray(value, float), (3,)) if np.size(value) in (1, 3) else np.array([np.nan])
     if np.isnan(values).any():
-        raise ValueError(f"{name}: {value}; a number or one for each of x, y, z is wanted")
+        raise ValueError(f"{name}: {value}; a number or one for each of x, y, z is required")
     x, y, z = values.tolist()
     return x, y, z
 

@@ -1,4 +1,4 @@
-"""The experiments by name: what happens to the box in each, made to last as long as is wanted.
+"""The experiments by name: what happens to the box in each, made to last as long as is required.
 
 The five of the paper's section 4 and after: a box at rest, tumbled, heated, switched on again and again, moved. Without
 a length each lasts as long as its own description says.
@@ -79,7 +79,7 @@ def motion(wanted: ExperimentOptions) -> Motion:
             )
         moved = load_trajectory(Path(wanted.drive))
         if wanted.seconds is not None and wanted.seconds > moved.seconds + 1e-9:
-            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are wanted of it")
+            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are required of it")
         return moved
     return DRIVES[wanted.drive](wanted)
 

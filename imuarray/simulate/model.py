@@ -193,7 +193,7 @@ def _tables(value: Any) -> list[dict[str, Any]]:
     """One table or several as several; ValueError."""
     tables = value if isinstance(value, list) else [value]
     if not tables or not all(isinstance(table, dict) for table in tables):
-        raise ValueError("a table such as [design.bias] is wanted, or several such as [[design.tone]]")
+        raise ValueError("a table such as [design.bias] is required, or several such as [[design.tone]]")
     return tables
 
 

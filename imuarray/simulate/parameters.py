@@ -31,7 +31,7 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     """`values` as `count` floats; ValueError unless they are so many finite numbers."""
     array = np.asarray(values, float)
     if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{name}: {values}; {count} finite numbers are wanted")
+        raise ValueError(f"{name}: {values}; {count} finite numbers are required")
     return tuple(array.tolist())
 
 
@@ -63,7 +63,7 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
         if key not in known:
             raise ConfigError(f"{where}: {_unknown(key, list(known))}")
         if complaint := _complaint(value, known[key]):
-            raise ConfigError(f"{where}: {key}: {value!r:.40}: {complaint} is wanted")
+            raise ConfigError(f"{where}: {key}: {value!r:.40}: {complaint} is required")
         arguments[known[key].name] = value
     try:
         return kind(**arguments)
@@ -74,7 +74,7 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
 def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:
     numbers_ = tuple(float(value) for value in values)
     if len(numbers_) != count:
-        raise ValueError(f"{name}: {len(numbers_)}; as many as {first}, {count}, are wanted")
+        raise ValueError(f"{name}: {len(numbers_)}; as many as {first}, {count}, are required")
     for value in numbers_:
         require(name, value, 0.0, sys.float_info.max)
     return numbers_
@@ -92,7 +92,7 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def _complaint(value: object, item: Field[Any]) -> str:
-    """What is wanted in the place of `value`, "" if it will do."""
+    """What is required in the place of `value`, "" if it will do."""
     if isinstance(item.default, str):
         return "" if isinstance(value, str) else "a text in quotes"
     if not isinstance(item.default, tuple):

@@ -112,7 +112,7 @@ def _item(value: Any, where: str) -> float | str | Spread:
     if isinstance(value, dict):
         return _spread_of(value, where)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is wanted")
+        raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is required")
     if not isinstance(value, str) and HUGE < abs(value) < math.inf:
         raise ConfigError(f"{where}: a number beyond {HUGE:g}; no sensor has it")
     return math.nan if value != value else value  # the one nan: recipes that have it are equal

@@ -111,7 +111,7 @@ class SimulatedSensor:
 
     def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
         """The rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped). Of a
-        sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are wanted:
+        sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are required:
         they are the same.
         """
         alone = alone and self._is_local

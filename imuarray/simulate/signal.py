@@ -140,7 +140,7 @@ class Place:
     ) -> Stream:
         """The effect's stream for this sensor in this run, or one for all sensors that name the same `shared_by`.
 
-        `chunk_rows`: how many are drawn at a time, fewer where few are wanted; `scale`: standard deviations.
+        `chunk_rows`: how many are drawn at a time, fewer where few are required; `scale`: standard deviations.
         """
         name = (f"all {shared_by}" if shared_by else self.sensor.name, self._numbered(effect), purpose)
         return self.kept(

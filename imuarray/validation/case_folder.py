@@ -50,7 +50,7 @@ def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
     for folder in folders:
         places = _places(folder)
         if not places:
-            raise ConfigError(f"{folder}: no cases: NAME/*.h5 beside {SEALED}/NAME.json are wanted")
+            raise ConfigError(f"{folder}: no cases: NAME/*.h5 beside {SEALED}/NAME.json are required")
         for number, place in enumerate(places, first + len(cases)):
             cases.append(Case(number, half, "none", "", (), number, world=FOREIGN, source=str(place.resolve())))
     return cases

@@ -72,7 +72,7 @@ def test_a_sensor_in_another_place_is_missing_and_a_stranger(an_array: Callable[
 def test_a_missing_mux(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(A=0), an_array(0x74, A=0), tmp_path)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False)]
-    assert lines[0].found.startswith("nobody")
+    assert lines[0].found.startswith("no answer")
 
 
 def test_without_a_mux(tmp_path: Path) -> None:

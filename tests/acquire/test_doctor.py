@@ -287,7 +287,7 @@ def test_the_command_without_a_configuration(logs: Path, capsys: pytest.CaptureF
     (found,) = (check["found"] for check in said["checks"] if check["name"] == "chips")
     assert sorted(found.removeprefix("13 answer: ").split(", ")) == sorted(chips.split(", "))
     assert main(asked) == 1
-    assert "NO  bus            none is named -> say --bus i2c:/dev/i2c-1" in capsys.readouterr().out
+    assert "NO  bus            none is named -> give --bus i2c:/dev/i2c-1" in capsys.readouterr().out
     assert main([*asked, "--bus", "emulated:", "-o", "new.toml"]) == 2
     assert "-o can't be combined with --doctor" in capsys.readouterr().err
 
@@ -308,7 +308,7 @@ def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixtu
     assert main(["detect", str(mine), "--doctor", "--logs", str(logs)]) == 1
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO  bus")]
     assert len(said) == 1
-    assert "none is named -> say --bus i2c:/dev/i2c-1" in said[0]
+    assert "none is named -> give --bus i2c:/dev/i2c-1" in said[0]
     assert main(["detect", str(mine)]) == 0
     assert capsys.readouterr().err == f"imuarray: {mine}: no bus is configured: using the emulated array, no hardware\n"
     assert main(["detect", str(mine), "--logs", str(logs)]) == 2

@@ -227,7 +227,7 @@ def test_fusion_that_breaks_is_told_once_and_the_log_goes_on(log: Log, monkeypat
     assert code == 0
     assert json.loads(out)["frames"] == 500
     assert json.loads(out)["fusion"]["failure"] == "ArithmeticError: one too many"
-    assert err.count("fusion ends, the log goes on: ArithmeticError: one too many") == 1
+    assert err.count("fusion stops, recording continues: ArithmeticError: one too many") == 1
     with open_log("run.h5") as run:
         assert len(run["BMA1"]) == 500
 
@@ -269,7 +269,7 @@ def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
         fusion.observe(header.name, rows(1000))
     fusion.close()
     assert fusion.skipped == 600
-    assert said[0] == "fusion can't keep up: frames are skipped in its file, the log has them"
+    assert said[0] == "fusion can't keep up: its file skips frames, the log has them"
     assert said[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
     assert len(time_ns) == fusion.frames == 1100 - fusion.skipped

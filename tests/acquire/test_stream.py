@@ -122,7 +122,7 @@ def test_a_sensor_that_is_unplugged_for_a_while(an_array: Callable[..., ArrayCon
     assert np.flatnonzero(status & LOST).tolist() == [gap + 1]
     assert np.diff(time).max() / S == pytest.approx(0.5, abs=0.06)
     ours = [(kind, text) for sensor, kind, text in events(tmp_path / "r.h5") if sensor == "G"]
-    assert ours[0] == ("lost", "no reading: nobody acknowledges (errno 121)")
+    assert ours[0] == ("lost", "no reading: no acknowledgement (errno 121)")
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ TRIADS = "ADXL1,ADXL2,BMA1,BMA2,BMA3,BMA4,Gyro1,Gyro2,Gyro3"
 
 class Command(NamedTuple):
     """A command: words after `imuarray`, in which LOG and OUT stand for files; the scripts that come to the same; the
-    suffix of what it writes; the ratio of processor times that is wanted of the short log, and of the long one.
+    suffix of what it writes; the ratio of processor times that is required of the short log, and of the long one.
     """
 
     words: str
@@ -49,7 +49,7 @@ COMMANDS = (
         f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 2.0
     ),
 )
-"""Each with its peers; where start-up is most of a short run the ratio that is wanted is above one."""
+"""Each with its peers; where start-up is most of a short run the ratio that is required is above one."""
 
 MEMORY = 2.0
 """Of the script's peak memory: more than half of ours is what is imported, of a log however short."""

@@ -35,7 +35,7 @@ EFFECTS = (WhiteNoise((0.005, 0.005, 0.006)), BiasInstability((0.001, 0.001, 0.0
 
 
 _DRAWS = 1 / 3
-"""Share of the speed of the draws alone that is wanted."""
+"""Share of the speed of the draws alone that is required."""
 
 
 def rows() -> list[Row]:

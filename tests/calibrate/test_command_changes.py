@@ -93,7 +93,7 @@ def test_turn_on_prints_a_table(runs: list[str], tmp_path: Path, capsys: pytest.
 @pytest.mark.slow
 def test_two_runs_are_refused(runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "turn-on", *runs[:2], "-o", str(tmp_path / "cal.toml")]) == 2
-    assert "at least 3 are wanted" in capsys.readouterr().err
+    assert "at least 3 are required" in capsys.readouterr().err
     assert not (tmp_path / "cal.toml").exists()
 
 

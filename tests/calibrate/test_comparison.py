@@ -153,7 +153,7 @@ def test_chance_of_what_is_common_and_opposed_is_uniform() -> None:
 
 def test_what_does_not_go_together_is_refused() -> None:
     one = calibration(sensor("A"))
-    with pytest.raises(CalibrationError, match="two calibrations at least"):
+    with pytest.raises(CalibrationError, match="at least two calibrations"):
         compare_calibrations({"a": one})
     with pytest.raises(CalibrationError, match="no sensor is in two of them"):
         compare_calibrations({"a": one, "b": calibration(sensor("B"))})

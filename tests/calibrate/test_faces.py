@@ -321,7 +321,7 @@ def test_five_faces_are_warned_of(write_log: WriteLog) -> None:
     names = [(label, up) for label, up, _ in FACES]
     five = calibrate_tumble(open_log(write_log(parts, ups[:5], names=names[:5], name="five.h5")))
     (warning,) = five.warnings
-    assert warning.startswith("no face with -Z up: nothing checks the opposite one")
+    assert warning.startswith("no face with -Z up: the opposite one is not checked")
     assert calibrate_tumble(open_log(write_log(parts, ups, names=names, name="six.h5"))).warnings == ()
 
 

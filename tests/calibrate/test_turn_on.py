@@ -370,7 +370,7 @@ def test_a_slight_tilt_is_no_fault() -> None:
 
 def test_runs_that_do_not_go_together_are_refused(write: Write) -> None:
     paths = write([(gyroscope("G"), np.zeros((4, 3)))])
-    with pytest.raises(CalibrationError, match="sensor G: 2 sound runs, at least 3 are wanted"):
+    with pytest.raises(CalibrationError, match="sensor G: 2 sound runs, at least 3 are required"):
         run(paths[:2])
     with pytest.raises(CalibrationError, match="no log"):
         calibrate_turn_on([])

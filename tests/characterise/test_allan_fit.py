@@ -140,7 +140,7 @@ ONE = np.random.default_rng(7).normal(size=ROWS_ONE)
 def test_bad_fit_says_so(series: np.ndarray) -> None:
     found = fitted(series)
     assert found.p_value < 1e-4
-    assert "no sum of white, flicker and random walk gives this curve" in found.verdict
+    assert "no sum of white, flicker and random walk fits this curve" in found.verdict
     assert f"at tau = {found.worst_tau_s:.3g} s" in found.verdict
     assert abs(np.log(found.worst_ratio)) > 0.05
 

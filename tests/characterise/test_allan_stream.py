@@ -148,7 +148,7 @@ def test_refused() -> None:
     with pytest.raises(ValueError, match="complex128"):
         stream.feed(np.zeros(3, complex))
     stream.feed(np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=r"\(2,\) are wanted"):
+    with pytest.raises(ValueError, match=r"\(2,\) are required"):
         stream.feed(np.zeros(3))
     with pytest.raises(ValueError, match="not finite"):
         stream.feed(np.full((1, 2), np.nan))

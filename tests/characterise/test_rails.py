@@ -55,7 +55,7 @@ def test_rails(counts: np.ndarray, high: float, low: float, tmp_path: Path) -> N
 def test_a_log_that_flags_none_is_told_so(tmp_path: Path) -> None:
     with open_log(logged(tmp_path, shaken(8192))) as log:
         told = [text for text in findings(characterise_log(log)) if "clips at -8192 and 8192" in text]
-    assert told and all("the log flags none of them as saturated: import it again" in text for text in told)
+    assert told and all("none of them is flagged as saturated: import the log again" in text for text in told)
 
 
 @pytest.mark.slow

@@ -104,8 +104,8 @@ def test_a_line_says_so(write_run: WriteRun, tmp_path: Path, capsys: pytest.Capt
         assert len(said) == lines
         if said:
             assert said[0] == (
-                "calibrated at 5.0 degC, this log is at 25.0: A, G; biases are sure to 10 mg and 0.44 dps only, which"
-                " the covariances allow for"
+                "calibrated at 5.0 degC, this log is at 25.0: A, G; biases are known to 10 mg and 0.44 dps only; the"
+                " covariances include this"
             )
             assert main([*command, "--technique", "mean"]) == 0
             assert said[0] in capsys.readouterr().out

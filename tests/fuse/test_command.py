@@ -115,7 +115,7 @@ def test_techniques_remark_on_sensors(write_run: WriteRun, tmp_path: Path, capsy
     calibration([low, high]).save(known)
     asked = ["fuse", str(path), "--calibration", str(known), "--technique", "ranges", "-o", output]
     assert main(asked) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if "LOW x beside the blend" in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "LOW x relative to the blend" in line]
     words = line.split("blend:")[1].split()
     assert words[3] == "mg"
     assert float(words[0]) == pytest.approx(20 * LOW_MG**2 / (LOW_MG**2 + HIGH_MG**2), abs=5 * float(words[2]))

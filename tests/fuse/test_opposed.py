@@ -135,13 +135,13 @@ def test_a_pair_that_may_cancel_all_has_no_upper_end(write_run: WriteRun) -> Non
     assert found[0]["drift"]["most"] is None and found[0]["drift"]["least"] > 10
     json.dumps(found, allow_nan=False)
     heading, _, said, *others, key, taken = pair_lines(found, follows_temperature=False)
-    assert "drift with 1 degC" in heading and "one of scale" in key and "takes out biases as" in taken
+    assert "drift with 1 degC" in heading and "that of scale" in key and "removes known biases;" in taken
     assert said.startswith("G1 y and G2 y          along Y   in dps       0.0263 ") and ">" in said and "*" in said
     assert len(others) == len(found) - 1
     assert "biases and slopes" in list(pair_lines(found, follows_temperature=True))[-1]
     assert [pair["drift"] for pair in unknown] == [None, None]
     assert list(pair_lines(unknown, follows_temperature=False)) == [
-        "2 opposing pairs: what they cancel is not known (`imuarray calibrate thermal`)"
+        "2 opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
     ]
     assert alone == []
 

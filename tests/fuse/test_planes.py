@@ -239,7 +239,7 @@ def test_a_monitor_without_anything_to_compare_says_so() -> None:
     technique(at_once(np.zeros((10, 6))))
     first = technique.monitors()[0]
     assert first.frames == 0 and np.isnan(first.sigmas)
-    assert first.sentence("specific_force") == "A z has nothing to be compared with"
+    assert first.sentence("specific_force") == "A z has no axis to compare with"
 
 
 def test_a_repeated_reading_is_no_new_evidence() -> None:

@@ -48,8 +48,8 @@ def test_the_example_map_reads_the_table_in_its_comments(tmp_path: Path, capsys:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "say either --map MAP.toml or --format mimu4444"),
-        (["--format", "mimu4444", "--map", str(EXAMPLE)], "say either --map MAP.toml or --format mimu4444"),
+        ([], "give either --map MAP.toml or --format mimu4444"),
+        (["--format", "mimu4444", "--map", str(EXAMPLE)], "give either --map MAP.toml or --format mimu4444"),
         (["--format", "mimu"], "'mimu' is not 'mimu4444'"),
         (["--map", str(EXAMPLE)], "no column 'time'"),
     ],

@@ -72,7 +72,7 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         (
             "sensitivity = 512",
             'sensitivity = "512"',
-            "sensor 1 'A': sensitivity: '512': a number without quotes is wanted",
+            "sensor 1 'A': sensitivity: '512': a number without quotes is required",
         ),
         ('unit = "g"', 'unit = "dps"', "sensor 1 'A': unit 'dps': allowed for specific_force are g, mg, m/s2"),
         ('unit = "g"', 'unit = "m"', "sensor 1 'A': unit 'm': allowed for specific_force are g, mg, m/s2"),

@@ -160,13 +160,13 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (attribute("sensors/Acc", "chip", None), "sensor Acc: attribute chip is missing"),
         (attribute("sensors/Acc", "quantity", "speed"), "sensor Acc: attribute quantity is 'speed'; allowed are "),
         (attribute("sensors/Acc", "unit", "m"), "sensor Acc: attribute unit is 'm'; allowed are g, dps"),
-        (attribute("sensors/Acc", "range", "wide"), "sensor Acc: attribute range is 'wide', a number is wanted"),
+        (attribute("sensors/Acc", "range", "wide"), "sensor Acc: attribute range is 'wide', a number is required"),
         (attribute("sensors/Acc", "sensitivity", np.nan), "sensor Acc: attribute sensitivity is nan, a finite number"),
         (
             attribute("sensors/Acc", "sensitivity", None),
-            "sensor Acc: attribute sensitivity is None, a number is wanted",
+            "sensor Acc: attribute sensitivity is None, a number is required",
         ),
-        (attribute("sensors/Acc", "rate_hz", [1.0, 2.0]), "sensor Acc: attribute rate_hz is .* a number is wanted"),
+        (attribute("sensors/Acc", "rate_hz", [1.0, 2.0]), "sensor Acc: attribute rate_hz is .* a number is required"),
         (attribute("sensors/Acc", "axes", "+X+Y-Z"), r"sensor Acc: axes '\+X\+Y-Z': this triad is left-handed"),
         (attribute("sensors/Acc", "axes", 5), "sensor Acc: attribute axes is"),
         (

@@ -132,7 +132,7 @@ def test_who_appends_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch
 
 
 def test_a_part_that_could_not_be_begun_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its error comes when the part is wanted, and not where it never is."""
+    """Its error comes when the part is required, and not where it never is."""
     real = LogWriter.keep
 
     def full(self: LogWriter) -> None:

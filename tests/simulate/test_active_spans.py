@@ -74,5 +74,5 @@ def test_spans_in_a_model_file() -> None:
     assert table == {"amplitude_dps": 0.5, "frequency_hz": 17.0, "spans": [0.0, 4.0, FOREVER_S]}
     assert from_table(Tone, table, "dps", "here") == tone
     for spans in ([0.0, 4.0], [0.0, 4.0, 4.0]):
-        with pytest.raises(ConfigError, match="three numbers each are wanted"):
+        with pytest.raises(ConfigError, match="three numbers each are required"):
             from_table(Tone, {"spans": spans}, "dps", "here")

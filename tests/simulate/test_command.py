@@ -144,8 +144,8 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ((), "CONFIG, or --like"),
-        (("martin2013", "--like", "x.h5"), "CONFIG, or --like"),
+        ((), "give either a CONFIG or --like"),
+        (("martin2013", "--like", "x.h5"), "give either a CONFIG or --like"),
         (("nosuch",), "no array of that name"),
         (("martin2013", "--model", "nosuch"), "datasheet, martin2013"),
         (("martin2013", "--without", "gremlins"), "'gremlins'"),
@@ -156,7 +156,7 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
         (("martin2013", "--motion", "vehicle"), "--motion is for --experiment motion"),
         (("martin2013", "--runs", "4"), "--runs is for --experiment turn-on"),
         (("martin2013", "--experiment", "heating", "--temperature", "10"), "--temperature is for"),
-        (("--like", "x.h5", "--experiment", "tumble"), "--experiment: with --like it is the log that says so"),
+        (("--like", "x.h5", "--experiment", "tumble"), "--experiment: with --like it comes from the log"),
     ],
 )
 def test_bad_input_is_told_in_one_line(

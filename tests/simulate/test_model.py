@@ -243,11 +243,11 @@ REFUSED = {
     "no model": (changed('[model]\nname = "small"', "[modell]"), "model: is missing; modell: unknown key"),
     "a number for an effect": (
         changed("[design.bias]\noffset_g = 0.1", "bias = 0.1"),
-        r"design 1: bias: a table such as \[design.bias\] is wanted",
+        r"design 1: bias: a table such as \[design.bias\] is required",
     ),
     "two numbers for three axes": (
         changed("[0.01, 0.02, 0.03]", "[0.01, 0.02]"),
-        r"design 1: white_noise: rms_g: \[0.01, 0.02\]: a number, or a list of 3, is wanted",
+        r"design 1: white_noise: rms_g: \[0.01, 0.02\]: a number, or a list of 3, is required",
     ),
     "two populations for three axes": (
         changed("[0.01, 0.02, 0.03]", "[0.01, { sigma = 0.02 }]"),
@@ -255,7 +255,7 @@ REFUSED = {
     ),
     "a population of texts": (
         changed("[design.bias]", "[design.axis_error]\naxes = { sigma = 1.0 }\n[design.bias]"),
-        "design 1: axis_error: axes: 0.0: a text in quotes is wanted",
+        "design 1: axis_error: axes: 0.0: a text in quotes is required",
     ),
     "a unit that could not be": (
         changed("[design.bias]", "[design.jitter]\nrms_s = { mean = 0.001, sigma = 0.001 }\n[design.bias]"),

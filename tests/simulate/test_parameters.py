@@ -91,18 +91,18 @@ class TestFromTable:
             (Bias, {"offset": 1.0}, "offset: unknown key (did you mean 'offset_g'?); allowed are offset_g, from_boot"),
             (Bias, {"offset_dps": 1.0}, "offset_dps: unknown key (did you mean 'offset_g'?); allowed are offset_g"),
             (Nonlinearity, {"zzz": 1.0}, "zzz: unknown key; allowed are quadratic_per_g, cubic_per_g2, spans"),
-            (Bias, {"offset_g": [1, 2]}, "offset_g: [1, 2]: a number, or a list of 3, is wanted"),
-            (Bias, {"offset_g": "1"}, "offset_g: '1': a number, or a list of 3, is wanted"),
-            (Bias, {"offset_g": [1, 2, "3"]}, "offset_g: [1, 2, '3']: a number, or a list of 3, is wanted"),
-            (Bias, {"offset_g": math.nan}, "offset_g: nan; a number or one for each of x, y, z is wanted"),
-            (Misalignment, {"angles_deg": 1.0}, "angles_deg: 1.0: a list of 6 numbers is wanted"),
+            (Bias, {"offset_g": [1, 2]}, "offset_g: [1, 2]: a number, or a list of 3, is required"),
+            (Bias, {"offset_g": "1"}, "offset_g: '1': a number, or a list of 3, is required"),
+            (Bias, {"offset_g": [1, 2, "3"]}, "offset_g: [1, 2, '3']: a number, or a list of 3, is required"),
+            (Bias, {"offset_g": math.nan}, "offset_g: nan; a number or one for each of x, y, z is required"),
+            (Misalignment, {"angles_deg": 1.0}, "angles_deg: 1.0: a list of 6 numbers is required"),
             (Misalignment, {"angles_deg": [99] * 6}, "angles_deg: 99.0; allowed is -80 to 80"),
             (GSensitivity, {"response_g_per_g": [1] * 8}, "response_g_per_g: [1, 1, 1, 1, 1, 1, 1, 1]: a list of 9"),
             (GSensitivity, {"response_g_per_g": [math.nan] * 9}, "response_g_per_g: "),
-            (ClockError, {"error_ppm": True}, "error_ppm: True: a number without quotes is wanted"),
-            (ClockError, {"error_ppm": [1.0]}, "error_ppm: [1.0]: a number without quotes is wanted"),
+            (ClockError, {"error_ppm": True}, "error_ppm: True: a number without quotes is required"),
+            (ClockError, {"error_ppm": [1.0]}, "error_ppm: [1.0]: a number without quotes is required"),
             (ClockError, {"error_ppm": 1e7}, "error_ppm: 10000000.0; allowed is -500000 to 500000"),
-            (AxisError, {"axes": 3}, "axes: 3: a text in quotes is wanted"),
+            (AxisError, {"axes": 3}, "axes: 3: a text in quotes is required"),
             (AxisError, {"axes": "XYZ"}, "axes: 'XYZ'; each of X, Y, Z once, signed, such as '+Y+X-Z'"),
         ],
     )
@@ -120,7 +120,7 @@ class TestFromTable:
 def test_numbers_are_finite_and_so_many() -> None:
     assert numbers("angles", [1, 2], 2) == (1.0, 2.0)
     for wrong in ((1.0,), (1.0, math.inf), ((1.0, 2.0),)):
-        with pytest.raises(ValueError, match=r"^angles: .*; 2 finite numbers are wanted$"):
+        with pytest.raises(ValueError, match=r"^angles: .*; 2 finite numbers are required$"):
             numbers("angles", wrong, 2)
 
 

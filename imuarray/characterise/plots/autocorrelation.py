@@ -30,8 +30,8 @@ NORMAL_95 = 1.96
 """Standard errors that hold 95 % of normal estimates, to either side."""
 
 _READING = (
-    "How much a reading tells of the one so many rows later. Of white noise 1 point in 20 leaves the grey band.\nIn "
-    "colour: axes whose points as a whole are no white noise's (Ljung and Box, 1 % for the whole figure); the others "
+    "Correlation of a reading with the one so many rows later. Of white noise 1 point in 20 leaves the grey band.\nIn "
+    "colour: axes whose points as a whole are not white noise (Ljung and Box, 1 % for the whole figure); the others "
     "are grey."
 )
 

@@ -48,16 +48,16 @@ class FaultEvent:
     def _words(self) -> str:
         """What is the matter, and what is done."""
         if self.state == "readmitted":
-            return "agrees with the others again: taken back"
+            return "agrees with the others again: back in use"
         if self.state == "back":
             return "gives valid readings again"
         if self.state == "silent":
-            return f"gave no valid reading for {self.size_si:.1f} s; the result is that of the others"
+            return f"gave no valid reading for {self.size_si:.1f} s; fused from the others"
         if self.state == "no redundancy":
-            return "is out, and those that remain can't check each other: no further fault would be found"
+            return "is left out; the remaining axes can't check each other: no further fault can be detected"
         if self.state == "not isolated":
             others = " or ".join(self.others)
-            return f"{self._fault()} ({self.significance:.0f} sigma), or {others} is: can't tell which, all stay in use"
+            return f"{self._fault()} ({self.significance:.0f} sigma), or {others} is: can't tell which; all stay in use"
         return f"{self._fault()} ({self.significance:.0f} sigma): left out"
 
     def _fault(self) -> str:
@@ -68,12 +68,12 @@ class FaultEvent:
         reset = f"has {self.size_si:.3g} times its scale, as if set to a range of {span}"
         words = {
             "bias": f"is off by {size}",
-            "random_walk": f"has walked off by {size}",
-            "scale": f"reads {self.size_si:.3g} times what the others do",
+            "random_walk": f"has drifted by {size}",
+            "scale": f"reads {self.size_si:.3g} times what the others read",
             "range_reset": reset,
             "stuck": "is stuck",
             "glitches": f"has readings that are off by up to {size}",
-            "white_noise": f"scatters {self.size_si:.3g} times as much as it used to",
+            "white_noise": f"scatters {self.size_si:.3g} times as much as before",
         }
         return words[self.kind]
 

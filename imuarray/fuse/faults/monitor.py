@@ -195,10 +195,10 @@ def _check(axes: Sequence[Axis], period_s: float) -> None:
     """FusionError unless these are triads and time goes on."""
     triads = [axes[start : start + 3] for start in range(0, len(axes), 3)]
     if not axes or any([axis.index for axis in triad] != [0, 1, 2] for triad in triads):
-        raise FusionError(f"{len(axes)} axes: whole triads, x, y and z of one sensor after the other, are wanted")
+        raise FusionError(f"{len(axes)} axes: whole triads, x, y and z of one sensor after the other, are required")
     for triad in triads:
         if len({axis.sensor for axis in triad}) > 1:
-            raise FusionError(f"sensor {triad[0].sensor}: a whole triad is wanted, {triad[1].label} is not of it")
+            raise FusionError(f"sensor {triad[0].sensor}: a whole triad is required, {triad[1].label} is not of it")
     if not period_s > 0:
         raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
 

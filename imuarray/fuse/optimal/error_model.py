@@ -60,11 +60,11 @@ class AxisErrors:
         """FusionError for what no axis can have."""
         spreads = (self.bias, self.drift, self.slope_per_degc, self.response, self.timing_s)
         if not (0 < self.noise < np.inf and all(0 <= spread < np.inf for spread in spreads)):
-            raise FusionError(f"error model: noise {self.noise:g}, spreads {spreads}: positive and finite are wanted")
+            raise FusionError(f"error model: noise {self.noise:g}, spreads {spreads}: positive and finite are required")
         if not (abs(self.correlation) < 1 and self.drift_time_constant_s > 0):
             raise FusionError(
                 f"error model: correlation {self.correlation:g}, time constant {self.drift_time_constant_s:g} s: within"
-                " -1 to 1, and positive, are wanted"
+                " -1 to 1, and positive, are required"
             )
 
     @property
@@ -89,7 +89,7 @@ class DesignErrors:
     def __post_init__(self) -> None:
         """FusionError for what no design can have."""
         if not (0 <= self.common < np.inf and 0 <= self.slope_per_degc < np.inf and self.common_time_constant_s > 0):
-            raise FusionError(f"error model: {self}: spreads of at least 0 and a positive time constant are wanted")
+            raise FusionError(f"error model: {self}: spreads of at least 0 and a positive time constant are required")
 
 
 @dataclass(frozen=True)

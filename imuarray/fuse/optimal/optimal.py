@@ -99,7 +99,7 @@ class Optimal:
     ) -> None:
         """FusionError for axes that the model does not know, or a period that is none."""
         if not 0 < period_s < math.inf:
-            raise FusionError(f"frames every {period_s:g} s: a positive time is wanted")
+            raise FusionError(f"frames every {period_s:g} s: a positive time is required")
         self._axes = {quantity: list(axes[quantity]) for quantity in (_RATE, _FORCE) if quantity in axes}
         self._model, self._period_s = model, period_s
         self._segment_frames = max(1, round(segment_s / period_s))

@@ -46,7 +46,7 @@ class Monitor:
     def sentence(self, quantity: str) -> str:
         """ "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"; `quantity` as in the log."""
         if not self.frames:
-            return f"{self.label} has nothing to be compared with"
+            return f"{self.label} has no axis to compare with"
         factor, unit = READABLE_SI[quantity]
         kind = "out-of-plane" if self.label[-1] in "xy" else "in-plane"
         size = f"{factor * self.difference_si:.2g} {unit}, {abs(self.sigmas):.2g} sigma"
@@ -87,7 +87,7 @@ class PlaneBlend:
         said = [monitor.sentence(quantity) for monitor in apart]
         if agreed := len(result) - len(apart):
             more = "more " if apart else ""
-            said.append(f"{agreed} {more}axes that stand watch differ by less than {_REMARKABLE_SIGMAS:g} sigma")
+            said.append(f"{agreed} {more}axes of lower weight differ by less than {_REMARKABLE_SIGMAS:g} sigma")
         return said
 
     def _watch(self, frames: Frames) -> None:

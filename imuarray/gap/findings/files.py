@@ -52,11 +52,8 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
     if depth == 0:
         raise LogError(f"{where}: nested without end")
     if origin in (Union, types.UnionType):
-        return (
-            None
-            if value is None
-            else _read(value, next(option for option in inside if option is not type(None)), where, depth)
-        )
+        option = next(each for each in inside if each is not type(None))
+        return None if value is None else _read(value, option, where, depth)
     if is_dataclass(kind):
         return _dataclass(value, kind, where, depth)
     if origin is tuple:

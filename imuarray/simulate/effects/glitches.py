@@ -61,7 +61,9 @@ class Glitches(Effect):
         for name in ("runs", "moments_s", "jumps"):
             object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
         if not (len(self.runs) == len(self.moments_s) == len(self.jumps) / 3):
-            raise ValueError(f"moments_s: {len(self.moments_s)}; as many runs and three times as many jumps are wanted")
+            raise ValueError(
+                f"moments_s: {len(self.moments_s)}; as many runs and three times as many jumps are required"
+            )
 
     def lookback(self, at: Place) -> int:
         """A torn reading needs the row before it; so does one that is the first after a moment."""

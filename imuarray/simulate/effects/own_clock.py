@@ -38,7 +38,7 @@ class OwnClock(Effect):
         super().__post_init__()
         require("rate_error", self.rate_error, -0.5, 0.5)
         if math.isinf(self.phase_deg):
-            raise ValueError(f"phase_deg: {self.phase_deg}; a number is wanted, or nan: drawn at each boot")
+            raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
         if self.polled not in (0.0, 1.0):
             raise ValueError(f"polled: {self.polled:g}; allowed are 0 and 1")
 

@@ -50,7 +50,7 @@ class Quantisation(Effect):
         numbers += [(name, getattr(self, name)) for name in ("dead_bits", "carry_lsb", "missing_lsb", "carry_at_lsb")]
         for name, value in numbers:
             if value != int(value):
-                raise ValueError(f"{name}: {value}; a whole number is wanted")
+                raise ValueError(f"{name}: {value}; a whole number is required")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Sets the converter's step and code ends."""

@@ -41,7 +41,7 @@ class Tone(Effect):
         require("frequency_spread_hz", self.frequency_spread_hz, 0.0, 1e6)
         require("drift_hz_per_h", self.drift_hz_per_h, -1e6, 1e6)
         if math.isinf(self.phase_deg):
-            raise ValueError(f"phase_deg: {self.phase_deg}; a number is wanted, or nan: drawn at each boot")
+            raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

@@ -52,7 +52,7 @@ def turned(attitude: Reals, turn: Reals) -> Reals:
 def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
     """The attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
     if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
-        raise ValueError(f"tilt_deg: {tilt_deg}; two angles are wanted, about the level x and y axes")
+        raise ValueError(f"tilt_deg: {tilt_deg}; two angles are required, about the level x and y axes")
     leaning: Reals = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
     return leaning
 

@@ -61,7 +61,7 @@ class Heating:
         positive(scale=self.scale)
         standing_on(self.up, (0.0, 0.0))
         if len(self.peaks_degc) != 2:
-            raise ValueError(f"peaks_degc: {self.peaks_degc}; two temperatures are wanted")
+            raise ValueError(f"peaks_degc: {self.peaks_degc}; two temperatures are required")
         first, second = self.peaks_degc
         finite(first_peak=first, second_peak=second, room_degc=self.room_degc, last_room_degc=self.last_room_degc)
 

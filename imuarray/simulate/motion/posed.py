@@ -43,10 +43,10 @@ class PoseSequence:
 
     def __post_init__(self) -> None:
         if not self.attitudes:
-            raise ValueError("attitudes: at least one is wanted")
+            raise ValueError("attitudes: at least one is required")
         for phase, up, _ in self.attitudes:
             if not np.isclose(np.linalg.norm(up), 1.0):
-                raise ValueError(f"phase {phase.name!r}: up_box {up}; a direction of length 1 is wanted")
+                raise ValueError(f"phase {phase.name!r}: up_box {up}; a direction of length 1 is required")
 
     @property
     def phases(self) -> tuple[Phase, ...]:

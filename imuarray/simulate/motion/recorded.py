@@ -188,7 +188,9 @@ class SplineColumns:
         rows = slice(start - before, start + BLOCK + 2)
         time_ns, values = self._rows(rows)
         if not np.isfinite(values).all() or (np.diff(time_ns) <= 0).any():
-            raise LogError(f"{self.where}: rows {start} to {start + len(time_ns)}: finite numbers are wanted, in order")
+            raise LogError(
+                f"{self.where}: rows {start} to {start + len(time_ns)}: finite numbers are required, in order"
+            )
         own = slice(before, before + BLOCK + 1)
         slopes = _slopes(time_ns, values)
         return _between(time_ns[own], values[own], slopes[own])

@@ -30,7 +30,7 @@ def finite(**values: float) -> None:
     """ValueError that names the first argument that is no finite number."""
     for name, value in values.items():
         if not np.isfinite(value):
-            raise ValueError(f"{name}: {value}; a finite number is wanted")
+            raise ValueError(f"{name}: {value}; a finite number is required")
 
 
 def consecutive(*stretches: tuple[str, int, str]) -> tuple[Phase, ...]:

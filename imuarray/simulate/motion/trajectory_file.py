@@ -118,7 +118,7 @@ def _attitudes(cells: _Cells) -> Rotation:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise SourceError(
-            f"{cells.source}: line {cells.lines[row]}: qw, qx, qy, qz have length {length[row]:.4g}; 1 is wanted"
+            f"{cells.source}: line {cells.lines[row]}: qw, qx, qy, qz have length {length[row]:.4g}; 1 is required"
         )
     return Rotation.from_quat(np.roll(numbers, -1, axis=1))
 

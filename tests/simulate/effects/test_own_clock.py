@@ -206,7 +206,7 @@ class TestBesideOdrError:
     [
         ((0.6, 0.0), r"rate_error: 0\.6; allowed is -0\.5 to 0\.5"),
         ((math.nan, 0.0), "rate_error: nan"),
-        ((0.0, math.inf), "phase_deg: inf; a number is wanted, or nan: drawn at each boot"),
+        ((0.0, math.inf), "phase_deg: inf; a number is required, or nan: drawn at each boot"),
     ],
 )
 def test_refusals(arguments: tuple[float, float], message: str) -> None:

@@ -222,7 +222,7 @@ class TestStuck:
         assert after.fresh.tolist() == [row not in held for row in range(first, 20)]
 
     def test_lists_that_do_not_go_together(self) -> None:
-        with pytest.raises(ValueError, match="lengths_s: 0; as many as runs, 1, are wanted"):
+        with pytest.raises(ValueError, match="lengths_s: 0; as many as runs, 1, are required"):
             Stuck(runs=(0,), moments_s=(1.0,))
         with pytest.raises(ValueError, match=r"lengths_s: -1\.0; allowed is 0"):
             Stuck(runs=(0,), moments_s=(1.0,), lengths_s=(-1.0,))

@@ -183,7 +183,7 @@ class TestDroppedSamples:
         assert (first + np.flatnonzero(lost)).tolist() == [row for row in (7, 8) if row >= first]
 
     def test_lists_that_do_not_go_together(self) -> None:
-        with pytest.raises(ValueError, match="moments_s: 2; as many as runs, 1, are wanted"):
+        with pytest.raises(ValueError, match="moments_s: 2; as many as runs, 1, are required"):
             DroppedSamples(runs=(0,), moments_s=(1.0, 2.0), lengths_s=(1.0,))
 
 

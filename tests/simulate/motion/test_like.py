@@ -185,7 +185,7 @@ def test_logs_that_can_not_be_meant(tmp_path: Path) -> None:
     rows = track(np.arange(5) * S)
     rows.specific_force[3, 1] = np.nan
     path = write(tmp_path / "nan.h5", tracks={"truth": rows})
-    with Log(path) as log, pytest.raises(LogError, match=r"nan.h5, truth: rows 0 to 5: finite numbers are wanted"):
+    with Log(path) as log, pytest.raises(LogError, match=r"nan.h5, truth: rows 0 to 5: finite numbers are required"):
         LikeLog(log).felt(np.array([0]))
     back = track(np.array([0, 2, 1, 3]) * S)
     with Log(write(tmp_path / "back.h5", tracks={"truth": back})) as log, pytest.raises(LogError, match="in order"):

@@ -149,7 +149,7 @@ ROW = "0,0,0,9.8,0,0,0"
         (f"{HEADER}\n{ROW}\nsoon,0,0,0,0,0,0\n", "line 3, column time_s: 'soon' is no number"),
         (
             f"time_s,{PLACE},qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,0,0,0,0\n",
-            "line 3: qw, qx, qy, qz have length 0; 1 is wanted",
+            "line 3: qw, qx, qy, qz have length 0; 1 is required",
         ),
     ],
 )

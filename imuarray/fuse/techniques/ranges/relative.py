@@ -219,7 +219,7 @@ class Relative:
         ):
             if abs(value) > 2 * sem:
                 words.append(f"{scale * value:+.2f} +- {scale * sem:.2f} {name}")
-        return f"{self.label} beside the blend: {', '.join(words)}"
+        return f"{self.label} relative to the blend: {', '.join(words)}"
 
 
 @dataclass(frozen=True)
