@@ -22,7 +22,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri, stdtrit
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
@@ -164,6 +163,8 @@ class _Axis:
         slope, constant, drift = (self.scale * values[:3]).tolist()
         quadratic, quadratic_sem = 0.0, np.nan
         if self.series.curved:
+            from scipy.special import ndtr  # its weight is for those who ask
+
             chance = 2 * ndtr(-abs(values[3]) / np.sqrt(max(variance[3], 1e-300)))
             quadratic, quadratic_sem = self.scale * float(values[3]) * (chance < _CURVED), float(sem[3])
         return self.mean + constant, slope, float(sem[0]), drift, float(sem[2]), quadratic, quadratic_sem
@@ -190,6 +191,8 @@ def _mixed(fits: Regression, share: Floats) -> tuple[Floats, Floats]:
     mean = np.tensordot(share, own, share.ndim)
     scatter = np.tensordot(share, (own - mean) ** 2, share.ndim)
     freedom = np.maximum(2 * mean**2 / np.maximum(scatter, 1e-12 * mean**2 + 1e-300), _FEWEST_FREE)
+    from scipy.special import ndtri, stdtrit  # their weight is for those who ask
+
     enlarged = mean * (stdtrit(freedom, 0.975) / ndtri(0.975)) ** 2
     return values, enlarged + np.tensordot(share, (fits.coefficients - values) ** 2, share.ndim)
 

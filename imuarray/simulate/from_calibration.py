@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from imuarray.arrays import Floats, Integers
 from imuarray.calibrate.model import Calibration, SensorCalibration
@@ -106,6 +105,8 @@ def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterato
 
 def _nearest_axes(sensed: Floats) -> Floats:
     """(3, 3) of 0, 1 and -1: the signed axes to which the rows of `sensed` come nearest, each taken once."""
+    from scipy.optimize import linear_sum_assignment  # its weight is for those who simulate a calibration
+
     rows, columns = linear_sum_assignment(-np.abs(sensed / np.linalg.norm(sensed, axis=1, keepdims=True)))
     nearest = np.zeros((3, 3))
     nearest[rows, columns] = np.sign(sensed[rows, columns])

@@ -16,7 +16,6 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
-from scipy.special import ndtr, ndtri
 
 from imuarray.arrays import Floats
 from imuarray.errors import ConfigError
@@ -56,6 +55,8 @@ class Spread(BaseModel):
         """The value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
         if self.reach == 0:
             return self.mean
+        from scipy.special import ndtr, ndtri  # their weight is for those who ask
+
         beyond = ndtr(-self.reach / self.sigma)
         away = self.sigma * ndtri(beyond + ndtr(deviate) * (1 - 2 * beyond))
         return self.mean + min(max(float(away), -self.reach), self.reach)

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from imuarray.arrays import Floats, Reals
+from imuarray.recursion import first_order
 from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
 
@@ -100,7 +100,7 @@ class SlowProcess:
         phi = math.exp(-self._decay)
         drawn = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
         drawn[0] += phi * start
-        free = lfilter([1.0], [1.0, -phi], drawn, axis=0)
+        free = first_order(drawn, phi)
         inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
         return np.concatenate([start[None], inside[:-1]])
 
@@ -112,7 +112,7 @@ class SlowProcess:
         steps[1:] *= self._step * math.sqrt(_growth(KNOTS, self._decay))
         if earliest == 0:
             steps[0] *= self._initial
-        path = lfilter([1.0], [1.0, -math.exp(-KNOTS * self._decay)], steps, axis=0)
+        path = first_order(steps, math.exp(-KNOTS * self._decay))
         return path[-2], path[-1]
 
 

@@ -42,6 +42,7 @@ from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.technique import Technique, noise_of
 from imuarray.log import SensorLog
+from imuarray.recursion import first_order
 
 _OPPOSED = -0.95
 """Cosine of the angle between two axes that point in opposite directions."""
@@ -275,9 +276,6 @@ class Smoother:
     """
 
     def __init__(self, seconds: float, columns: int) -> None:
-        from scipy.signal import lfilter  # its weight is for those who ask, and not while rows come
-
-        self._filter = lfilter
         self.begin = 0
         """Row of the last block from which the mean was exponential, its length if none was."""
         self._span_ns = seconds * 1e9
@@ -298,8 +296,9 @@ class Smoother:
             self._state = out[begin - 1]
         if begin < len(held):
             gain = 1 / self._rows_held
-            start = (1 - gain) * self._state[None, :]
-            out[begin:], _ = self._filter([gain], [1, gain - 1], held[begin:], axis=0, zi=start)
+            drive = gain * held[begin:]
+            drive[0] += (1 - gain) * self._state
+            out[begin:] = first_order(drive, 1 - gain)
             self._state = out[-1]
         self._seen += len(held)
         return out

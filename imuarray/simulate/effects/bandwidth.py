@@ -8,9 +8,6 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from scipy.integrate import simpson
-from scipy.linalg import solve_toeplitz
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, require, scalar
@@ -76,6 +73,8 @@ class Bandwidth(Effect):
         """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
         if math.isinf(self.cutoff_hz):
             return analog
+        from scipy.signal import lfilter  # its weight is for those who filter anything
+
         decay = self._decay(at)
         if self.signal_only:
             return replace(analog, value=self._passed(analog.value, decay))
@@ -91,6 +90,8 @@ class Bandwidth(Effect):
         """The signal (n, 3) after the filter, exactly so for straight lines between rows."""
         if not self.share:
             return value
+        from scipy.signal import lfilter, lfilter_zi  # its weight is for those who filter anything
+
         signal = value.astype(float)
         over, under = _signal_filter(decay, self.poles)
         late, _ = lfilter(over, under, signal, axis=0, zi=lfilter_zi(over, under)[:, None] * signal[:1])
@@ -124,6 +125,8 @@ def correlation(decay: float, poles: float, band: float = math.inf) -> float:
 @lru_cache(maxsize=4096)
 def _band_limited(decay: float, poles: float, band: float) -> float:
     """The cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
+    from scipy.integrate import simpson  # its weight is for those who filter anything
+
     radians = decay * math.sqrt(poles)  # at the cutoff
     steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
     over_cutoff = np.linspace(0.0, band, steps + 1)
@@ -146,6 +149,8 @@ def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[R
     """
     if math.isfinite(band):
         rows = np.array([correlation(decay * lag, poles, band) for lag in range(_MEMORY + 1)])
+        from scipy.linalg import solve_toeplitz  # its weight is for those who filter anything
+
         before = solve_toeplitz(rows[:-1], rows[1:])
         return np.array([math.sqrt(max(1 - before @ rows[1:], _FINE))]), np.append(1.0, -before)
     if poles == 1:
@@ -168,6 +173,8 @@ def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[R
 @lru_cache(maxsize=256)
 def _signal_filter(decay: float, poles: float) -> tuple[Reals, Reals]:
     """(over, under) of the filter itself, for a signal that is straight between rows."""
+    from scipy.signal import cont2discrete  # its weight is for those who filter anything
+
     over, under = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])
     discrete, under, _ = cont2discrete((over, under), 1.0, method="foh")
     return np.asarray(discrete).ravel(), np.asarray(under)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, require, scalar
@@ -65,6 +64,8 @@ class ThermalLag(Effect):
 
     def _lagged(self, nodes_ns: Integers, motion: Motion) -> Reals:
         """The element's temperature at the nodes, from equilibrium at the first one."""
+        from scipy.signal import lfilter  # its weight is for those who ask
+
         box = motion.felt(nodes_ns).temperature_degc
         ratio = self._step_ns() * 1e-9 / self.time_constant_s
         phi = math.exp(-ratio)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Integers, Reals
 from imuarray.axes import up_vector
@@ -45,6 +44,10 @@ def shortest_turn(up_before: str, up_after: str) -> Reals:
 
 def turned(attitude: Reals, turn: Reals) -> Reals:
     """The attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding errors."""
+    if not np.any(turn):
+        return attitude + 0.0
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     quarters: Reals = attitude @ np.rint(Rotation.from_rotvec(turn).as_matrix()) + 0.0
     return quarters
 
@@ -53,6 +56,10 @@ def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
     """The attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
     if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
         raise ValueError(f"tilt_deg: {tilt_deg}; two angles are required, about the level x and y axes")
+    if not np.any(tilt_deg):
+        return attitude.copy()
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     leaning: Reals = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
     return leaning
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
@@ -16,6 +16,9 @@ from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.kinematics import RotationVector, felt_by
 from imuarray.simulate.motion.timeline import BetweenRests, finite, positive, smooth_step
 from imuarray.units import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 RAMP_S = 1.0
 SHARES = (0.6, 0.4)
@@ -106,6 +109,8 @@ class HandShake:
 
     def attitude(self, time_ns: Integers) -> Rotation:
         """n rotations from the box to the level frame."""
+        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
         seconds = self._span.moved_s(time_ns)
         return Rotation.from_rotvec(self._turn_sines.at(seconds, self._envelope(seconds))[0].T)
 

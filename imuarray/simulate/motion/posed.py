@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
@@ -106,6 +105,8 @@ def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
     """(k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from upright
     (half a turn goes about X).
     """
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     ups = np.asarray(up_box, float)
     sines = np.hypot(ups[:, 0], ups[:, 1])
     axes = np.stack([ups[:, 1], -ups[:, 0], np.zeros(len(ups))], axis=1)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from imuarray.arrays import Floats, Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
 from imuarray.simulate.motion.felt import Felt
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +85,12 @@ class Trajectory(_Rows):
 
     @cached_property
     def _place(self) -> CubicSpline:
-        return CubicSpline(self._row_s, self.place_m)
+        return _spline(self._row_s, self.place_m)
 
     @cached_property
     def _attitude(self) -> RotationSpline:
+        from scipy.spatial.transform import RotationSpline  # its weight is for those who turn anything
+
         return RotationSpline(self._row_s, self.attitudes)
 
 
@@ -114,8 +119,15 @@ class FeltRows(_Rows):
 
     @cached_property
     def _force(self) -> CubicSpline:
-        return CubicSpline(self._row_s, self.force_box)
+        return _spline(self._row_s, self.force_box)
 
     @cached_property
     def _rate(self) -> CubicSpline:
-        return CubicSpline(self._row_s, self.rate_box)
+        return _spline(self._row_s, self.rate_box)
+
+
+def _spline(row_s: Reals, rows: Floats) -> CubicSpline:
+    """The cubic spline through rows (n, k) at times (n,)."""
+    from scipy.interpolate import CubicSpline  # its weight is for those who move rows
+
+    return CubicSpline(row_s, rows)

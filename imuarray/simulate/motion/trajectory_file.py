@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Floats
 from imuarray.errors import SourceError
@@ -29,6 +28,9 @@ from imuarray.importers.cells import Column, Table, nanoseconds
 from imuarray.importers.mapping import FileTable
 from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
 from imuarray.units import SI_PER_UNIT
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 TIME = "time_s"
 PLACE = ("x_m", "y_m", "z_m")
@@ -110,6 +112,8 @@ def _layout(cells: _Cells) -> tuple[str, ...]:
 
 def _attitudes(cells: _Cells) -> Rotation:
     """From angles or quaternions; SourceError for a quaternion that is none."""
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     if ANGLES[0] in cells.text:
         return Rotation.from_euler("ZYX", cells.numbers(*ANGLES[::-1]), degrees=True)
     numbers = cells.numbers(*QUATERNION)

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
@@ -85,6 +84,8 @@ class Tumble:
     @cached_property
     def turns(self) -> Reals:
         """(7, 3) rotation vectors in the box frame from each face to the next; zeros after the last."""
+        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
         pairs = [before.T @ after for before, after in pairwise(self.attitudes)]
         return np.concatenate([Rotation.from_matrix(pairs).as_rotvec(), np.zeros((1, 3))])
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
@@ -22,6 +21,9 @@ from imuarray.simulate.motion.timeline import (
     smooth_step,
     smooth_step_area,
 )
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 GOING_SHARE = 0.2
 BRAKING_SHARE = 0.15
@@ -110,6 +112,8 @@ class Vehicle:
 
     def attitude(self, time_ns: Integers) -> Rotation:
         """n rotations from the box to the level frame."""
+        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
         seconds = self._span.moved_s(time_ns)
         _, angles = self._body(seconds, self._drive(seconds))
         return Rotation.from_euler("ZYX", np.stack([angles.yaw[0], angles.pitch[0], angles.roll[0]], axis=1))

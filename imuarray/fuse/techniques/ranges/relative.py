@@ -37,7 +37,8 @@ from imuarray.units import READABLE_SI
 class Blend(NamedTuple):
     """Blend of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
     variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares. `seen`
-    (m,): there is something to see.
+    (m,): there is something to see. `through` (m, m): how much of the bias of each axis shows along each axis, by the
+    triad; `turned` (m, m) the same of what goes with the signal along the axis.
     """
 
     gain: Floats
@@ -46,14 +47,17 @@ class Blend(NamedTuple):
     share: Floats
     apart: Floats
     seen: Booleans
+    through: Floats
+    turned: Floats
 
-    def level(self, differences: Floats, rows: Floats) -> Floats:
+    def level(self, differences: Floats) -> Floats:
         """(..., m, 3) What of the differences (..., m, 3: bias, scale, delay) of the axes is the blend's own, along
         each axis: nothing, if they were told by this blend.
         """
-        bias = differences[..., 0] @ self.gain.T @ rows.T
-        mixed = (np.einsum("im,...m,mj->...ij", self.gain, differences[..., column], rows) for column in (1, 2))
-        return np.stack([bias, *(np.einsum("mi,...ij,mj->...m", rows, turned, rows) for turned in mixed)], axis=-1)
+        result = np.empty_like(differences)
+        result[..., 0] = differences[..., 0] @ self.through.T
+        result[..., 1:] = self.turned @ differences[..., 1:]
+        return result
 
 
 class Blends:
@@ -76,7 +80,8 @@ class Blends:
         through = self._rows @ gain
         apart = (np.eye(len(through)) - through) * present[:, None] * present
         variance, share = apart**2 @ self._noise**2, (apart**2).sum(axis=1)
-        return Blend(gain, np.sqrt(through**2 @ self._noise**2), variance, share, apart, share > 1e-6)
+        along, turned = np.sqrt(through**2 @ self._noise**2), through * (self._rows @ self._rows.T)
+        return Blend(gain, along, variance, share, apart, share > 1e-6, through, turned)
 
 
 SEGMENT = 64
@@ -188,6 +193,8 @@ BIAS_PRIOR, SCALE_PRIOR = 0.05, 0.01
 _WALK_PER_S = 0.01
 """Random walk of scale and delay in a second, in standard deviations at the start."""
 
+_ONE = np.eye(3)
+
 _DOUBT = 1.0
 """Times its variance that is taken from the square of a scale or delay before it is used."""
 
@@ -298,7 +305,7 @@ class Tracker:
         bias = (covariances[..., 0, 1:] * known).sum(axis=-1, keepdims=True)
         left_out = np.concatenate([bias, less], axis=-1)
         result = differences + left_out
-        result = result - self._whole.level(result, self._rows)
+        result = result - self._whole.level(result)
         covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
         return result, covariances / self._share[:, None, None]
 
@@ -308,16 +315,16 @@ class Tracker:
         self._end_ns = moments.end_ns
         walk = self._prior * _WALK_PER_S**2 * passed_s
         walk[:, 0] = self._bias_step * passed_s**2
-        self._covariances = self._covariances + walk[:, :, None] * np.eye(3)
+        self._covariances = self._covariances + walk[:, :, None] * _ONE
         blend = self._blends.of(moments.present)
         if blend is None or not moments.products.any():
             return
         # Against the blend of those present; what these differ from the blend of all is known from before.
-        shift = blend.level(self._differences, self._rows) - self._differences
-        residual = moments.residual + np.einsum("mij,mj->mi", moments.products, shift)
+        shift = blend.level(self._differences) - self._differences
+        residual = moments.residual + (moments.products @ shift[:, :, None])[..., 0]
         weight = 1 / np.where(blend.seen, blend.variance, 1.0)[:, None]
         gain, self._covariances = _taken_in(self._covariances, moments.products * weight[:, :, None], moments.moved)
-        self._differences = self._differences + np.einsum("mij,mj->mi", gain, residual * weight)
+        self._differences = self._differences + (gain @ (residual * weight)[:, :, None])[..., 0]
 
 
 def _taken_in(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
@@ -326,8 +333,8 @@ def _taken_in(covariances: Floats, information: Floats, moved: Booleans) -> tupl
     Where an axis has not `moved` (m,) only the bias is told, though scale and delay are as uncertain as they are
     (Schmidt's filter): a bias that drifts at rest must not be taken for a scale.
     """
-    best = np.linalg.solve(np.eye(3) + covariances @ information, covariances)
-    gain = best * np.stack([np.ones_like(moved), moved, moved], axis=1)[:, :, None]
-    kept = np.eye(3) - gain @ information
+    best = np.linalg.solve(_ONE + covariances @ information, covariances)
+    gain = best if moved.all() else best * np.stack([np.ones_like(moved), moved, moved], axis=1)[:, :, None]
+    kept = _ONE - gain @ information
     after = kept @ covariances @ kept.transpose(0, 2, 1) + gain @ information @ gain.transpose(0, 2, 1)
     return np.asarray(gain), np.asarray((after + after.transpose(0, 2, 1)) / 2)
