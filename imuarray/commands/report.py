@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing, workers_option
 
 _STEPS = 1000
 """Of a bar."""
@@ -16,9 +16,10 @@ _STEPS = 1000
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="report.html", help="the page")
 @click.option("--title", default="", metavar="TEXT", help="heading of the page (default: the names of the files)")
+@workers_option
 @force_option
 @json_option
-def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_json: bool) -> None:
+def command(files: tuple[Path, ...], output: Path, title: str, workers: int, force: bool, as_json: bool) -> None:
     """Write one HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
 
     A folder stands for the files in it. The page needs nothing beside it, and reads well on paper. Noise and residuals
@@ -34,7 +35,7 @@ def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_j
         kind_of(path)
     with progress(_STEPS, "report") as done:
         moved = lambda share: done(int(share * _STEPS))  # noqa: E731
-        kinds = write_report(files, output, title=title, force=force, progress=moved)
+        kinds = write_report(files, output, title=title, force=force, progress=moved, workers=workers)
     if as_json:
         print_json({"report": str(output), "files": kinds})
     else:

@@ -3,12 +3,22 @@ average of the same sensors, whether covariances hold, and what a navigator make
 
 Frames count that the average and the technique both know. An interval tells how far chance within this log could
 change a ratio; how a sensor came up this time is the same in all of it.
+
+An estimator of the whole array takes longer than all simple techniques together: with an executor another process makes
+its frames in the meantime. Both processes do what one would do, so that the figures are the same.
 """
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any, Self
 
 import numpy as np
 
@@ -27,10 +37,16 @@ from imuarray.fuse.evaluation import (
 from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
 from imuarray.fuse.techniques import TECHNIQUES
-from imuarray.log import Log
+from imuarray.log import Log, open_log
+
+_LOOK_S = 0.5
+"""Time between two looks at how far the other process is."""
 
 _HEAVY = 5.0
 """By how much longer an estimator of the whole array takes than all simple techniques together."""
+
+_SHARE = "share"
+"""The file in which a process tells how far it is."""
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
@@ -70,11 +86,13 @@ def compare(
     only: Collection[str] = (),
     heard: Callable[[str], None] = lambda technique: None,
     progress: Progress = lambda share: None,
+    executor: Executor | None = None,
 ) -> Comparison:
     """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
 
-    `heard` is told which one begins, `progress` what share of the work is done. FusionError without a truth, or with
-    too few frames.
+    `heard` is told which one begins, `progress` what share of the work is done. Processes of the `executor` make the
+    frames of estimators of the whole array beside this one; the result is the same. FusionError without a truth, or
+    with too few frames.
     """
 
     wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
@@ -82,22 +100,92 @@ def compare(
     for technique in each_alone:
         heard(technique)
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
-    together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
     scores, coasts = [], {}
-    with ErrorFramesOnDisk(log) as errors:
+    with ErrorFramesOnDisk(log) as errors, ExitStack() as stack:
+        beside = {}
+        for technique in wanted:
+            if executor is not None and technique not in each_alone:
+                beside[technique] = stack.enter_context(_OtherProcess(executor, log, calibration, technique, only))
+        together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
         for blocks in together:
             errors.add(blocks)
         average = {quantity: (frames.time, frames.errors) for quantity, frames in errors.of(AVERAGE).items()}
         for technique in techniques or technique_names():
             if technique not in errors:
                 heard(technique)
-                for block in fuse(log, calibration, technique, only=only, progress=parts.next()):
-                    errors.add({technique: block})
+                if technique in beside:
+                    errors.take(technique, beside[technique].files(parts.next()))
+                else:
+                    for block in fuse(log, calibration, technique, only=only, progress=parts.next()):
+                        errors.add({technique: block})
             result = errors.of(technique)
             scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in result.items()]
             if len(result) == 2:
                 coasts[technique] = coasting(both(result))
     return Comparison(tuple(scores), coasts)
+
+
+class _OtherProcess:
+    """The frames of one technique, made by a process of an executor in a folder that both see; a context manager."""
+
+    def __init__(
+        self, executor: Executor, log: Log, calibration: Calibration, technique: str, only: Collection[str]
+    ) -> None:
+        copyreg.pickle(MappingProxyType, _proxy_parts)
+        self._folder = TemporaryDirectory(prefix="imuarray-")
+        self._future = executor.submit(
+            _write_error_frames, log.path, calibration, technique, tuple(only), Path(self._folder.name)
+        )
+
+    def files(self, progress: Progress) -> dict[str, Path]:
+        """Wait for the files of frames by quantity; what `fuse` raises."""
+        while True:
+            try:
+                return self._future.result(timeout=_LOOK_S)
+            except TimeoutError:
+                if self._future.done():
+                    raise
+                progress(_share_in(Path(self._folder.name)))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._future.cancel()
+        self._folder.cleanup()
+
+
+def _proxy_parts(proxy: MappingProxyType[Any, Any]) -> tuple[Callable[..., Any], tuple[dict[Any, Any]]]:
+    """Return how another process makes a read-only mapping anew; Python itself can't send one."""
+    return _read_only, (dict(proxy),)
+
+
+def _read_only(mapping: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    """Return the mapping, not to be written to."""
+    return MappingProxyType(mapping)
+
+
+def _write_error_frames(
+    path: Path, calibration: Calibration, technique: str, only: Sequence[str], folder: Path
+) -> dict[str, Path]:
+    """Fuse a log by a technique and write the frames that have an error to a folder; return the files by quantity."""
+    with open_log(path) as log, ErrorFramesOnDisk(log, folder) as errors:
+        for block in fuse(log, calibration, technique, only=only, progress=lambda share: _tell_share(folder, share)):
+            errors.add({technique: block})
+        return errors.files(technique)
+
+
+def _tell_share(folder: Path, share: float) -> None:
+    """Tell the process that waits what share is done."""
+    (folder / _SHARE).write_text(f"{share:.4f}")
+
+
+def _share_in(folder: Path) -> float:
+    """Return the share that was told last; 0 before, or while it is being written."""
+    try:
+        return float((folder / _SHARE).read_text())
+    except (OSError, ValueError):
+        return 0.0
 
 
 class _Parts:

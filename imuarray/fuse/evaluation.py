@@ -17,8 +17,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Self
+from typing import IO, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -190,9 +191,9 @@ class ErrorFramesOnDisk:
     memory holds those of one result at a time. A context manager.
     """
 
-    def __init__(self, log: Log) -> None:
-        """FusionError if the log knows no truth."""
-        self._track = _track_of(log)
+    def __init__(self, log: Log, folder: Path | None = None) -> None:
+        """With a `folder`, in files there that stay. FusionError if the log knows no truth."""
+        self._track, self._folder = _track_of(log), folder
         self._stack = ExitStack()
         self._kept: dict[str, dict[str, _ErrorFramesSpool]] = {}
 
@@ -201,8 +202,21 @@ class ErrorFramesOnDisk:
         for name, quantity, frames in _errors_in(self._track, (), together):
             kept = self._kept.setdefault(name, {})
             if quantity not in kept:
-                kept[quantity] = self._stack.enter_context(_ErrorFramesSpool())
+                path = None if self._folder is None else self._folder / f"{name}.{quantity}"
+                kept[quantity] = self._stack.enter_context(_ErrorFramesSpool(path))
             kept[quantity].add(frames)
+
+    def files(self, name: str) -> dict[str, Path]:
+        """Complete the files of one result in the folder; return them by quantity."""
+        return {quantity: kept.complete() for quantity, kept in self._kept.get(name, {}).items()}
+
+    def take(self, name: str, files: Mapping[str, Path]) -> None:
+        """Take the frames of one result from such files, which may be of another process and must stay until they are
+        asked for.
+        """
+        kept = self._kept.setdefault(name, {})
+        for quantity, path in files.items():
+            kept[quantity] = self._stack.enter_context(_ErrorFramesSpool(path, "rb"))
 
     def __contains__(self, name: str) -> bool:
         return name in self._kept
@@ -322,16 +336,24 @@ class _ErrorSpool:
 
 
 class _ErrorFramesSpool:
-    """Frames of one quantity in a temporary file. A context manager."""
+    """Frames of one quantity in a temporary file, or in one with a name. A context manager."""
 
-    def __init__(self) -> None:
-        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as this
+    def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
+        self._path = path
+        self._file: IO[bytes] = TemporaryFile() if path is None else path.open(mode)  # noqa: SIM115, lives as long
 
     def add(self, frames: ErrorFrames) -> None:
         """More of them."""
         time = np.ascontiguousarray(frames.time, np.int64).view(np.float64)  # the same bits
         rows = np.concatenate([time[:, None], frames.errors, frames.truth, frames.covariances], axis=1)
         self._file.write(rows.tobytes())
+
+    def complete(self) -> Path:
+        """Put everything into the file that has a name, and return it; ValueError for one without."""
+        if self._path is None:
+            raise ValueError("a temporary file has no name")
+        self._file.flush()
+        return self._path
 
     def frames(self) -> ErrorFrames:
         """Return all of them."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -33,6 +34,9 @@ from imuarray.spelling import guess_file
 _MOST_BYTES = 1 << 26
 """Maximum size of a text file."""
 
+_LONG_ROWS = 50_000
+"""Rows of a sensor from which on another process is worth its start, of about a second."""
+
 _NOISE = 0.3
 """Share of the time that the noise of a log takes beside the techniques."""
 
@@ -47,6 +51,8 @@ class TechniqueSet:
     drawn: bool
     progress: Callable[[float], None] = lambda share: None
     """Told what share of a file is done."""
+    workers: int = 1
+    """Number of processes that may work on a file; the page does not depend on it."""
 
 
 Sayings = tuple[list[Verdict], list[str], list[Section]]
@@ -67,10 +73,21 @@ def _log(path: Path, together: TechniqueSet) -> Sayings:
         if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
             sections.append(residuals)
         verdicts = [recording_verdict(log)]
-        if gained := techniques_section(log, known, drawn=together.drawn, progress=techniques):
+        with _beside(log, together.workers) as executor:
+            gained = techniques_section(log, known, drawn=together.drawn, progress=techniques, executor=executor)
+        if gained:
             sections.append(gained.section)
             verdicts += [gained.verdict] if gained.verdict else []
         return verdicts, list(log_summary(log)), sections
+
+
+def _beside(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
+    """A process to work beside this one on a long log; None where it takes longer to start than it saves."""
+    if workers == 1 or max((len(sensor) for sensor in log.sensors.values()), default=0) < _LONG_ROWS:
+        return nullcontext()
+    from imuarray.gap.model.workers import processes
+
+    return processes(1)
 
 
 def _calibration(path: Path, together: TechniqueSet) -> Sayings:
@@ -129,9 +146,11 @@ def write_report(
     title: str = "",
     force: bool = False,
     progress: Callable[[float], None] = lambda share: None,
+    workers: int = 1,
 ) -> dict[str, str]:
-    """Write the page of these files; the kind of each. `progress` is told what share is done. LogError for a file of no
-    kind, OutputExistsError.
+    """Write the page of these files; the kind of each. `progress` is told what share is done; with more than one of
+    `workers` a second process does a part of what a long log needs, which changes nothing on the page. LogError for a
+    file of no kind, OutputExistsError.
     """
     kinds = {path: kind_of(path) for path in dict.fromkeys(member for path in paths for member in members(path))}
     known = Calibration()
@@ -144,7 +163,7 @@ def write_report(
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         own_progress = partial(_moved, progress, done, len(kinds))
-        judged, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
+        judged, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress, workers))
         verdicts += judged
         summary += lines
         sections += own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -28,14 +29,19 @@ class TechniqueGains(NamedTuple):
 
 
 def techniques_section(
-    log: Log, calibration: Calibration, *, drawn: bool, progress: Callable[[float], None] = lambda share: None
+    log: Log,
+    calibration: Calibration,
+    *,
+    drawn: bool,
+    progress: Callable[[float], None] = lambda share: None,
+    executor: Executor | None = None,
 ) -> TechniqueGains | None:
-    """Every technique beside the average; None for a log that knows no truth."""
+    """Every technique beside the average; None for a log that knows no truth. Processes of the `executor` do a part."""
     if log.truth is None and log.reference is None:
         return None
     title = f"{log.path.name}: what each technique gains"
     try:
-        comparison = compare(log, with_noise_of(log, calibration), progress=progress)
+        comparison = compare(log, with_noise_of(log, calibration), progress=progress, executor=executor)
     except ImuArrayError as error:
         return TechniqueGains(Section(title, f"Nothing can be said of it: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]

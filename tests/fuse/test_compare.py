@@ -15,6 +15,7 @@ from imuarray.fuse import FusedBlock, compare, fuse, technique_names
 from imuarray.fuse.fuse import fuse_together
 from imuarray.fuse.gains import ratio_of
 from imuarray.fuse.techniques import TECHNIQUES
+from imuarray.gap.model.workers import processes
 from imuarray.log import open_log
 from tests.fuse.conftest import Part, WriteRun, calibration
 
@@ -59,6 +60,21 @@ def test_every_technique_beside_the_average(run: Path) -> None:
     assert {len(coast.begins_s) for coast in found.coasting.values()} == {1}
     # 0.2 dps at 100 Hz is 0.02 dps/sqrt(Hz): after 10 s of rest 0.02 sqrt(60 + 360) deg; one draw, four of these.
     assert abs(found.coasting["mean"].heading_deg[0]) < 4 * 0.02 * np.sqrt(420)
+
+
+@pytest.mark.slow
+def test_another_process_makes_the_same_figures(run: Path) -> None:
+    told: list[float] = []
+    with open_log(run) as log, processes(1) as executor:
+        alone = compare(log, calibration(parts()), ("optimal",))
+        beside = compare(log, calibration(parts()), ("optimal",), progress=told.append, executor=executor)
+    for score, other in zip(alone.scores, beside.scores, strict=True):
+        assert (score.technique, score.quantity, score.ratio) == (other.technique, other.quantity, other.ratio)
+        assert score.consistency == other.consistency
+        assert score.error.rms.tolist() == other.error.rms.tolist()
+    heading, its = (comparison.coasting["optimal"].heading_deg for comparison in (alone, beside))
+    np.testing.assert_array_equal(heading, its)
+    assert told == sorted(told) and told[-1] <= 1.0
 
 
 def test_the_interval_covers_a_ratio() -> None:
