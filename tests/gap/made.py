@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import parse_array
+from imuarray.gap.findings.diagnosis import Where
 from imuarray.gap.recording.recordings import Recording, sources_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
@@ -21,6 +22,8 @@ from imuarray.log.writer import Block
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.hand_shake import HandShake
@@ -182,3 +185,20 @@ class OneBlock:
 
     def blocks(self, start_ns: int, end_ns: int):  # type: ignore[no-untyped-def]
         yield self._rows
+
+
+def where(sensor: str, axis: str, statistic: str = "line") -> Where:
+    values = ("static", statistic, "", 30.0, 0.0, "", 30.0, 0.01, 3.0, 1.0)
+    return Where("a.h5", sensor, axis, "spectrum", *values, "material")  # type: ignore[arg-type]
+
+
+def units(seed: int) -> dict[str, tuple[Effect, ...]]:
+    """Scales and leaning axes as the data sheets have them, drawn by other means than the library's."""
+    random = np.random.default_rng((99, seed))
+    return {
+        name: (
+            Scale(tuple(np.clip(random.normal(0, 0.01, 3), -0.02, 0.02))),  # type: ignore[arg-type]
+            Misalignment(tuple(np.clip(random.normal(0, 0.5, 6), -1, 1))),
+        )
+        for name in BASE
+    }

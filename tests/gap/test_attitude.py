@@ -22,7 +22,7 @@ from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.motion.posed import PoseSequence
 from tests.gap.hand_posed import campaign_in, directions, posed, simulated
 from tests.gap.made import BASE, temperature_of
-from tests.gap.test_bench import Run, prepared
+from tests.gap.small_bench import Run, prepared
 
 UNKNOWN = np.full((20, 3), np.nan)
 

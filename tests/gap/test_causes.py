@@ -29,7 +29,7 @@ from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
-from tests.gap.test_bench import prepared
+from tests.gap.small_bench import prepared
 
 LINE = Tone((0.0, 0.04, 0.0), 17.0)
 

@@ -34,14 +34,13 @@ from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.synthetic_likelihood import likelihood_of
 from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import BASE, header
-from tests.gap.test_bench import SHORT, Run, prepared
+from tests.gap.made import BASE, header, units
+from tests.gap.small_bench import SHORT, Run, prepared
 
 Floats = npt.NDArray[np.float64]
 More = Mapping[str, tuple[Effect, ...]]
@@ -68,18 +67,6 @@ def compared(more: More, seed: int, replicates: int = 40) -> Comparison:
 @pytest.fixture(scope="module")
 def nothing() -> Comparison:
     return compared({}, 0, 80)
-
-
-def units(seed: int) -> dict[str, tuple[Effect, ...]]:
-    """Scales and leaning axes as the data sheets have them, drawn by other means than the library's."""
-    random = np.random.default_rng((99, seed))
-    return {
-        name: (
-            Scale(tuple(np.clip(random.normal(0, 0.01, 3), -0.02, 0.02))),  # type: ignore[arg-type]
-            Misalignment(tuple(np.clip(random.normal(0, 0.5, 6), -1, 1))),
-        )
-        for name in BASE
-    }
 
 
 @pytest.mark.slow

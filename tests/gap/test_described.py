@@ -8,18 +8,12 @@ import numpy as np
 import pytest
 
 from imuarray.gap.findings.description import line_hz, lines_shown, shared_changes, unexplained_lines
-from imuarray.gap.findings.diagnosis import Where
 from imuarray.gap.inference.effects.tone import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.simulate.effects.tone import Tone
-from tests.gap.made import campaign_of, header
+from tests.gap.made import campaign_of, header, where
 
 LINE = Tone((0.0, 0.05, 0.0), 20.0)
-
-
-def where(sensor: str, axis: str, statistic: str = "line") -> Where:
-    values = ("static", statistic, "", 30.0, 0.0, "", 30.0, 0.01, 3.0, 1.0)
-    return Where("a.h5", sensor, axis, "spectrum", *values, "material")  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

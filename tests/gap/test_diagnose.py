@@ -28,7 +28,7 @@ from imuarray.simulate.model import Model
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
-from tests.gap.test_bench import LINE, SHORT, More, Run, simulated
+from tests.gap.small_bench import LINE, SHORT, More, Run, simulated
 
 REPLICATES = 40
 """As few as tell a gap: of 20 that are scored one in 21 is the smallest p."""

@@ -26,7 +26,7 @@ from imuarray.simulate.motion.still import Still
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
 from tests.gap.made import ARRAY, RATE_HZ
-from tests.gap.test_bench import More, simulated
+from tests.gap.small_bench import More, simulated
 
 MINUTE = Still(seconds=60)
 LINE = Tone((0.0, 0.05, 0.0), 17.0)

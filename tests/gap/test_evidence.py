@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, ScoredStatistics, evidence_of
+from imuarray.gap.inference.evidence import PhaseEvidence, ScoredStatistics, evidence_of
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.motion.still import turn_on_run
-from tests.gap.made import block, gaussian, header, summary
-from tests.gap.test_bench import LINE, prepared, static
+from tests.gap.made import block, gaussian, summary
+from tests.gap.search_inputs import evidence
+from tests.gap.small_bench import LINE, prepared, static
 
 NAN = math.nan
-
-FITTED = FittedParameters((0.01, 0.01, 0.02), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-def evidence(
-    scores: Mapping[str, Sequence[Sequence[float]]], scale: float = 0.5, seen: Sequence[PhaseEvidence] = ()
-) -> Evidence:
-    """Values of these scores about 10, in standard deviations of `scale`."""
-    given = {probe: np.array(rows) for probe, rows in scores.items()}
-    expected = {probe: np.full(rows.shape, 10.0) for probe, rows in given.items()}
-    values = {probe: 10 + scale * rows for probe, rows in given.items()}
-    return Evidence(header(), FITTED, tuple(seen), values, expected, given, ())
 
 
 def test_the_score_that_is_farthest_from_zero() -> None:

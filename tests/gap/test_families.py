@@ -25,10 +25,10 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
-from tests.gap.test_bench import Run, prepared
-from tests.gap.test_refine import standing_of
-from tests.gap.test_standing import FITTED, drawn
-from tests.gap.test_standing import standing as by_hand
+from tests.gap.made_states import FITTED, drawn
+from tests.gap.made_states import standing as by_hand
+from tests.gap.search_inputs import standing_of
+from tests.gap.small_bench import Run, prepared
 
 BOTH = ("A1", "A2")
 SWAP = Hypothesis((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",))

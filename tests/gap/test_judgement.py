@@ -27,8 +27,8 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
-from tests.gap.test_bench import LINE, prepared
-from tests.gap.test_refine import found_in
+from tests.gap.search_inputs import found_in
+from tests.gap.small_bench import LINE, prepared
 from tests.selection import some
 
 Floats = npt.NDArray[np.float64]

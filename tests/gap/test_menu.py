@@ -31,7 +31,7 @@ from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.test_overlays import Run, benched, where
+from tests.gap.overlay_bench import Run, benched, where
 
 SHORT: Mapping[str, Offer] = MappingProxyType(
     {

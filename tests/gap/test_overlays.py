@@ -3,61 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from imuarray.array import parse_array
-from imuarray.gap.findings.diagnosis import Overlay, Where
+from imuarray.gap.findings.diagnosis import Overlay
 from imuarray.gap.findings.overlays import Curve, bands, curves_of, drawn, overlays_of
-from imuarray.gap.model.base_model import fit
-from imuarray.gap.model.bench import Bench, bench_of
-from imuarray.gap.recording.recordings import Experiment, temperature_of
-from imuarray.gap.recording.source import simulated_sources
-from imuarray.gap.statistics.campaign import Campaign, summarise_log
-from imuarray.gap.statistics.split import split_of
-from imuarray.simulate import plan_of
-from imuarray.simulate.effect import Effect
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.statistics.campaign import Campaign
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.tone import Tone
-from tests.gap.made import ARRAY, PLANS, RATE_HZ, block, gaussian, phases_of, simulation, summary
+from tests.gap.made import block, gaussian, summary
+from tests.gap.overlay_bench import Run, benched, where
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)
 HOTTER = ThermalBias((0.0, 0.0, 0.02))
-
-
-def benched(kinds: Sequence[str], more: Mapping[str, Sequence[Effect]], seed: int = 1) -> tuple[Bench, Campaign]:
-    """A simulated recording of these kinds, on its bench."""
-    logs = [(kind, motion) for kind in kinds for motion in PLANS[kind]]
-    split = split_of([kind for kind, _ in logs], [phases_of(motion) for _, motion in logs])
-    found = []
-    for boot, (kind, motion) in enumerate(logs):
-        sources = simulated_sources(simulation(motion, more, seed, boot))
-        found.append(summarise_log(kind, sources, split.phases()[boot], temperature_of(motion)))
-    campaign = Campaign(tuple(found))
-    experiments = [Experiment(plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds), motion) for _, motion in logs]
-    train = split.train(campaign)
-    base = fit(train.campaign, [experiments[at].motion for at in train.logs], seed=seed)
-    return bench_of(campaign, split, experiments, base), campaign
-
-
-def where(sensor: str = "G1", axis: str = "y", domain: str = "spectrum", phase: str = "static", log: str = "") -> Where:
-    values = (0.0, 0.0, "", 9.0, 0.01, 9.0, 1.0, "material")
-    return Where(log, sensor, axis, domain, phase, "line", "a line", *values)  # type: ignore[arg-type]
-
-
-class Run:
-    """One item after the other; counts them."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench, self.items = bench, 0
-
-    def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
-        self.items += len(items)
-        return [job(self._bench, item) for item in items]
 
 
 @pytest.fixture(scope="module")

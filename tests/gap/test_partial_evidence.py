@@ -19,7 +19,7 @@ from imuarray.simulate.effects.quantisation import Quantisation
 from imuarray.simulate.effects.tone import Tone
 from tests.gap import sampled
 from tests.gap.effects.evidence_of import evidence_of
-from tests.gap.test_bench import Run
+from tests.gap.small_bench import Run
 
 REPLICATES = 40
 

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.comparison import Comparison, compared_with_base
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import replicated
 from imuarray.gap.inference.parameters import Factor, factors_of
 from imuarray.gap.inference.refinement import look, refine, regressed
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
-from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
-from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
@@ -25,30 +20,8 @@ from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stale_samples import StaleSamples
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
-from tests.gap.test_bench import LINE, Run, static
-
-REPLICATES = 40
-"""As few as tell a gap at 5 %: a half scores the other."""
-
-
-@cache
-def found_in(*more: Effect, seed: int = 1) -> Comparison:
-    """`static`, compared with its base model."""
-    bench, campaign = static(*more, seed=seed)
-    return compared_with_base(bench, campaign, Run(bench), REPLICATES)
-
-
-def standing_of(found: Comparison, unit: tuple[str, ...] = ("G1",)) -> UnitState:
-    """A unit under the base model."""
-    bench = found.bench
-    columns = bench.columns(unit, cross=len(unit) > 1)
-    chance = found.chance[:, columns]
-    likelihood = likelihood_of(chance, bench.resolutions[columns])
-    models = {name: bench.models()[name] for name in unit}
-    wanted = {name: found.real.fitted[name] for name in unit}
-    share = independent_share(likelihood.scores(chance))
-    first = UnitState(unit, models, found.real.values[columns], likelihood, np.zeros((0, 0)), wanted, share)
-    return replicated(bench, first)
+from tests.gap.search_inputs import found_in, standing_of
+from tests.gap.small_bench import LINE
 
 
 @pytest.fixture(scope="module")

@@ -35,8 +35,7 @@ from imuarray.simulate.model import Model, parse_model
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from imuarray.simulate.streams import Streams
-from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, temperature_of
-from tests.gap.test_compare import units
+from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, temperature_of, units
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)
 FITTED = FittedParameters((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))

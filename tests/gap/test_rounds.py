@@ -17,8 +17,8 @@ from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, searc
 from imuarray.gap.inference.unit_state import Unit
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
-from tests.gap.test_bench import LINE, SHORT, Run, prepared
-from tests.gap.test_refine import found_in
+from tests.gap.search_inputs import found_in
+from tests.gap.small_bench import LINE, SHORT, Run, prepared
 from tests.selection import some
 
 OTHER = Tone((0.06, 0.0, 0.0), 29.0)

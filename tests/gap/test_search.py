@@ -35,11 +35,10 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
-from tests.gap.test_bench import LINE, Run, prepared, static
-from tests.gap.test_evidence import evidence
-from tests.gap.test_refine import found_in, standing_of
-from tests.gap.test_standing import drawn
-from tests.gap.test_standing import standing as by_hand
+from tests.gap.made_states import drawn
+from tests.gap.made_states import standing as by_hand
+from tests.gap.search_inputs import evidence, found_in, standing_of
+from tests.gap.small_bench import LINE, Run, prepared, static
 
 UNIT: Unit = ("G1",)
 KINDS: tuple[Effect, ...] = (Bias(1.0), WhiteNoise(1.0), LINE)

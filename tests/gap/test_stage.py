@@ -13,7 +13,7 @@ from imuarray.gap.recording.recordings import Experiment
 from imuarray.simulate import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still
-from tests.gap.test_bench import prepared
+from tests.gap.small_bench import prepared
 
 
 def test_only_the_logs_that_are_wanted_are_simulated() -> None:

@@ -3,51 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, REPLICATES, UnitState, compared, counts_of, gains_of
+from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, REPLICATES, compared, counts_of, gains_of
 from imuarray.gap.model.replication import SensorModel
-from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, SyntheticLikelihood
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.tone import Tone
-
-Floats = npt.NDArray[np.float64]
+from tests.gap.made_states import FITTED, drawn, standing
 
 NAN = math.nan
-FITTED = FittedParameters((0.1, 0.1, 0.1), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
 LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)
-
-
-def standing(
-    real: list[float],
-    values: Floats,
-    likelihood: SyntheticLikelihood | None = None,
-    models: Mapping[str, SensorModel] | None = None,
-    independent: float = 1.0,
-) -> UnitState:
-    """Of statistics that are standard without a change."""
-    count = len(real)
-    usual = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    known = models or {"G1": SensorModel(FITTED)}
-    wanted = dict.fromkeys(known, FITTED)
-    return UnitState(tuple(known), known, np.array(real), likelihood or usual, values, wanted, independent)
-
-
-def drawn(count: int, seed: int = 1, rows: int = REPLICATES) -> Floats:
-    return np.random.default_rng(seed).normal(size=(rows, count))
 
 
 def test_few_of_the_replicates_are_looked_at() -> None:

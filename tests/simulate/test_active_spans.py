@@ -20,7 +20,7 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.parameters import from_table, to_table
-from tests.gap.test_bench import array_of
+from tests.gap.small_bench import array_of
 
 BASE = (WhiteNoise(0.2),)
 
