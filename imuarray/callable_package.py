@@ -1,4 +1,5 @@
-"""Packages that are also the function of their name: `imuarray.fuse(log)` beside `from imuarray.fuse import Watch`.
+"""Packages whose names are loaded on first use, and packages that are also the function of their name:
+`imuarray.fuse(log)` beside `from imuarray.fuse import Watch`.
 
 Importing a package sets its name in `imuarray`, where it would hide a function of that name. A module may have a class
 of its own (Python Language Reference, 3.3.2.1).
@@ -7,6 +8,7 @@ of its own (Python Language Reference, 3.3.2.1).
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from inspect import Signature, signature
 from types import ModuleType
@@ -26,6 +28,13 @@ class CallablePackage(ModuleType):
 
     def _function(self) -> Any:
         return getattr(import_module("imuarray.analysis"), self.__name__.rpartition(".")[2])
+
+
+def public_name(package: str, modules: Mapping[str, str], name: str) -> Any:
+    """Import a public name of a package on first use, from the module that `modules` names; AttributeError."""
+    if name not in modules:
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    return getattr(import_module(f"{package}.{modules[name]}"), name)
 
 
 def make_callable(package: str) -> None:

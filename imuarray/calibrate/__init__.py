@@ -4,10 +4,10 @@ first used: SciPy takes its time.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from imuarray.calibrate.opposed import Cancellation, cancellation  # a function that hides its module
+from imuarray.callable_package import public_name
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
@@ -63,6 +63,4 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    return public_name(__name__, _PUBLIC, name)

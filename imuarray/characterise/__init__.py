@@ -5,10 +5,9 @@ numbers, text and figures. The names below are loaded when first used: SciPy tak
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from imuarray.callable_package import make_callable
+from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
     from imuarray.characterise.allan import AllanCurve, AllanStream, allan_deviation
@@ -49,9 +48,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
+    return public_name(__name__, _PUBLIC, name)
 
 
 make_callable(__name__)

@@ -17,6 +17,7 @@ from imuarray.commands.options import (
     config_argument,
     force_option,
     json_option,
+    rate_option,
     refuse_existing,
 )
 from imuarray.errors import ConfigError
@@ -40,13 +41,7 @@ if TYPE_CHECKING:
 @click.option(
     "--seconds", type=Duration(), metavar="60s", help="duration: 90, 90s, 10min, 8h (default: until interrupted)"
 )
-@click.option(
-    "--rate-hz",
-    type=click.FloatRange(0.01, 3200),
-    default=50.0,
-    show_default=True,
-    help="frames per second; a frame reads every sensor once",
-)
+@rate_option
 @click.option(
     "--phase",
     default="",

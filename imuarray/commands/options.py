@@ -27,6 +27,13 @@ bus_option = click.option(
     help="i2c:/dev/i2c-1, serial:/dev/ttyACM0, replay:T.jsonl or emulated: (default: the configuration's bus)",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
+rate_option = click.option(
+    "--rate-hz",
+    type=click.FloatRange(0.01, 3200),
+    default=50.0,
+    show_default=True,
+    help="frames per second; a frame reads every sensor once",
+)
 force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
 workers_option = click.option(
     "--workers",

@@ -18,6 +18,7 @@ from imuarray.commands.options import (
     json_option,
     print_json,
     progress,
+    rate_option,
     refuse_existing,
 )
 from imuarray.shipped import find_config, find_model
@@ -84,13 +85,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
 @click.option(
     "--runs", type=click.IntRange(1, 999), default=15, show_default=True, help="boots of a turn-on series, a log each"
 )
-@click.option(
-    "--rate-hz",
-    type=click.FloatRange(0.01, 3200),
-    default=50.0,
-    show_default=True,
-    help="frames per second; a frame reads every sensor once",
-)
+@rate_option
 @click.option(
     "--up",
     type=click.Choice(UP_AXES),

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import UPRIGHT, resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.kinematics import RotationVector, felt_by
-from imuarray.simulate.motion.timeline import BetweenRests, finite, positive, smooth_step
+from imuarray.simulate.motion.timeline import MotionBetweenRests, finite, positive, smooth_step
 from imuarray.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ class _Sines:
 
 
 @dataclass(frozen=True)
-class HandShake:
+class HandShake(MotionBetweenRests):
     """A box at rest upright for `still_s`, shaken for `motion_s`, at rest again in the same place; phases static,
     motion, static.
 
@@ -78,19 +77,9 @@ class HandShake:
         if self.seed < 0:
             raise ValueError(f"seed: {self.seed}; allowed are 0, 1, 2, ...")
 
-    @cached_property
-    def _span(self) -> BetweenRests:
-        return BetweenRests(self.still_s, self.motion_s)
-
     @property
-    def seconds(self) -> float:
-        """Rest, motion, rest."""
-        return self._span.seconds
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """static, motion, static."""
-        return self._span.phases
+    def _moving_s(self) -> float:
+        return self.motion_s
 
     def felt(self, time_ns: Integers) -> Felt:
         """Rest, or the midst of it."""
@@ -113,10 +102,6 @@ class HandShake:
 
         seconds = self._span.moved_s(time_ns)
         return Rotation.from_rotvec(self._turn_sines.at(seconds, self._envelope(seconds))[0].T)
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
-        return self._span.unchanged_until_ns(at_ns)
 
     @property
     def _ramp_s(self) -> float:

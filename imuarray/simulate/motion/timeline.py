@@ -72,6 +72,34 @@ class BetweenRests:
         return FOREVER_NS if at_ns >= moving.end_ns else at_ns
 
 
+class MotionBetweenRests:
+    """A motion that begins and ends at rest upright: rest for `still_s`, motion for `_moving_s`, rest again."""
+
+    still_s: float
+
+    @property
+    def _moving_s(self) -> float:
+        raise NotImplementedError
+
+    @cached_property
+    def _span(self) -> BetweenRests:
+        return BetweenRests(self.still_s, self._moving_s)
+
+    @property
+    def seconds(self) -> float:
+        """The duration: rest, motion, rest."""
+        return self._span.seconds
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """static, motion, static."""
+        return self._span.phases
+
+    def unchanged_until_ns(self, at_ns: int) -> int:
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
+        return self._span.unchanged_until_ns(at_ns)
+
+
 def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:
     """0 up to share 0, 1 from share 1 on, x^4 (35 - 84 x + 70 x^2 - 20 x^3) in between; and its three derivatives.
 

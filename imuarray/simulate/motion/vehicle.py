@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import UPRIGHT, resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.kinematics import EulerAngles, felt_by
 from imuarray.simulate.motion.timeline import (
-    BetweenRests,
+    MotionBetweenRests,
     finite,
     positive,
     smooth_step,
@@ -53,7 +52,7 @@ class _Drive(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class Vehicle(MotionBetweenRests):
     """Stands for `still_s`, drives for `drive_s`, stands again; phases static, motion, static.
 
     It reaches `speed_mps`, takes its bends with `lateral_mps2`, brakes to a stop. Box X points forward, Y left, Z up.
@@ -76,19 +75,9 @@ class Vehicle:
         if not 0 <= self.road_mps2 < math.inf or self.seed < 0:
             raise ValueError(f"road_mps2: {self.road_mps2}, seed: {self.seed}; allowed are 0 and more")
 
-    @cached_property
-    def _span(self) -> BetweenRests:
-        return BetweenRests(self.still_s, self.drive_s)
-
     @property
-    def seconds(self) -> float:
-        """Rest, drive, rest."""
-        return self._span.seconds
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """static, motion, static."""
-        return self._span.phases
+    def _moving_s(self) -> float:
+        return self.drive_s
 
     def felt(self, time_ns: Integers) -> Felt:
         """Rest, or what the road and the driver do."""
@@ -117,10 +106,6 @@ class Vehicle:
         seconds = self._span.moved_s(time_ns)
         _, angles = self._body(seconds, self._drive(seconds))
         return Rotation.from_euler("ZYX", np.stack([angles.yaw[0], angles.pitch[0], angles.roll[0]], axis=1))
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
-        return self._span.unchanged_until_ns(at_ns)
 
     def _drive(self, seconds: Reals) -> _Drive:
         """Return the driver's inputs."""
