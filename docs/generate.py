@@ -151,8 +151,9 @@ def _chips() -> Pages:
     from imuarray.chips import CHIPS, die_of
 
     rows, made = [], {}
+    tables = {"hmc5883l": "hmc5883", "mpu9250": "mpu6500"}  # parts of which two share a table
     for name, spec in CHIPS.items():
-        facts = importlib.import_module(f"imuarray.facts.{'hmc5883' if name == 'hmc5883l' else die_of(name)}")
+        facts = importlib.import_module(f"imuarray.facts.{tables.get(die_of(name), die_of(name))}")
         first = _first_paragraph(facts.__doc__ or "")
         rows.append((name, f"{name}.md", first))
         settings = [

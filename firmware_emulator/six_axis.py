@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import ModuleType
 from typing import NamedTuple
 
@@ -11,6 +12,35 @@ from firmware_emulator.tolerances import Sheet
 from imuarray.facts.registers import Register
 
 ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
+NEVER_NS = 1 << 62
+
+
+@dataclass
+class Grid:
+    """When samples fall: at `start_ns` + n * `period_ns` for n from 1 on; `index` counts the latest from 0."""
+
+    start_ns: int = NEVER_NS
+    period_ns: int = 1_000_000
+    index: int = -1
+
+    def take(self, at_ns: int) -> int | None:
+        """The time of the latest sample, if it has not been taken yet."""
+        latest = (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+        if latest <= self.index:
+            return None
+        self.index = latest
+        return self.start_ns + (latest + 1) * self.period_ns
+
+    def set(self, at_ns: int, period_ns: int) -> bool:
+        """Take a period, 0 for off; samples begin anew with another, and when it was off: True if it was."""
+        if not period_ns:
+            self.start_ns = NEVER_NS
+            return False
+        begins = self.start_ns == NEVER_NS
+        if begins or period_ns != self.period_ns:
+            self.start_ns, self.index = at_ns, -1
+        self.period_ns = period_ns
+        return begins
 
 
 class SixAxis(Chip):

@@ -8,11 +8,11 @@ means is found by `calibrate`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050, mpu6500
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
@@ -66,6 +66,31 @@ _ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact p
 
 _MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16, 20, 25, 40, 50, 100, 125, 200, 250))
 """1 kHz over whole numbers up to 256 (INV-11), of which these give whole or short figures."""
+
+_MPU6500_ACC = ChipSpec(
+    quantity="specific_force",
+    unit="g",
+    addresses=mpu6500.ADDRESSES,
+    identity=mpu6500.WHO_AM_I,
+    label="IMU{}_acc",
+    burst_bytes=14,
+    sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # INV-77
+    rates_hz=_MPU6050_RATES_HZ,  # INV-72
+    default_rate_hz=500.0,
+    bandwidths_hz={0.0: (184.0, 92.0, 41.0, 20.0, 10.0, 5.0)},  # INV-74, by filter code from 1 on
+    default_bandwidth_hz=41.0,
+    thermometer=THERMOMETERS["mpu6500"],
+    proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 41},
+)
+_MPU6500_GYRO = replace(
+    _MPU6500_ACC,
+    quantity="angular_rate",
+    unit="dps",
+    label="IMU{}_gyro",
+    sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-77
+    proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 41},
+)
+_MPU9250_IDENTITY = replace(mpu6500.WHO_AM_I, reset=0x71)  # INV-70
 
 _ICM42688_RATES_HZ = (12.5, 25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0)  # TDK-15
 _ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
@@ -157,6 +182,10 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["mpu6050"],
             proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
         ),
+        "mpu6500_acc": _MPU6500_ACC,
+        "mpu6500_gyro": _MPU6500_GYRO,
+        "mpu9250_acc": replace(_MPU6500_ACC, identity=_MPU9250_IDENTITY),
+        "mpu9250_gyro": replace(_MPU6500_GYRO, identity=_MPU9250_IDENTITY),
         "icm42688_acc": ChipSpec(
             quantity="specific_force",
             unit="g",
@@ -295,7 +324,7 @@ SENSITIVITIES: Mapping[str, Mapping[float, float]] = MappingProxyType(
 """Counts per unit by range, by chip."""
 
 HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {die: (f"{die}_acc", f"{die}_gyro") for die in ("mpu6050", "icm42688", "lsm6dso")}
+    {die: (f"{die}_acc", f"{die}_gyro") for die in ("mpu6050", "mpu6500", "mpu9250", "icm42688", "lsm6dso")}
 )
 """Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
 

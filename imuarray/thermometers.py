@@ -20,6 +20,8 @@ THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
         "bma180": ChipThermometer(24.0, 2.0),  # BMA-63
         "l3g4200d": ChipThermometer(0.0, -1.0),  # falls by a count per degree, and has no zero: L3G-60
         "mpu6050": ChipThermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
+        "mpu6500": ChipThermometer(21.0, 333.87, 16),  # INV-76
+        "mpu9250": ChipThermometer(21.0, 333.87, 16),
         "icm42688": ChipThermometer(25.0, 132.48, 16),  # TDK-32
         "lsm6dso": ChipThermometer(25.0, 256.0, 16),  # LSM-32
     }

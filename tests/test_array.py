@@ -124,7 +124,7 @@ def test_a_part_of_an_array() -> None:
         ),
         (
             changed('chip = "bma180"', 'chip = "bma280"'),
-            r"sensor 1 'Acc': chip 'bma280': allowed are adxl345, bma180, .*, hmc5883, mpu6050, icm42688, .*$",
+            r"sensor 1 'Acc': chip 'bma280': allowed are adxl345, bma180, .*, hmc5883, mpu6050, mpu6500, .*$",
         ),
         (changed("address = 0x40", "address = 0x42"), r"sensor 1 'Acc': address 0x42: allowed are 0x40, 0x41$"),
         (changed('chip = "pca9544a"', 'chip = "pca9548"'), r"array: mux: chip: .*'pca9544a'"),

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 from firmware_emulator.chip import Chip
-from firmware_emulator.chips import icm42688, lsm6dso, mpu6050
+from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
 from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
@@ -12,7 +12,13 @@ from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
 from firmware_emulator.six_axis import Die, Half
 
-DIES: dict[str, Die] = {"mpu6050": mpu6050.DIE, "icm42688": icm42688.DIE, "lsm6dso": lsm6dso.DIE}
+DIES: dict[str, Die] = {
+    "mpu6050": mpu6050.DIE,
+    "mpu6500": mpu6500.DIE,
+    "mpu9250": mpu6500.DIE_9250,
+    "icm42688": icm42688.DIE,
+    "lsm6dso": lsm6dso.DIE,
+}
 """Six-axis chips by name; each is two entries of `CHIPS`, as in ``mpu6050_acc``."""
 
 HALVES: dict[str, Half] = {

@@ -10,12 +10,11 @@ import math
 from dataclasses import dataclass
 
 from firmware_emulator.chip import Element, Triple, registers_of
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import icm42688 as facts
-from imuarray.facts.registers import Field, Register
+from imuarray.facts.registers import Field
 
-NEVER_NS = 1 << 62
 RESET_NS = 1_000_000  # TDK-20
 INVALID = b"\x80\x00"  # TDK-13
 LOWEST = -32767
@@ -34,22 +33,15 @@ _DATA = range(facts.TEMP_DATA1.address, facts.GYRO_DATA_Z0.address + 1)
 
 
 @dataclass
-class _Sampling:
-    """One half's grid: samples at `start_ns` + n * `period_ns`, valid from `valid_ns` on; `index` is the latest."""
+class _Half:
+    """One half: the fields of its mode and rate, where its triad is, and from when on its readings are valid."""
 
     mode: Field
-    config: Register
     rate: Field
     startup_ns: int
     place: slice
-    start_ns: int = NEVER_NS
-    period_ns: int = 1_000_000
+    grid: Grid
     valid_ns: int = NEVER_NS
-    index: int = -1
-
-    def latest(self, at_ns: int) -> int:
-        """Number of the latest sample at `at_ns`; -1 before the first."""
-        return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
 
 
 class Icm42688(SixAxis):
@@ -80,10 +72,8 @@ class Icm42688(SixAxis):
             self.banks[register.bank][register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self.page[facts.WHO_AM_I.address] = self._identity
         self._halves = {  # start-up times: TDK-21
-            ACCELEROMETER: _Sampling(
-                facts.ACCEL_MODE, facts.ACCEL_CONFIG0, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25)
-            ),
-            GYROSCOPE: _Sampling(facts.GYRO_MODE, facts.GYRO_CONFIG0, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B)),
+            ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), Grid()),
+            GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid()),
         }
         self._flags = facts.INT_STATUS.reset
         self._rate_dps: Triple = (0.0, 0.0, 0.0)
@@ -95,12 +85,10 @@ class Icm42688(SixAxis):
     def _sync(self, at_ns: int) -> None:
         """The latest sample of each half into the data registers."""
         for name, half in self._halves.items():
-            latest = half.latest(at_ns)
-            if latest <= half.index:
+            sampled_ns = half.grid.take(at_ns)
+            if sampled_ns is None:
                 continue
-            half.index = latest
             self._flags |= facts.DATA_READY.mask
-            sampled_ns = half.start_ns + (latest + 1) * half.period_ns
             if sampled_ns < half.valid_ns:
                 continue
             codes = self._accelerometer(sampled_ns) if name == ACCELEROMETER else self._gyroscope(sampled_ns)
@@ -113,8 +101,8 @@ class Icm42688(SixAxis):
         big = facts.DATA_BIG_ENDIAN.of(self.page[facts.INTF_CONFIG0.address])
         return code.to_bytes(2, "big" if big else "little", signed=True)
 
-    def _bandwidth_hz(self, half: _Sampling, code: int) -> float:
-        rate_hz = 1e9 / half.period_ns
+    def _bandwidth_hz(self, half: _Half, code: int) -> float:
+        rate_hz = 1e9 / half.grid.period_ns
         return max(400.0, rate_hz) / FILTER_SHARES[code] if code in FILTER_SHARES else rate_hz / 2
 
     def _accelerometer(self, at_ns: int) -> list[int]:
@@ -194,22 +182,17 @@ class Icm42688(SixAxis):
             for half in self._halves.values():
                 self._restart(half, at_ns)
 
-    def _restart(self, half: _Sampling, at_ns: int) -> None:
+    def _restart(self, half: _Half, at_ns: int) -> None:
         """The grid begins anew with another rate, and when the half is switched on (DEC-61); off, it is invalid."""
-        rate_hz = RATES_HZ.get(half.rate.of(self.page[half.config.address]), 1000.0)
-        period_ns = round(1e9 / rate_hz)
+        rate_hz = RATES_HZ.get(half.rate.of(self.page[half.rate.register.address]), 1000.0)
         mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
         on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
-        if not on:
-            half.start_ns = half.valid_ns = NEVER_NS
+        if half.grid.set(at_ns, round(1e9 / rate_hz) if on else 0):
+            half.valid_ns = at_ns + half.startup_ns
+        elif not on:
             self.page[half.place] = INVALID * 3
-            if all(other.start_ns == NEVER_NS for other in self._halves.values()):
+            if all(other.grid.start_ns == NEVER_NS for other in self._halves.values()):
                 self.page[_DATA.start : _DATA.start + 2] = INVALID
-        elif half.start_ns == NEVER_NS:
-            half.start_ns, half.index, half.valid_ns = at_ns, -1, at_ns + half.startup_ns
-        elif period_ns != half.period_ns:
-            half.start_ns, half.index = at_ns, -1
-        half.period_ns = period_ns
 
 
 def accelerometer_tolerances(_: float) -> Tolerances:

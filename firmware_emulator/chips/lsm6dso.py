@@ -10,12 +10,11 @@ import math
 from dataclasses import dataclass
 
 from firmware_emulator.chip import Element, Triple
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import lsm6dso as facts
 from imuarray.facts.registers import Field, Register
 
-NEVER_NS = 1 << 62
 RESET_NS = 50_000  # LSM-16
 RATES_HZ = (12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0)  # by code from 1 on: LSM-15
 RANGES_G = {0b00: (2.0, 0.061), 0b01: (16.0, 0.488), 0b10: (4.0, 0.122), 0b11: (8.0, 0.244)}  # with mg a code: LSM-30
@@ -35,19 +34,13 @@ _DATA = range(facts.OUT_TEMP_L.address, facts.OUTZ_H_A.address + 1)
 
 
 @dataclass
-class _Sampling:
-    """One half's grid: samples at `start_ns` + n * `period_ns`; `index` is the latest."""
+class _Half:
+    """One half: the field of its rate, where its triad begins, the flag that says it is new."""
 
     rate: Field
     first: Register
     ready: Field
-    start_ns: int = NEVER_NS
-    period_ns: int = 1_000_000
-    index: int = -1
-
-    def latest(self, at_ns: int) -> int:
-        """Number of the latest sample at `at_ns`; -1 before the first."""
-        return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+    grid: Grid
 
 
 class Lsm6dso(SixAxis):
@@ -70,8 +63,8 @@ class Lsm6dso(SixAxis):
         super().power_on(at_ns)
         self.page[facts.WHO_AM_I.address] = self._identity
         self._halves = {
-            ACCELEROMETER: _Sampling(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY),
-            GYROSCOPE: _Sampling(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY),
+            ACCELEROMETER: _Half(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY, Grid()),
+            GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, Grid()),
         }
         self._held: dict[int, int] = {}
         self._reset_end_ns = at_ns
@@ -81,11 +74,9 @@ class Lsm6dso(SixAxis):
     def _sync(self, at_ns: int) -> None:
         """The latest sample of each half into the data registers."""
         for name, half in self._halves.items():
-            latest = half.latest(at_ns)
-            if latest <= half.index:
+            sampled_ns = half.grid.take(at_ns)
+            if sampled_ns is None:
                 continue
-            half.index = latest
-            sampled_ns = half.start_ns + (latest + 1) * half.period_ns
             self._convert(name, half, sampled_ns)
             self._put(facts.OUT_TEMP_L.address, [clipped(round((self.degc(sampled_ns) - 25.0) * 256.0))])  # LSM-32
             self.page[facts.STATUS_REG.address] |= half.ready.mask | facts.TEMPERATURE_READY.mask
@@ -94,9 +85,9 @@ class Lsm6dso(SixAxis):
         data = b"".join(code.to_bytes(2, "little", signed=True) for code in codes)
         self.page[address : address + len(data)] = data
 
-    def _convert(self, name: str, half: _Sampling, at_ns: int) -> None:
+    def _convert(self, name: str, half: _Half, at_ns: int) -> None:
         """One sample of one half; the self-test adds to it, or takes from it (LSM-20)."""
-        rate_hz, page = 1e9 / half.period_ns, self.page
+        rate_hz, page = 1e9 / half.grid.period_ns, self.page
         test = page[facts.CTRL5_C.address]
         if name == ACCELEROMETER:
             control = page[facts.CTRL1_XL.address]
@@ -172,17 +163,12 @@ class Lsm6dso(SixAxis):
             if address in (half.rate.register.address, facts.CTRL4_C.address):
                 self._restart(half, at_ns)
 
-    def _restart(self, half: _Sampling, at_ns: int) -> None:
+    def _restart(self, half: _Half, at_ns: int) -> None:
         """The grid begins anew with another rate, and when the half is switched on (DEC-70)."""
         code = half.rate.of(self.page[half.rate.register.address])
         asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
-        if not 1 <= code <= len(RATES_HZ) or asleep:
-            half.start_ns = NEVER_NS
-            return
-        period_ns = round(1e9 / RATES_HZ[code - 1])
-        if half.start_ns == NEVER_NS or period_ns != half.period_ns:
-            half.start_ns, half.index = at_ns, -1
-        half.period_ns = period_ns
+        on = 1 <= code <= len(RATES_HZ) and not asleep
+        half.grid.set(at_ns, round(1e9 / RATES_HZ[code - 1]) if on else 0)
 
 
 def accelerometer_tolerances(range_g: float) -> Tolerances:

@@ -13,6 +13,12 @@ from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lsm6dso import Lsm6dsoAccelerometer, Lsm6dsoGyroscope
 from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
+from imuarray.drivers.mpu6500 import (
+    Mpu6500Accelerometer,
+    Mpu6500Gyroscope,
+    Mpu9250Accelerometer,
+    Mpu9250Gyroscope,
+)
 
 __all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
 
@@ -22,6 +28,10 @@ DRIVERS: dict[str, type[Driver]] = {
     "l3g4200d": L3g4200d,
     "mpu6050_acc": Mpu6050Accelerometer,
     "mpu6050_gyro": Mpu6050Gyroscope,
+    "mpu6500_acc": Mpu6500Accelerometer,
+    "mpu6500_gyro": Mpu6500Gyroscope,
+    "mpu9250_acc": Mpu9250Accelerometer,
+    "mpu9250_gyro": Mpu9250Gyroscope,
     "icm42688_acc": Icm42688Accelerometer,
     "icm42688_gyro": Icm42688Gyroscope,
     "lsm6dso_acc": Lsm6dsoAccelerometer,

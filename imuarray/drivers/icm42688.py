@@ -21,7 +21,7 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf
+from imuarray.drivers.six_axis import SixAxisHalf, factory_change, upward
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register, Setting
 from imuarray.log.format import SATURATED, SUSPECT
@@ -162,16 +162,15 @@ class _Half(SixAxisHalf):
         during = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.registers.poke(self.deflected.register, 0)
         self.configure()
-        sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)  # either direction is good
         text = f"changes by {{change}} of the factory's; {self.allowed}"
-        return compared(before * sign, during * sign, self.limits, text, still=0.05)
+        return compared(*upward(before, during), self.limits, text, still=0.05)
 
     def _trim_counts(self) -> Floats:
-        """2620 / 2**(3 - range code) * 1.01**(code - 1) counts (3,) (TDK-40); 0 where no code is stored."""
+        """The factory's change (3,) at the range of the self-test, half as much at twice the smallest (TDK-40)."""
         self.registers.set(self._bank(self.trim.bank))
-        codes = np.frombuffer(self.registers.peek(self.trim, 3), np.uint8).astype(np.float64)
+        codes = self.registers.peek(self.trim, 3)
         self.registers.set(self._bank(0))
-        return np.where(codes > 0, 2620 / 2.0 ** (3 - self.self_test_range) * 1.01 ** (codes - 1), 0.0)
+        return factory_change(codes) / 2.0 ** (3 - self.self_test_range)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, of which -32768 is none: such a row is suspect, not saturated."""

@@ -12,13 +12,11 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import ClassVar
 
-import numpy as np
-
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Limits, SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf
+from imuarray.drivers.six_axis import SixAxisHalf, upward
 from imuarray.facts import lsm6dso as facts
 from imuarray.facts.registers import Field, Register, Setting
 
@@ -99,9 +97,8 @@ class _Half(SixAxisHalf):
         self.registers.poke(self.deflected.register, self.deflected.value)
         during = self.readings(_SELF_TEST_SETTLE_S) / scale
         self.configure()
-        sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)  # either direction is good
         text = f"changes by {{change}} {self.allowed}"
-        return compared(before * sign, during * sign, self.limits, text, still=self.still)
+        return compared(*upward(before, during), self.limits, text, still=self.still)
 
 
 class Lsm6dsoAccelerometer(_Half):

@@ -25,6 +25,20 @@ from imuarray.facts.registers import Register
 SELF_TEST_SAMPLES = 32
 
 
+def factory_change(codes: bytes) -> Floats:
+    """Counts (n,) by which the self-test changed the readings at the factory, from the codes that it stored: 2620 *
+    1.01**(code - 1), and 0 where none is stored (INV-78, TDK-40).
+    """
+    stored = np.frombuffer(codes, np.uint8).astype(np.float64)
+    return np.where(stored > 0, 2620 * 1.01 ** (stored - 1), 0.0)
+
+
+def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
+    """The readings (n, 3) before a self-test and during it, axes that it turns down with their sign changed."""
+    sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)
+    return before * sign, during * sign
+
+
 class SixAxisHalf:
     """One half of a die; a chip's driver says where its data are and how it is set up."""
 

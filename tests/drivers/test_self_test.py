@@ -20,6 +20,8 @@ SENSORS = {
     "l3g4200d": "address = 0x68\nrange = 500\nrate_hz = 400\nbandwidth_hz = 50\n",
     "mpu6050_acc": "address = 0x68\nrange = 4\n",
     "mpu6050_gyro": "address = 0x68\nrange = 500\n",
+    "mpu6500_acc": "address = 0x68\nrange = 4\n",
+    "mpu9250_gyro": "address = 0x68\nrange = 500\n",
     "icm42688_acc": "address = 0x68\nrange = 4\n",
     "icm42688_gyro": "address = 0x68\nrange = 500\n",
     "lsm6dso_acc": "address = 0x6A\nrange = 8\n",
@@ -34,13 +36,15 @@ DEAD_WITHOUT = {
     "l3g4200d": (0x23, 0x06),
     "mpu6050_acc": (0x1C, 0xE0),
     "mpu6050_gyro": (0x1B, 0xE0),
+    "mpu6500_acc": (0x1C, 0xE0),
+    "mpu9250_gyro": (0x1B, 0xE0),
     "icm42688_acc": (0x70, 0x38),
     "icm42688_gyro": (0x70, 0x07),
     "lsm6dso_acc": (0x14, 0x03),
     "lsm6dso_gyro": (0x14, 0x0C),
 }
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, TDK-41, LSM-20): without them a chip
-is dead.
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20): without them a
+chip is dead.
 """
 
 

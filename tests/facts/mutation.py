@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "mpu6500", "pca9544a")
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
@@ -38,6 +38,7 @@ INERT: dict[tuple[str, str, str], str] = {
     ("icm42688", "DEVICE_CONFIG reset", "0x00 -> 0x01"): "SOFT_RESET clears itself when the reset of power-on ends",
     ("lsm6dso", "CTRL3_C reset", "0x04 -> 0x05"): "SW_RESET clears itself when the reset of power-on ends",
     ("mpu6050", "PWR_MGMT_1 reset", "0x40 -> 0xc0"): "DEVICE_RESET clears itself when the reset of power-on ends",
+    ("mpu6500", "PWR_MGMT_1 reset", "0x01 -> 0x81"): "DEVICE_RESET clears itself when the reset of power-on ends",
 }
 """By chip, fact and change: why no conversation can notice it."""
 

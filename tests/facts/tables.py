@@ -9,11 +9,11 @@ from types import ModuleType
 
 from imuarray.facts.registers import Field, Register
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "pca9544a")
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "mpu6500", "pca9544a")
 
 # By chip: addresses that can't be written, addresses that are only written, all the others. Column "acc" of the maps:
 # ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, INV-10
-# ... INV-27 (FIFO_COUNT: see SOURCES.md), TDK-10, LSM-10, PCA-03. In bank n an address is written with 0x100 n added.
+# ... INV-27 (FIFO_COUNT: see SOURCES.md), INV-71, TDK-10, LSM-10, PCA-03. In bank n addresses have 0x100 n added.
 READ_ONLY = {
     "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x0D)},
@@ -23,6 +23,7 @@ READ_ONLY = {
     "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
     "lsm6dso": {0x0F, 0x1E, *range(0x20, 0x2E)},
     "mpu6050": {*range(0x3A, 0x49), 0x72, 0x73, 0x75},
+    "mpu6500": {*range(0x3A, 0x49), 0x75},
     "pca9544a": set(),
 }
 WRITE_ONLY = {
@@ -34,6 +35,7 @@ WRITE_ONLY = {
     "l3g4200d": set(),
     "lsm6dso": set(),
     "mpu6050": set(),
+    "mpu6500": set(),
     "pca9544a": set(),
 }
 WRITABLE = {
@@ -49,9 +51,10 @@ WRITABLE = {
     "l3g4200d": {*range(0x20, 0x26), 0x2E, 0x30, *range(0x32, 0x39)},
     "lsm6dso": {0x01, 0x07, *range(0x10, 0x18)},
     "mpu6050": {*range(0x0D, 0x11), *range(0x19, 0x1D), 0x23, 0x37, 0x38, 0x63, *range(0x6A, 0x6D), 0x74},
+    "mpu6500": {*range(0x03), *range(0x0D, 0x10), *range(0x19, 0x1E), 0x63, *range(0x6A, 0x6D)},
     "pca9544a": {0x00},
 }
-ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, PCA-01
+ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, INV-70, PCA-01
     "adxl345": {0x53, 0x1D},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
@@ -60,6 +63,7 @@ ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, TDK-01, L3G-01, LSM-01, INV-01,
     "l3g4200d": {0x68, 0x69},
     "lsm6dso": {0x6A, 0x6B},
     "mpu6050": {0x68, 0x69},
+    "mpu6500": {0x68, 0x69},
     "pca9544a": {0x70, 0x71, 0x72, 0x73, 0x74, 0x75, 0x76, 0x77},
 }
 RESERVED_WITHOUT_FIELDS = {  # by address, in registers of which no field is named: ADX-19, L3G-24 (15-bit thresholds)
@@ -74,6 +78,7 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
     "icm42688": {*range(0x15F, 0x162), *range(0x23B, 0x23E)},
     "l3g4200d": {*range(0x26, 0x2E), 0x2F},
     "lsm6dso": {0x1E, *range(0x20, 0x2E)},
+    "mpu6500": {*range(0x03), *range(0x0D, 0x10), 0x3A},
     "mpu6050": {*range(0x0D, 0x11), 0x3A, 0x72, 0x73, 0x74},
 }
 

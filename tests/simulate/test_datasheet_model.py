@@ -113,6 +113,52 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("thermometer", "offset_degc", 1.0)._replace(axes=(0,)),
         ),
     ),
+    "mpu6500_acc": (
+        4.0,
+        (
+            typical("bias", "offset", 60 * MG)._replace(axes=(0, 1)),  # INV-81
+            typical("bias", "offset", 80 * MG)._replace(axes=(2,)),
+            typical("thermal_bias", "slope", 1.5 * MG),  # INV-82
+            typical("scale", "error", 3 * PERCENT),  # INV-83
+            typical("thermal_scale", "slope", 0.026 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.5 * PERCENT / 4),  # INV-84
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
+        ),
+    ),
+    "mpu6500_gyro": (
+        500.0,
+        (
+            typical("bias", "offset", 5.0),  # INV-91
+            typical("thermal_bias", "slope", 30.0 / (25 + 40)),  # INV-92
+            typical("scale", "error", 3 * PERCENT),  # INV-93
+            typical("thermal_scale", "slope", 4 * PERCENT / (25 + 40)),
+            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 500),  # INV-94
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
+        ),
+    ),
+    "mpu9250_acc": (
+        4.0,
+        (
+            typical("bias", "offset", 60 * MG)._replace(axes=(0, 1)),  # INV-81
+            typical("bias", "offset", 80 * MG)._replace(axes=(2,)),
+            typical("thermal_bias", "slope", 1.5 * MG),  # INV-82
+            typical("scale", "error", 3 * PERCENT),  # INV-83
+            typical("thermal_scale", "slope", 0.026 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.5 * PERCENT / 4),  # INV-84
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
+        ),
+    ),
+    "mpu9250_gyro": (
+        500.0,
+        (
+            typical("bias", "offset", 5.0),  # INV-91
+            typical("thermal_bias", "slope", 30.0 / (25 + 40)),  # INV-92
+            typical("scale", "error", 3 * PERCENT),  # INV-93
+            typical("thermal_scale", "slope", 4 * PERCENT / (25 + 40)),
+            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 500),  # INV-94
+            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
+        ),
+    ),
     "icm42688_acc": (
         4.0,
         (
@@ -283,6 +329,8 @@ def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
         ("adxl345", {"rate_hz": 400.0}, (1.5 / 256, 1.5 / 256, 2.2 / 256)),  # ADX-68
         ("bma180", {"bandwidth_hz": 150.0}, (150e-6 * sqrt(150),) * 3),  # BMA-110
         ("bma180", {"bandwidth_hz": 1200.0}, (150e-6 * sqrt(1200),) * 3),
+        ("mpu9250_acc", {"bandwidth_hz": 20.0}, (300e-6 * sqrt(20),) * 3),  # INV-80
+        ("mpu9250_gyro", {"bandwidth_hz": 92.0}, (0.01 * sqrt(92),) * 3),  # INV-90
         ("icm42688_acc", {"bandwidth_hz": 100.0}, (70e-6 * sqrt(100),) * 3),  # TDK-50
         ("icm42688_gyro", {"bandwidth_hz": 25.0}, (2.8e-3 * sqrt(25),) * 3),  # TDK-60
         ("lsm6dso_acc", {"range_": 16.0, "bandwidth_hz": 208.0}, (110e-6 * sqrt(208),) * 3),  # LSM-52
@@ -307,6 +355,10 @@ ALSO = {
     "l3g4200d": {"bias", "thermal_bias"},  # scale, alignment, g-sensitivity: not specified (L3G-75, L3G-76)
     "mpu6050_acc": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "mpu6050_gyro": {"misalignment", "scale", "bias", "thermal_bias", "thermometer", "g_sensitivity"},
+    "mpu6500_acc": {"misalignment", "scale", "bias", "thermal_bias"},
+    "mpu6500_gyro": {"misalignment", "scale", "bias", "thermal_bias"},
+    "mpu9250_acc": {"misalignment", "scale", "bias", "thermal_bias"},
+    "mpu9250_gyro": {"misalignment", "scale", "bias", "thermal_bias"},
     "icm42688_acc": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "icm42688_gyro": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
     "lsm6dso_acc": {"scale", "bias", "thermal_bias", "thermometer"},

@@ -1,0 +1,167 @@
+"""MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4; INV-70 ... INV-78,
+DEC-80 and -81.
+
+The die is awake after power-on; samples fall on its own grid from then on. Not modelled: queue, auxiliary bus and the
+magnetometer behind it, motion detection, low-power cycle, the settling of the zero-rate level.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from struct import Struct
+
+from firmware_emulator.chip import Element, Triple
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
+from firmware_emulator.tolerances import NONE, Tolerances, typical
+from imuarray.facts import mpu6500 as facts
+
+RESET_NS = 100_000_000  # INV-71
+CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-77
+CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)
+RANGES_G = (2.0, 4.0, 8.0, 16.0)
+RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
+GYRO_BANDWIDTHS_HZ = (250.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 3600.0)  # by DLPF_CFG: INV-73
+ACCEL_BANDWIDTHS_HZ = (460.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 460.0)  # by A_DLPF_CFG: INV-74
+BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-72
+WORDS = Struct(">7h")
+TRIM_CODE = 120
+"""Of every axis, unless told otherwise: a deflection of 65 dps and of 0.52 g (DEC-81)."""
+
+_DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
+
+
+class Mpu6500(SixAxis):
+    """The registers; `identity` is what WHO_AM_I says, 0x71 for an MPU-9250."""
+
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        half: str = ACCELEROMETER,
+        identity: int = facts.WHO_AM_I.reset,
+        trim_code: int = TRIM_CODE,
+    ) -> None:
+        self._identity = identity
+        self._trim_code = trim_code
+        super().__init__(address, facts, element, powered_on_ns, half=half)
+
+    def power_on(self, at_ns: int) -> None:
+        """Awake, every register at its reset value (INV-71)."""
+        super().power_on(at_ns)
+        for register in (facts.SELF_TEST_X_GYRO, facts.SELF_TEST_X_ACCEL):
+            self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
+        self.page[facts.WHO_AM_I.address] = self._identity
+        self._grid = Grid()
+        self._reset_end_ns = at_ns
+        self._restart(at_ns)
+
+    def _sync(self, at_ns: int) -> None:
+        """The latest sample into the data registers."""
+        sampled_ns = self._grid.take(at_ns)
+        if sampled_ns is None:
+            return
+        page = self.page
+        scale = facts.ACCEL_RANGE.of(page[facts.ACCEL_CONFIG.address])
+        control = page[facts.ACCEL_CONFIG_2.address]
+        unfiltered = facts.ACCEL_UNFILTERED.of(control)
+        bandwidth_hz = 1130.0 if unfiltered else ACCEL_BANDWIDTHS_HZ[facts.ACCEL_DLPF.of(control)]  # INV-74
+        force = self.felt(ACCELEROMETER, sampled_ns, RANGES_G[scale], bandwidth_hz)
+        pushed = facts.ACCEL_SELF_TEST.of(page[facts.ACCEL_CONFIG.address])
+        ax, ay, az = self._codes(force, CODES_PER_G[scale], CODES_PER_G[0], pushed)
+        scale = facts.GYRO_RANGE.of(page[facts.GYRO_CONFIG.address])
+        bandwidth_hz = GYRO_BANDWIDTHS_HZ[facts.DLPF.of(page[facts.CONFIG.address])]
+        rate = self.felt(GYROSCOPE, sampled_ns, RANGES_DPS[scale], bandwidth_hz)
+        pushed = facts.GYRO_SELF_TEST.of(page[facts.GYRO_CONFIG.address])
+        gx, gy, gz = self._codes(rate, CODES_PER_DPS[scale], CODES_PER_DPS[0], pushed)
+        temperature = clipped(round((self.degc(sampled_ns) - 21.0) * 333.87))  # INV-76
+        page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
+        page[facts.INT_STATUS.address] |= facts.DATA_READY.mask
+
+    def _codes(self, felt: Triple, scale: float, finest: float, pushed: int) -> list[int]:
+        """Three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75, INV-78)."""
+        push = 2620.0 * 1.01 ** (self._trim_code - 1) * scale / finest if self._trim_code else 0.0
+        return [
+            clipped(round(value * scale + push * (pushed >> bit & 1)))
+            for value, bit in zip(felt, (2, 1, 0), strict=True)
+        ]
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """One burst shows one instant (INV-75)."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        return super().read(count, at_ns, byte_ns)
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A register's byte; the status is cleared by reading it (INV-75)."""
+        byte = self.page[address]
+        if address == facts.INT_STATUS.address:
+            self.page[address] = 0
+        return byte
+
+    def _wake_up(self, at_ns: int) -> None:
+        """The reset bit clears itself when the reset is over."""
+        if at_ns >= self._reset_end_ns:
+            self.page[facts.PWR_MGMT_1.address] &= ~facts.DEVICE_RESET.mask & 0xFF
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to a register: what was sampled before stays as it was."""
+        self._wake_up(at_ns)
+        self._sync(at_ns)
+        if address == facts.PWR_MGMT_1.address and value & facts.DEVICE_RESET.mask:
+            pointer = self.pointer
+            self.power_on(at_ns)
+            self.pointer = pointer
+            self.page[address] |= facts.DEVICE_RESET.mask
+            self._reset_end_ns = at_ns + RESET_NS
+            return
+        super().store(address, value, at_ns)
+        if address == facts.USER_CTRL.address:
+            once = facts.FIFO_RESET.mask | facts.MASTER_RESET.mask | facts.SIGNAL_RESET.mask
+            self.page[address] &= ~once & 0xFF
+        self._restart(at_ns)
+
+    def _restart(self, at_ns: int) -> None:
+        """The grid begins anew with another rate, and when the die wakes (DEC-80)."""
+        config, gyro = self.page[facts.CONFIG.address], self.page[facts.GYRO_CONFIG.address]
+        divided = 0 < facts.DLPF.of(config) < 7 and not facts.GYRO_UNFILTERED.of(gyro)
+        period_ns = BASE_PERIOD_NS * (1 + self.page[facts.SMPLRT_DIV.address]) if divided else UNFILTERED_PERIOD_NS
+        asleep = facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address])
+        self._grid.set(at_ns, 0 if asleep else period_ns)
+
+
+def accelerometer_tolerances(_: float) -> Tolerances:
+    """INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
+    return Tolerances(
+        bias=(typical(0.060), typical(0.060), typical(0.080)),
+        slope_per_degc=(typical(1.5e-3),) * 3,
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(300e-6 * math.sqrt(41.0),) * 3,
+        noise_full_scale=2.0,
+        noise_bandwidth_hz=41.0,
+        scale_slope_per_degc=typical(2.6e-4),
+    )
+
+
+def gyroscope_tolerances(_: float) -> Tolerances:
+    """INV-90 ... INV-94; a sensitivity to force is not printed."""
+    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
+    return Tolerances(
+        bias=(typical(5.0),) * 3,
+        slope_per_degc=(typical(30.0 / warmer),) * 3,
+        scale=typical(0.03),
+        cross_axis=typical(0.02),
+        alignment_deg=NONE,
+        noise=(0.01 * math.sqrt(41.0),) * 3,
+        noise_full_scale=250.0,
+        noise_bandwidth_hz=41.0,
+        scale_slope_per_degc=typical(0.04 / warmer),
+    )
+
+
+DIE = Die(Mpu6500, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
+DIE_9250 = DIE._replace(build=partial(Mpu6500, identity=0x71))  # INV-70

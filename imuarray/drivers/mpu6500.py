@@ -1,0 +1,146 @@
+"""MPU-6500, and the MPU-9250 that holds one: accelerometer and gyroscope of one die, two sensors that share a place.
+
+InvenSense register map RM-MPU-9250A rev. 1.4; facts INV-70 ... INV-78. A burst is 0x3B ... 0x48, accelerometer,
+thermometer and gyroscope, high byte first, as on the MPU-6050; 333.87 counts a degC, 0 at 21 degC (INV-76). Unlike the
+MPU-6050 the accelerometer has a filter register of its own, which is set to the same code, and the die is awake after
+power-on. The magnetometer of the MPU-9250, an AK8963 on its auxiliary bus, is not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Limits, SelfTest, compared
+from imuarray.drivers.six_axis import SixAxisHalf, factory_change, upward
+from imuarray.facts import mpu6500 as facts
+from imuarray.facts.registers import Field, Register, Setting
+
+_WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
+_BEST_CLOCK = 1  # of a gyroscope once it runs: INV-71
+_BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-72
+_SELF_TEST_SETTLE_S = 0.2  # the filter's
+_RELATIVES: Mapping[int, str] = MappingProxyType(
+    {
+        0x47: "an ICM-42688-P",
+        0x68: "an MPU-6050 or MPU-9150",
+        0x70: "an MPU-6500",
+        0x71: "an MPU-9250",
+        0x73: "an MPU-9255",
+        0x74: "an MPU-6515",
+        0x78: "an MPU-6880",
+        0x98: "an ICM-20689, or a clone sold as MPU-6050",
+    }
+)
+"""By identity: INV-03, INV-70."""
+
+
+class _Half(SixAxisHalf):
+    """What both halves of the die have in common."""
+
+    first: ClassVar[Register] = facts.ACCEL_XOUT_H
+    identity: ClassVar[Register] = facts.WHO_AM_I
+    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    temperature: ClassVar[slice] = slice(6, 8)
+    full_scale: ClassVar[Field]
+    deflected: ClassVar[Field]
+    trim: ClassVar[Register]
+    limits: ClassVar[Limits]
+    allowed: ClassVar[str]
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        ranges = tuple(sensor.spec.sensitivity)
+        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
+        self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_BEST_CLOCK).value)
+        self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
+        self.settings: tuple[Setting, ...] = (
+            facts.PWR_MGMT_2[7:0](0),
+            facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
+            facts.CONFIG[7:0](facts.DLPF(filter_code).value),
+            facts.ACCEL_CONFIG_2[7:0](facts.ACCEL_DLPF(filter_code).value),
+            facts.GYRO_UNFILTERED(0),  # the divider has no effect otherwise: INV-72
+            self.range_setting,
+            facts.USER_CTRL[7:0](0),
+        )
+        self.watched: tuple[Setting, ...] = (self.power, *self.settings)
+
+    def steps(self) -> Iterator[float]:
+        """Wake the die, wait until it measures, then write every setting; bits of the other half keep their value."""
+        self.registers.set(self.power)
+        yield _WAKE_S
+        for setting in self.settings:
+            if setting.mask == 0xFF:
+                self.registers.poke(setting.register, setting.value)
+            else:
+                self.registers.change(setting)
+            self.registers.verify(setting)
+            yield 0.0
+        yield 2 / self.rate_hz
+
+    def mark(self, code: int) -> bool:
+        """Mark the die in the data byte of a slave that the auxiliary bus, which is off, would write to (INV-71).
+
+        Both halves of a die are given the same code.
+        """
+        setting = facts.I2C_SLV0_DO[7:0](code)
+        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
+        return True
+
+    def self_test(self) -> SelfTest:
+        """Change of the counts with the self-test on, in shares of the factory's, at the smallest range (INV-78)."""
+        self.configure()
+        trim = factory_change(self.registers.peek(self.trim, 3))
+        if not trim.all():
+            return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
+        self.registers.change(self.full_scale(0) | self.deflected(0))
+        before = self.readings(_SELF_TEST_SETTLE_S) / trim
+        self.registers.change(self.full_scale(0) | self.deflected(0b111))
+        during = self.readings(_SELF_TEST_SETTLE_S) / trim
+        self.configure()
+        text = f"changes by {{change}} of the factory's; {self.allowed}"
+        return compared(*upward(before, during), self.limits, text, still=0.05)
+
+
+class Mpu6500Accelerometer(_Half):
+    """Driver of the accelerometer of one MPU-6500."""
+
+    triad: ClassVar[slice] = slice(0, 6)
+    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
+    deflected: ClassVar[Field] = facts.ACCEL_SELF_TEST
+    trim: ClassVar[Register] = facts.SELF_TEST_X_ACCEL
+    limits: ClassVar[Limits] = ((0.5, 1.5),) * 3
+    allowed: ClassVar[str] = "0.5 to 1.5 allowed"
+
+
+class Mpu6500Gyroscope(_Half):
+    """Driver of the gyroscope of one MPU-6500."""
+
+    triad: ClassVar[slice] = slice(8, 14)
+    full_scale: ClassVar[Field] = facts.GYRO_RANGE
+    deflected: ClassVar[Field] = facts.GYRO_SELF_TEST
+    trim: ClassVar[Register] = facts.SELF_TEST_X_GYRO
+    limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
+    allowed: ClassVar[str] = "0.5 and more allowed"
+
+
+_IDENTITY_9250 = replace(facts.WHO_AM_I, reset=0x71)  # INV-70
+
+
+class Mpu9250Accelerometer(Mpu6500Accelerometer):
+    """Driver of the accelerometer of one MPU-9250."""
+
+    identity: ClassVar[Register] = _IDENTITY_9250
+
+
+class Mpu9250Gyroscope(Mpu6500Gyroscope):
+    """Driver of the gyroscope of one MPU-9250."""
+
+    identity: ClassVar[Register] = _IDENTITY_9250
