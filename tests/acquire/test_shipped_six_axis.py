@@ -117,3 +117,26 @@ def test_a_reset_die_is_set_up_again_by_either_half_and_the_other_is_left_alone(
         assert own in changed
         assert changed <= {own, *reset.data}
         assert page[own] == value
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "lsm6dso_pair" else (pytest.mark.slow,)) for name in SHIPPED],
+)
+def test_a_die_that_is_reset_while_it_is_logged_is_flagged_and_set_up_again(name: str, tmp_path: Path) -> None:
+    """Both halves; the readings that are not flagged stay within six deviations of the median of all."""
+    faults, path = tmp_path / "faults.toml", tmp_path / "run.h5"
+    faults.write_text('[[fault]]\nkind = "reset"\nsensor = "IMU2_acc"\nat_s = 2.0\n')
+    words = ["log", str(CONFIGS / f"{name}.toml"), "--bus", f"emulated:?faults={faults}", "-o", str(path)]
+    assert main([*words, "--seconds", "4"]) == 0
+    with open_log(path) as log:
+        events = {(event.sensor, event.kind) for event in log.events}
+        for half in ("acc", "gyro"):
+            sensor, other = log[f"IMU2_{half}"], log[f"IMU1_{half}"]
+            assert {(sensor.name, "configuration"), (sensor.name, "reconfigured")} <= events
+            good = np.asarray(sensor.status[:]) == 0
+            assert (sensor.time[:][~good].max() - sensor.time[:][~good].min()) < 1.2e9
+            assert good[-25:].all()
+            counts = sensor.counts[:][good]
+            assert (np.abs(counts - np.median(counts, axis=0)) <= 6 * other.counts[:].std(axis=0) + 1).all()
+            assert not np.asarray(other.status[:]).any()

@@ -1,0 +1,153 @@
+"""What six-axis chips do in time, beyond their golden conversations: torn readings, grids of samples, both halves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+
+from firmware_emulator.chip import Triple
+from firmware_emulator.chips import DIES
+from firmware_emulator.chips.icm42688 import Icm42688
+from firmware_emulator.chips.lsm6dso import Lsm6dso
+from firmware_emulator.chips.mpu6500 import Mpu6500
+from firmware_emulator.clock import VirtualClock
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Grid, SixAxis
+from firmware_emulator.wire import Wire
+
+MS = 1_000_000
+
+
+class Ramp:
+    """An element that feels `per_second` times the time in seconds along each axis."""
+
+    def __init__(self, per_second: float = 1.0) -> None:
+        self.per_second = per_second
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        return (at_ns * 1e-9 * self.per_second,) * 3
+
+    def temperature(self, at_ns: int) -> float:
+        return 25.0
+
+    def pressure(self, at_ns: int) -> float:
+        return 101325.0
+
+
+class Bench:
+    """A chip with both elements on a wire of its own, after some writes."""
+
+    def __init__(self, chip: SixAxis, *writes: str) -> None:
+        self.clock = VirtualClock()
+        self.wire = Wire(self.clock, 100_000)
+        self.chip = chip
+        self.wire.connect(chip)
+        for text in writes:
+            self.wire.transfer(chip.address, bytes.fromhex(text))
+
+    def read(self, register: int, count: int) -> bytes:
+        return self.wire.transfer(self.chip.address, bytes([register]), count)
+
+    def wait(self, ms: float) -> None:
+        self.clock.sleep_until(self.clock.now_ns() + round(ms * MS))
+
+
+def words(data: bytes, order: str) -> list[int]:
+    return [
+        int.from_bytes(data[at : at + 2], "little" if order == "<" else "big", signed=True)
+        for at in range(0, len(data), 2)
+    ]
+
+
+def lsm6dso(control: str) -> Bench:
+    """1666 Hz at 2 g, on a ramp of 39 counts a sample, so that a byte carries at every seventh."""
+    return Bench(Lsm6dso(0x6A, Ramp(4.0), half=ACCELEROMETER), control, "1080")
+
+
+@pytest.mark.parametrize(("control", "torn"), [("1204", True), ("1244", False)])
+def test_without_block_update_the_two_bytes_of_a_number_are_of_two_samples(control: str, torn: bool) -> None:
+    """LSM-13: at 100 kHz two bytes are 90 us apart, and a sample comes each 600 us. A number made of the high byte of
+    one and the low byte of another is off by 256 counts.
+    """
+    bench, found, steps = lsm6dso(control), [], 4.0 * 1000 / 0.061 / 1666
+    for _ in range(300):
+        bench.wait(0.73)
+        x, y, z = words(bench.read(0x28, 6), "<")
+        found += [abs(y - x), abs(z - y)]
+    assert (max(found) > 200) == torn
+    assert torn or max(found) <= steps + 1  # a sample may still come between two axes
+
+
+@pytest.mark.parametrize(
+    ("bench", "register", "order", "per_unit"),
+    [
+        (lambda: Bench(Icm42688(0x68, Ramp(), half=ACCELEROMETER), "5066", "4e0f"), 0x1F, ">", 16384.0),
+        (lambda: Bench(Mpu6500(0x68, Ramp(), half=ACCELEROMETER), "1a01"), 0x3B, ">", 16384.0),
+    ],
+    ids=["icm42688", "mpu6500"],
+)
+def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, order: str, per_unit: float) -> None:
+    """TDK-12, DEC-60, INV-75: at 100 kHz six bytes take half a millisecond, and a sample comes each millisecond."""
+    there = bench()
+    there.wait(100)
+    for _ in range(50):
+        there.wait(0.37)
+        x, y, z = words(there.read(register, 6), order)
+        assert x == y == z
+        assert x == pytest.approx(there.clock.now_ns() * 1e-9 * per_unit, abs=0.0021 * per_unit)
+
+
+def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
+    """LSM-11, LSM-15: the accelerometer at 104 Hz, the gyroscope at 416 Hz."""
+    chip = Lsm6dso(0x6A, Ramp(), half=ACCELEROMETER)
+    chip.take_element(GYROSCOPE, Ramp(20.0))
+    bench = Bench(chip, "1244", "1040", "1160")
+    fresh = [0, 0]
+    for _ in range(400):
+        bench.wait(0.1)
+        status = bench.read(0x1E, 1)[0]
+        for bit, register in ((0, 0x28), (1, 0x22)):
+            if status >> bit & 1:
+                fresh[bit] += 1
+                bench.read(register, 6)
+    seconds = bench.clock.now_ns() * 1e-9
+    assert fresh[0] == pytest.approx(104 * seconds, abs=2)
+    assert fresh[1] == pytest.approx(416 * seconds, abs=2)
+
+
+def test_the_stall_of_an_icm_42688_ends_after_two_milliseconds_and_comes_again_at_each_crossing() -> None:
+    """TDK-18, DEC-63: a ramp of 1000 dps a second passes 100 dps once; 1 kHz, 2000 dps."""
+    for control, held in (("4d91", True), ("4d51", False)):
+        bench = Bench(Icm42688(0x68, Ramp(1000.0), half=GYROSCOPE), control, "4e0c")
+        readings = []
+        while bench.clock.now_ns() < 130 * MS:
+            bench.wait(0.5)
+            readings.append(words(bench.read(0x25, 2), ">")[0])
+        steps = [b - a for a, b in pairwise(readings) if a != -32768]
+        assert (max(steps) > 25) == held  # 16.4 counts a sample
+
+
+def test_samples_fall_on_the_grid() -> None:
+    grid = Grid()
+    assert grid.take(10**12) is None
+    assert grid.set(100, 1000)
+    assert grid.take(1099) is None
+    assert grid.take(1100) == 1100
+    assert grid.take(2099) is None
+    assert grid.take(5500) == 5100
+    assert not grid.set(5600, 1000)
+    assert grid.take(6100) == 6100
+    assert not grid.set(6500, 2000)
+    assert grid.take(8499) is None
+    assert grid.take(8500) == 8500
+    grid.set(9000, 0)
+    assert grid.take(10**12) is None
+
+
+@pytest.mark.parametrize("name", DIES)
+def test_a_half_is_taken_once(name: str) -> None:
+    chip = DIES[name].build(0x68, Ramp(), half=ACCELEROMETER)
+    chip.take_element(GYROSCOPE, Ramp())
+    with pytest.raises(ValueError, match="two sensors are the gyroscope"):
+        chip.take_element(GYROSCOPE, Ramp())
