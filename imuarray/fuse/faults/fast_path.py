@@ -119,6 +119,12 @@ class WindowSeries:
             normal.relearn(learnt)
         return passed
 
+    def usual(self, index: int, normal: Normal) -> Floats:
+        """(m, 5) the mean regressors of a window, in which the triad is without what the biases make of it."""
+        result = self._usual[index].copy()
+        result[:, 1:4] -= self._gain @ normal.state[:, 0]
+        return result
+
     def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
         """Return what a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting`
         to be used again may agree with the others, or where this way does not tell.
@@ -136,8 +142,7 @@ class WindowSeries:
         squares = np.einsum("nm,nm->m", residual, residual) - products[0] * means
         if not (squares * self._precision).max() < self._limit:
             return None
-        usual = self._usual[index].copy()
-        usual[:, 1:4] -= offset
+        usual = self.usual(index, normal)
         aged = normal.aged()
         noise = normal.colour * normal.variance + self._jitter[index]
         doubt = noise / frames + np.matmul(usual[:, None, :], np.matmul(aged, usual[:, :, None]))[:, 0, 0]

@@ -204,9 +204,15 @@ class FaultIsolation:
         if self._silence.anybody or self._still.anybody or not all(exclusion.named for exclusion in self._out):
             return 0
         before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS
-        windows = windows[:before_baseline]
+        if before_baseline == 0:
+            usual = stretch.usual(windows.start, self._normal)
+            if not self._baseline.stays(stretch.included, usual, self._normal):
+                return 0
+        windows = windows[: before_baseline or _BASELINE_WINDOWS]
         passed = stretch.advance(windows, self._normal, [exclusion.axes for exclusion in self._out]) if windows else 0
         if passed:
+            if before_baseline == 0:
+                self._baseline.stayed(stretch.included)
             self._count += passed
             self._silence.all_heard(passed)
             self._still.moved(passed)

@@ -147,16 +147,10 @@ class Baseline:
         To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
         """
         self._settle(included, normal)
-        begun = included & (self._seen >= _SETTLED)
-        space = self._spaces(begun.astype(float))
-        if space is None or self._state is None or self._covariance is None:
+        shares = self._shares(included & (self._seen >= _SETTLED), usual, normal)
+        if shares is None:
             return None, 0.0
-        moved = np.where(begun, ((normal.state - self._state) * usual).sum(axis=1), 0.0)
-        unknown = np.einsum("mi,mij,mj->m", usual, self._covariance, usual)
-        deleted = space.deleted
-        departure = deleted @ moved
-        allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
-        share = np.where(space.observable, np.abs(departure) / allowed, 0.0)
+        share, departure, allowed = shares
         worst = int(share.argmax())
         if share[worst] < 1:
             return None, 0.0
@@ -164,6 +158,34 @@ class Baseline:
         sensors[worst // 3] = False
         gain = float((departure[worst] / allowed[worst] * _SIGMAS) ** 2)
         return Suspect((worst,), gain, "mean", tuple(np.flatnonzero(sensors).tolist())), float(departure[worst])
+
+    def stays(self, included: Booleans, usual: Floats, normal: Normal) -> bool:
+        """Return whether `departed` would only count the axes, all of which are where they may be: nobody has walked
+        off, and nobody settles.
+        """
+        seen = self._seen + included
+        if self._state is None or (included & (seen == _SETTLED)).any():
+            return False
+        shares = self._shares(included & (seen >= _SETTLED), usual, normal)
+        return shares is None or bool(shares[0].max() < 1)
+
+    def stayed(self, included: Booleans) -> None:
+        """Count the axes, as `departed` does, where they stay."""
+        self._seen += included
+
+    def _shares(self, begun: Booleans, usual: Floats, normal: Normal) -> tuple[Floats, Floats, Floats] | None:
+        """(m,) how far each axis has departed over what is allowed, how far that is, and what is allowed; None where
+        those that have `begun` do not tell.
+        """
+        space = self._spaces(begun.astype(float))
+        if space is None or self._state is None or self._covariance is None:
+            return None
+        moved = np.where(begun, ((normal.state - self._state) * usual).sum(axis=1), 0.0)
+        unknown = np.einsum("mi,mij,mj->m", usual, self._covariance, usual)
+        deleted = space.deleted
+        departure = deleted @ moved
+        allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
+        return np.where(space.observable, np.abs(departure) / allowed, 0.0), departure, allowed
 
     def send_back(self, axis: int, normal: Normal) -> None:
         """Forgets what `normal` learnt of an axis since it began: its walk is no calibration."""
