@@ -167,6 +167,9 @@ that tell the mean no more than where they are, which does no harm to its slope.
 
 _TIMES_USUAL = 4.0
 
+_CONSENSUS_BYTES = 1 << 17
+"""Of the readings on which frames agree at once: with what is made of them on the way they stay in the cache."""
+
 _FEW = 8
 """Sensors that are put in order by exchanges of neighbours, at most."""
 
@@ -175,12 +178,24 @@ def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> F
     """(n, 3) what the valid ones of the axes along `rows` (m, 3), in threes, agree on of `values` (n, m) in SI; NaN
     where they don't span space.
     """
+    mean = np.empty((len(values), 3))
+    at_once = max(1, _CONSENSUS_BYTES // (8 * len(rows)))
+    for start in range(0, len(values), at_once):
+        part = slice(start, start + at_once)
+        mean[part] = _agreed(values[part], valid[part], rows, quantity)
+    return mean
+
+
+def _agreed(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
+    """(n, 3) the `consensus` of a few frames."""
     mean = solve_frames(values, _equal_weights(valid), rows)
     apart = np.abs(values - mean @ rows.T)
     whole: Booleans = valid[:, 0::3] & valid[:, 1::3] & valid[:, 2::3]
     doubtful: Booleans = (apart > TOLERATED_SI[quantity] / 2) & valid
     checked: Booleans = np.asarray(whole.sum(axis=1) > 2)  # of two sensors none is more right than the other
     some = np.flatnonzero(doubtful.any(axis=1) & checked)
+    if len(some) == len(values):
+        return _limited(values, valid, whole, rows, TOLERATED_SI[quantity])
     if len(some):
         mean[some] = _limited(values[some], valid[some], whole[some], rows, TOLERATED_SI[quantity])
     return mean
