@@ -121,7 +121,7 @@ class WindowSeries:
 
     def usual(self, index: int, normal: Normal) -> Floats:
         """(m, 5) the mean regressors of a window, in which the triad is without what the biases make of it."""
-        result = self._usual[index].copy()
+        result: Floats = self._usual[index].copy()
         result[:, 1:4] -= self._gain @ normal.state[:, 0]
         return result
 
