@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chip import Chip, Element, Triple
 from firmware_emulator.tolerances import Sheet
-from imuarray.facts.registers import Register
+from imuarray.facts.registers import Field, Register
 
 ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
 NEVER_NS = 1 << 62
@@ -45,14 +45,48 @@ class Grid:
 
 class SixAxis(Chip):
     """Registers with two elements behind them: built with the one of `half`, it takes the other by `take_element`. A
-    half without element feels nothing.
+    half without element feels nothing. `identity` is what WHO_AM_I says, that of the part unless told otherwise.
     """
 
+    table: ClassVar[ModuleType]
+    who_am_i: ClassVar[Register]
+    reset_bit: ClassVar[Field]
+    reset_ns: ClassVar[int]
+
     def __init__(
-        self, address: int, facts: ModuleType, element: Element, powered_on_ns: int = 0, *, half: str = ACCELEROMETER
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        half: str = ACCELEROMETER,
+        identity: int | None = None,
     ) -> None:
         self._elements: dict[str, Element] = {half: element}
-        super().__init__(address, facts, element, powered_on_ns)
+        self._identity = self.who_am_i.reset if identity is None else identity
+        super().__init__(address, self.table, element, powered_on_ns)
+
+    def power_on(self, at_ns: int) -> None:
+        """Every register at its reset value, no reset in progress."""
+        super().power_on(at_ns)
+        self.page[self.who_am_i.address] = self._identity
+        self._reset_end_ns = at_ns
+
+    def begin_reset(self, address: int, value: int, at_ns: int) -> bool:
+        """Power on anew if this byte sets the reset bit, which then reads 1 until the reset is over."""
+        if address != self.reset_bit.register.address or not value & self.reset_bit.mask:
+            return False
+        pointer = self.pointer
+        self.power_on(at_ns)
+        self.pointer = pointer
+        self.page[address] |= self.reset_bit.mask
+        self._reset_end_ns = at_ns + self.reset_ns
+        return True
+
+    def end_reset(self, at_ns: int) -> None:
+        """Clear the reset bit if the reset is over."""
+        if at_ns >= self._reset_end_ns:
+            self.page[self.reset_bit.register.address] &= ~self.reset_bit.mask & 0xFF
 
     def take_element(self, half: str, element: Element) -> None:
         """Put the other element on the die; ValueError if this half has one."""

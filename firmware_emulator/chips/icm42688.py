@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple, registers_of
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import icm42688 as facts
-from imuarray.facts.registers import Field
+from imuarray.facts.registers import Field, Register
 
 RESET_NS = 1_000_000  # TDK-20
 INVALID = b"\x80\x00"  # TDK-13
@@ -45,21 +47,18 @@ class _Half:
 
 
 class Icm42688(SixAxis):
-    """The registers of three banks; `identity` is what WHO_AM_I says, `trim_code` what the factory stored."""
+    """The registers of three banks; `trim_code` is what the factory stored."""
+
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    reset_bit: ClassVar[Field] = facts.SOFT_RESET
+    reset_ns: ClassVar[int] = RESET_NS
 
     def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        half: str = ACCELEROMETER,
-        identity: int = facts.WHO_AM_I.reset,
-        trim_code: int = TRIM_CODE,
+        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
     ) -> None:
-        self._identity = identity
         self._trim_code = trim_code
-        super().__init__(address, facts, element, powered_on_ns, half=half)
+        super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Both halves off, every register of every bank at its reset value (TDK-10, TDK-11)."""
@@ -70,7 +69,6 @@ class Icm42688(SixAxis):
                 page[address] = register.reset
         for register in (facts.XG_ST_DATA, facts.XA_ST_DATA):
             self.banks[register.bank][register.address : register.address + 3] = bytes([self._trim_code] * 3)
-        self.page[facts.WHO_AM_I.address] = self._identity
         self._halves = {  # start-up times: TDK-21
             ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), Grid()),
             GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid()),
@@ -78,7 +76,6 @@ class Icm42688(SixAxis):
         self._flags = facts.INT_STATUS.reset
         self._rate_dps: Triple = (0.0, 0.0, 0.0)
         self._stalled_until_ns = 0
-        self._reset_end_ns = at_ns
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
@@ -142,7 +139,7 @@ class Icm42688(SixAxis):
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """One burst shows one instant (DEC-60)."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
 
@@ -155,14 +152,9 @@ class Icm42688(SixAxis):
             return flags
         return self.page[address]
 
-    def _wake_up(self, at_ns: int) -> None:
-        """The reset bit clears itself when the reset is over."""
-        if at_ns >= self._reset_end_ns:
-            self.page[facts.DEVICE_CONFIG.address] &= ~facts.SOFT_RESET.mask & 0xFF
-
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         bank = self._bank if address != facts.REG_BANK_SEL.address else 0
         if bank:
@@ -170,12 +162,7 @@ class Icm42688(SixAxis):
             if register is not None and register.access != "r":
                 self.banks[bank][address] = value & ~register.reserved & 0xFF
             return
-        if address == facts.DEVICE_CONFIG.address and value & facts.SOFT_RESET.mask:
-            pointer = self.pointer
-            self.power_on(at_ns)
-            self.pointer = pointer
-            self.page[address] |= facts.SOFT_RESET.mask
-            self._reset_end_ns = at_ns + RESET_NS
+        if self.begin_reset(address, value, at_ns):
             return
         super().store(address, value, at_ns)
         if address in (facts.PWR_MGMT0.address, facts.GYRO_CONFIG0.address, facts.ACCEL_CONFIG0.address):

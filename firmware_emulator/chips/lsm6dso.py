@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
+from typing import ClassVar
 
-from firmware_emulator.chip import Element, Triple
+from firmware_emulator.chip import Triple
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import lsm6dso as facts
@@ -44,30 +46,21 @@ class _Half:
 
 
 class Lsm6dso(SixAxis):
-    """The registers; `identity` is what WHO_AM_I says."""
+    """The registers."""
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        half: str = ACCELEROMETER,
-        identity: int = facts.WHO_AM_I.reset,
-    ) -> None:
-        self._identity = identity
-        super().__init__(address, facts, element, powered_on_ns, half=half)
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    reset_bit: ClassVar[Field] = facts.SW_RESET
+    reset_ns: ClassVar[int] = RESET_NS
 
     def power_on(self, at_ns: int) -> None:
         """Both halves off, every register at its reset value (LSM-10)."""
         super().power_on(at_ns)
-        self.page[facts.WHO_AM_I.address] = self._identity
         self._halves = {
             ACCELEROMETER: _Half(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY, Grid()),
             GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, Grid()),
         }
         self._held: dict[int, int] = {}
-        self._reset_end_ns = at_ns
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
@@ -111,7 +104,7 @@ class Lsm6dso(SixAxis):
 
     def load(self, address: int, at_ns: int) -> int:
         """A byte as it stands when it is fetched; with BDU a number's two bytes are of one sample (LSM-13)."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
             return 0  # pages of the embedded functions: DEC-71
@@ -138,23 +131,13 @@ class Lsm6dso(SixAxis):
             super().advance(pointer, reading) if facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]) else pointer
         )
 
-    def _wake_up(self, at_ns: int) -> None:
-        """The reset bit clears itself when the reset is over."""
-        if at_ns >= self._reset_end_ns:
-            self.page[facts.CTRL3_C.address] &= ~facts.SW_RESET.mask & 0xFF
-
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
             return
-        if address == facts.CTRL3_C.address and value & facts.SW_RESET.mask:
-            pointer = self.pointer
-            self.power_on(at_ns)
-            self.pointer = pointer
-            self.page[address] |= facts.SW_RESET.mask
-            self._reset_end_ns = at_ns + RESET_NS
+        if self.begin_reset(address, value, at_ns):
             return
         super().store(address, value, at_ns)
         if address == facts.CTRL3_C.address:

@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from struct import Struct
+from types import ModuleType
+from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6050 as facts
+from imuarray.facts.registers import Field, Register
 
 NEVER_NS = 1 << 62
 RESET_NS = 100_000_000  # INV-25
@@ -35,22 +38,19 @@ _FIFO = facts.FIFO_R_W.address
 
 
 class Mpu6050(SixAxis):
-    """The registers and the queue of 1024 bytes; `identity` is what WHO_AM_I says, 0x98 for a clone (INV-03)."""
+    """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03)."""
+
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    reset_bit: ClassVar[Field] = facts.DEVICE_RESET
+    reset_ns: ClassVar[int] = RESET_NS
 
     def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        half: str = ACCELEROMETER,
-        identity: int = facts.WHO_AM_I.reset,
-        trim_code: int = TRIM_CODE,
+        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
     ) -> None:
-        self._identity = identity
         self._trim_code = trim_code
         self._queue: deque[int] = deque(maxlen=FIFO_BYTES)
-        super().__init__(address, facts, element, powered_on_ns, half=half)
+        super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Asleep, every register at its reset value, the queue empty (INV-10, INV-25)."""
@@ -60,14 +60,12 @@ class Mpu6050(SixAxis):
         self.page[facts.SELF_TEST_X.address : facts.SELF_TEST_A.address + 1] = bytes(
             (high, high, high, low << 4 | low << 2 | low)
         )
-        self.page[facts.WHO_AM_I.address] = self._identity
         self._queue.clear()
         self._last_byte = 0
         self._count = 0
         self._flags = 0
         self._start_ns, self._period_ns = NEVER_NS, BASE_PERIOD_NS
         self._index = self._queued = -1
-        self._reset_end_ns = at_ns
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
@@ -138,7 +136,7 @@ class Mpu6050(SixAxis):
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """One burst shows one instant: the data registers stand still until STOP (INV-30)."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         data = bytes(self.page[_DATA.start : _DATA.stop])
         first = self.pointer - _DATA.start
@@ -173,21 +171,11 @@ class Mpu6050(SixAxis):
 
     # Writing --------------------------------------------------------------------------------------------------------
 
-    def _wake_up(self, at_ns: int) -> None:
-        """The reset bit clears itself when the reset is over."""
-        if at_ns >= self._reset_end_ns:
-            self.page[facts.PWR_MGMT_1.address] &= ~facts.DEVICE_RESET.mask & 0xFF
-
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
-        if address == facts.PWR_MGMT_1.address and value & facts.DEVICE_RESET.mask:
-            pointer = self.pointer
-            self.power_on(at_ns)
-            self.pointer = pointer
-            self.page[address] |= facts.DEVICE_RESET.mask
-            self._reset_end_ns = at_ns + RESET_NS
+        if self.begin_reset(address, value, at_ns):
             return
         if address == _FIFO:
             return  # bytes written to the queue are not modelled: DEC-41

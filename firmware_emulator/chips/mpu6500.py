@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from functools import partial
 from struct import Struct
+from types import ModuleType
+from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6500 as facts
+from imuarray.facts.registers import Field, Register
 
 RESET_NS = 100_000_000  # INV-71
 CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-77
@@ -32,30 +35,25 @@ _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
 class Mpu6500(SixAxis):
-    """The registers; `identity` is what WHO_AM_I says, 0x71 for an MPU-9250."""
+    """The registers; `identity` is 0x71 for an MPU-9250."""
+
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    reset_bit: ClassVar[Field] = facts.DEVICE_RESET
+    reset_ns: ClassVar[int] = RESET_NS
 
     def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        half: str = ACCELEROMETER,
-        identity: int = facts.WHO_AM_I.reset,
-        trim_code: int = TRIM_CODE,
+        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
     ) -> None:
-        self._identity = identity
         self._trim_code = trim_code
-        super().__init__(address, facts, element, powered_on_ns, half=half)
+        super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Awake, every register at its reset value (INV-71)."""
         super().power_on(at_ns)
         for register in (facts.SELF_TEST_X_GYRO, facts.SELF_TEST_X_ACCEL):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
-        self.page[facts.WHO_AM_I.address] = self._identity
         self._grid = Grid()
-        self._reset_end_ns = at_ns
         self._restart(at_ns)
 
     def _sync(self, at_ns: int) -> None:
@@ -90,7 +88,7 @@ class Mpu6500(SixAxis):
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """One burst shows one instant (INV-75)."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
 
@@ -101,21 +99,11 @@ class Mpu6500(SixAxis):
             self.page[address] = 0
         return byte
 
-    def _wake_up(self, at_ns: int) -> None:
-        """The reset bit clears itself when the reset is over."""
-        if at_ns >= self._reset_end_ns:
-            self.page[facts.PWR_MGMT_1.address] &= ~facts.DEVICE_RESET.mask & 0xFF
-
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""
-        self._wake_up(at_ns)
+        self.end_reset(at_ns)
         self._sync(at_ns)
-        if address == facts.PWR_MGMT_1.address and value & facts.DEVICE_RESET.mask:
-            pointer = self.pointer
-            self.power_on(at_ns)
-            self.pointer = pointer
-            self.page[address] |= facts.DEVICE_RESET.mask
-            self._reset_end_ns = at_ns + RESET_NS
+        if self.begin_reset(address, value, at_ns):
             return
         super().store(address, value, at_ns)
         if address == facts.USER_CTRL.address:

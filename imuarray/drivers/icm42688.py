@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -21,7 +20,7 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf, factory_change, upward
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register, Setting
 from imuarray.log.format import SATURATED, SUSPECT
@@ -34,20 +33,6 @@ _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-1
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
 _INVALID = -32768  # TDK-13
 _SELF_TEST_SETTLE_S = 0.2  # TDK-42
-_RELATIVES: Mapping[int, str] = MappingProxyType(
-    {
-        0x40: "an ICM-42600",
-        0x41: "an ICM-42602",
-        0x42: "an ICM-42605",
-        0x44: "an ICM-42686-P",
-        0x46: "an ICM-42622",
-        0x68: "an MPU-6050",
-        0x70: "an MPU-6500",
-        0x71: "an MPU-9250",
-        0x98: "an ICM-20689",
-    }
-)
-"""By identity, in the same register: TDK-03."""
 
 
 class _Half(SixAxisHalf):
@@ -55,7 +40,8 @@ class _Half(SixAxisHalf):
 
     first: ClassVar[Register] = facts.TEMP_DATA1
     identity: ClassVar[Register] = facts.WHO_AM_I
-    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    marked: ClassVar[Register] = facts.FIFO_CONFIG2  # the watermark of the queue, which is off: TDK-23
+    relatives: ClassVar[Mapping[int, str]] = INVENSENSE
     temperature: ClassVar[slice] = slice(0, 2)
     full_scale: ClassVar[Field]
     rate: ClassVar[Field]
@@ -74,7 +60,7 @@ class _Half(SixAxisHalf):
         high, low = divmod(square, 256)
         self.power = facts.PWR_MGMT0[7:0]((facts.GYRO_MODE(_LOW_NOISE) | facts.ACCEL_MODE(_LOW_NOISE)).value)
         self.range_setting = self._range_and_rate(ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.rate_hz])
-        self.shared: tuple[Setting, ...] = (
+        self.settings = (
             facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1)).value),
             facts.ADAPTIVE_RANGE(_ADAPTIVE_RANGE_OFF),
             facts.GYRO_FILTER_ORDER(_SECOND_ORDER),
@@ -92,7 +78,7 @@ class _Half(SixAxisHalf):
             facts.ACCEL_CONFIG_STATIC4[7:0]((facts.ACCEL_ANTI_ALIAS_SHIFT(shift)).value | high),
         )
         """Of banks 1 and 2, in this order."""
-        self.watched: tuple[Setting, ...] = (self._bank(0), self.power, self.range_setting, *self.shared)
+        self.watched = (self._bank(0), self.power, self.range_setting, *self.settings)
 
     def _range_and_rate(self, range_code: int, rate_code: int) -> Setting:
         return self.full_scale.register[7:0]((self.full_scale(range_code) | self.rate(rate_code)).value)
@@ -116,7 +102,7 @@ class _Half(SixAxisHalf):
 
     def _is_set(self) -> bool:
         """Whether the die measures with everything set that both halves share."""
-        if not all(self._holds(setting) for setting in (self.power, *self.shared)):
+        if not all(self._holds(setting) for setting in (self.power, *self.settings)):
             return False
         different = [setting for setting in self._filters_by_bank() if not self._holds(setting)]
         return not different
@@ -126,7 +112,7 @@ class _Half(SixAxisHalf):
 
     def _write_shared(self) -> None:
         """Bits that nobody names keep their value."""
-        for setting in chain(self.shared, self._filters_by_bank()):
+        for setting in chain(self.settings, self._filters_by_bank()):
             if setting.mask == 0xFF:
                 self.registers.poke(setting.register, setting.value)
             else:
@@ -142,12 +128,6 @@ class _Half(SixAxisHalf):
                 self.registers.set(self._bank(selected))
             yield setting
         self.registers.set(self._bank(0))
-
-    def mark(self, code: int) -> bool:
-        """Mark the die in the watermark of the queue, which is off (TDK-23). Both halves are given the same code."""
-        setting = facts.FIFO_CONFIG2[7:0](code)
-        self.shared, self.watched = (*self.shared, setting), (*self.watched, setting)
-        return True
 
     def self_test(self) -> SelfTest:
         """Change of the counts with the self-test on, in shares of the factory's (TDK-40 ... TDK-42)."""

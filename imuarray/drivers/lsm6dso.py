@@ -41,6 +41,7 @@ class _Half(SixAxisHalf):
 
     first: ClassVar[Register] = facts.OUT_TEMP_L
     identity: ClassVar[Register] = facts.WHO_AM_I
+    marked: ClassVar[Register] = facts.FIFO_CTRL1  # the watermark of the queue, which is off: LSM-18
     relatives: ClassVar[Mapping[int, str]] = _RELATIVES
     temperature: ClassVar[slice] = slice(0, 2)
     order: ClassVar[str] = "<i2"
@@ -57,7 +58,7 @@ class _Half(SixAxisHalf):
         super().__init__(bus, sensor, clock)
         self.sensitivity = sensor.spec.sensitivity
         full_scale = sensor.range or min(self.range_codes)
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.FUNC_CFG_ACCESS[7:0](0),
             facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
             facts.CTRL4_C[7:0](0),
@@ -67,7 +68,7 @@ class _Half(SixAxisHalf):
             facts.CTRL8_XL[7:0](0),
             self._range_and_rate(full_scale, _RATE_CODES[self.rate_hz]),
         )
-        self.watched: tuple[Setting, ...] = self.settings
+        self.watched = self.settings
 
     def _range_and_rate(self, full_scale: float, rate_code: int) -> Setting:
         value = (self.full_scale(self.range_codes[full_scale]) | self.rate(rate_code)).value
@@ -80,12 +81,6 @@ class _Half(SixAxisHalf):
             yield 0.0
         yield _START_S
         yield 2 / self.rate_hz
-
-    def mark(self, code: int) -> bool:
-        """Mark the die in the watermark of the queue, which is off (LSM-18). Both halves are given the same code."""
-        setting = facts.FIFO_CTRL1[7:0](code)
-        self.settings, self.watched = (setting, *self.settings), (*self.watched, setting)
-        return True
 
     def self_test(self) -> SelfTest:
         """Size of the change with the self-test on, in g or dps (LSM-20, LSM-21)."""

@@ -7,7 +7,6 @@ gyroscope, whose bytes are of one instant (INV-30), high byte first; 340 counts 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf
+from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register, Setting
 
@@ -27,15 +26,6 @@ _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
-_RELATIVES: Mapping[int, str] = MappingProxyType(
-    {
-        0x98: "a clone sold as MPU-6050 (an original says 68, an ICM-20689 says 98)",
-        0x70: "an MPU-6500",
-        0x71: "an MPU-9250",
-        0x73: "an MPU-9255",
-    }
-)
-"""By identity: what else is sold on boards for an MPU-6050 (INV-02, INV-03)."""
 
 
 class _Half(SixAxisHalf):
@@ -43,7 +33,10 @@ class _Half(SixAxisHalf):
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
     identity: ClassVar[Register] = facts.WHO_AM_I
-    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    marked: ClassVar[Register] = (
+        facts.I2C_SLV0_DO
+    )  # sent to a slave of a bus that is off: INV-23
+    relatives: ClassVar[Mapping[int, str]] = INVENSENSE
     temperature: ClassVar[slice] = slice(6, 8)
     full_scale: ClassVar[Field]
     deflected: ClassVar[Field]
@@ -54,14 +47,14 @@ class _Half(SixAxisHalf):
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_X_GYRO_CLOCK).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
             facts.CONFIG[7:0](facts.DLPF(filter_code).value),
             self.range_setting,
             facts.USER_CTRL[7:0](0),
         )
-        self.watched: tuple[Setting, ...] = (self.power, *self.settings)
+        self.watched = (self.power, *self.settings)
 
     def steps(self) -> Iterator[float]:
         """Wake the die, which sleeps after power-on (INV-25), wait until it measures, then write every setting."""
@@ -71,15 +64,6 @@ class _Half(SixAxisHalf):
             self.registers.set(setting)
             yield 0.0
         yield 2 / self.rate_hz
-
-    def mark(self, code: int) -> bool:
-        """Mark the die in the data byte of a slave that the auxiliary bus, which is off, would write to (INV-23).
-
-        Both halves of a die are given the same code.
-        """
-        setting = facts.I2C_SLV0_DO[7:0](code)
-        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
-        return True
 
     def self_test(self) -> SelfTest:
         """Change of the counts with the self-test on, in shares of the factory's: within 14 % (INV-45)."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -19,27 +18,14 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Limits, SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf, factory_change, upward
 from imuarray.facts import mpu6500 as facts
-from imuarray.facts.registers import Field, Register, Setting
+from imuarray.facts.registers import Field, Register
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
 _BEST_CLOCK = 1  # of a gyroscope once it runs: INV-71
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-72
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
-_RELATIVES: Mapping[int, str] = MappingProxyType(
-    {
-        0x47: "an ICM-42688-P",
-        0x68: "an MPU-6050 or MPU-9150",
-        0x70: "an MPU-6500",
-        0x71: "an MPU-9250",
-        0x73: "an MPU-9255",
-        0x74: "an MPU-6515",
-        0x78: "an MPU-6880",
-        0x98: "an ICM-20689, or a clone sold as MPU-6050",
-    }
-)
-"""By identity: INV-03, INV-70."""
 
 
 class _Half(SixAxisHalf):
@@ -47,7 +33,10 @@ class _Half(SixAxisHalf):
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
     identity: ClassVar[Register] = facts.WHO_AM_I
-    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    marked: ClassVar[Register] = (
+        facts.I2C_SLV0_DO
+    )  # sent to a slave of a bus that is off: INV-71
+    relatives: ClassVar[Mapping[int, str]] = INVENSENSE
     temperature: ClassVar[slice] = slice(6, 8)
     full_scale: ClassVar[Field]
     deflected: ClassVar[Field]
@@ -61,7 +50,7 @@ class _Half(SixAxisHalf):
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_BEST_CLOCK).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
             facts.CONFIG[7:0](facts.DLPF(filter_code).value),
@@ -70,7 +59,7 @@ class _Half(SixAxisHalf):
             self.range_setting,
             facts.USER_CTRL[7:0](0),
         )
-        self.watched: tuple[Setting, ...] = (self.power, *self.settings)
+        self.watched = (self.power, *self.settings)
 
     def steps(self) -> Iterator[float]:
         """Wake the die, wait until it measures, then write every setting; bits of the other half keep their value."""
@@ -84,15 +73,6 @@ class _Half(SixAxisHalf):
             self.registers.verify(setting)
             yield 0.0
         yield 2 / self.rate_hz
-
-    def mark(self, code: int) -> bool:
-        """Mark the die in the data byte of a slave that the auxiliary bus, which is off, would write to (INV-71).
-
-        Both halves of a die are given the same code.
-        """
-        setting = facts.I2C_SLV0_DO[7:0](code)
-        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
-        return True
 
     def self_test(self) -> SelfTest:
         """Change of the counts with the self-test on, in shares of the factory's, at the smallest range (INV-78)."""

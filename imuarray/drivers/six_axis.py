@@ -10,6 +10,7 @@ why each half fetches both. The one queue of a die can't serve two readers eithe
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -20,9 +21,27 @@ from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, DecodedBursts, carry_out, registers_for, saturated
 from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
-from imuarray.facts.registers import Register
+from imuarray.facts.registers import Register, Setting
 
 SELF_TEST_SAMPLES = 32
+INVENSENSE: Mapping[int, str] = MappingProxyType(
+    {
+        0x40: "an ICM-42600",
+        0x41: "an ICM-42602",
+        0x42: "an ICM-42605",
+        0x44: "an ICM-42686-P",
+        0x46: "an ICM-42622",
+        0x47: "an ICM-42688-P",
+        0x68: "an MPU-6050",
+        0x70: "an MPU-6500",
+        0x71: "an MPU-9250",
+        0x73: "an MPU-9255",
+        0x74: "an MPU-6515",
+        0x78: "an MPU-6880",
+        0x98: "a clone sold as MPU-6050 (an original says 68, an ICM-20689 says 98)",
+    }
+)
+"""What answers at 0x68 and 0x69, by identity, which all of these have in one register (INV-02, -03, -70, TDK-03)."""
 
 
 def factory_change(codes: bytes) -> Floats:
@@ -50,6 +69,8 @@ class SixAxisHalf:
     identity: ClassVar[Register]
     relatives: ClassVar[Mapping[int, str]] = {}
     """By identity: what else answers at these addresses, in words."""
+    marked: ClassVar[Register]
+    """A register on which nothing depends, to tell the die from its twins."""
     triad: ClassVar[slice]
     temperature: ClassVar[slice]
     order: ClassVar[str] = ">i2"
@@ -58,6 +79,8 @@ class SixAxisHalf:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
         self.rate_hz = sensor.chip_rate_hz
+        self.settings: tuple[Setting, ...] = ()
+        self.watched: tuple[Setting, ...] = ()
 
     def identify(self) -> None:
         """SensorError unless the identity is right; it names a relative or a clone as what it is."""
@@ -80,6 +103,12 @@ class SixAxisHalf:
     def steps(self) -> Iterator[float]:
         """Set this half up, and what both share."""
         raise NotImplementedError
+
+    def mark(self, code: int) -> bool:
+        """Mark the die. Both halves of a die are given the same code."""
+        setting = self.marked[7:0](code)
+        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
+        return True
 
     def readings(self, settle_s: float) -> Floats:
         """Counts (n, 3) for a self-test, the first of them after `settle_s`."""

@@ -84,7 +84,7 @@ def test_what_answers_is_proposed_as_it_is(name: str) -> None:
         ("icm42688x8", 0x68, "identity 68, an MPU-6050, expected 47"),  # INV-02: the same register
         ("lsm6dso_pair", 0x6A, "identity 6a, an LSM6DSL, LSM6DSM or LSM6DS3TR-C, expected 6c"),  # LSM-03: the kernel's
         ("mpu9250x4", 0x70, "identity 70, an MPU-6500, expected 71"),  # INV-70
-        ("mpu9250x4", 0x98, "identity 98, an ICM-20689, or a clone sold as MPU-6050, expected 71"),  # INV-03
+        ("mpu9250x4", 0x98, "identity 98, a clone sold as MPU-6050 .*, expected 71"),  # INV-03
         ("icm42688x8", 0x00, "identity 00, expected 47"),
     ],
 )
