@@ -110,7 +110,7 @@ class Case:
         ValueError if `truth` would lie beside the logs, OutputExistsError for a file that is there already.
         """
         if folder.resolve() == truth.resolve().parent:
-            raise ValueError(f"{truth}: the truth lies beside the logs; allowed is any other folder")
+            raise ValueError(f"{truth}: the truth is in the folder of the logs; choose another folder")
         if truth.exists() and not force:
             raise OutputExistsError(truth)
         folder.mkdir(parents=True, exist_ok=True)
@@ -277,10 +277,10 @@ def _describe(context: click.Context, _: click.Parameter, is_asked: bool) -> Non
 @click.option("--experiments", default=",".join(EXPERIMENTS), show_default=True, help="which, in this order")
 @click.option("--rate-hz", type=float, default=RATE_HZ, show_default=True, help="frames a second")
 @click.option("--only", metavar="NAME,...", help="read only these sensors")
-@click.option("--reference/--no-reference", default=True, help="whether the logs tell what the bench was told to do")
+@click.option("--reference/--no-reference", default=True, help="whether the logs contain the commanded motion")
 @click.option("--force", is_flag=True, help="overwrite")
 @click.option(
-    "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="tell of them, as JSON"
+    "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="list them as JSON"
 )
 def program(**options: Any) -> None:
     """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it.

@@ -123,11 +123,10 @@ def characterise(
         return Characterisation(
             characterise_log(
                 opened,
-                phase,
+                longest_rest(opened, phase) or phase,
                 list(sensors) or None,
                 estimator=estimator,
                 scales=scales,
-                stretch=longest_rest(opened, phase),
             )
         )
 

@@ -174,7 +174,7 @@ def test_detect_tells_what_is_wrong_and_exits_2(run: Run, here: Path) -> None:
     code, out, err = run("detect", "one.toml", "--bus", "emulated:?board=board.toml&errno=6")
     assert (code, err) == (2, [])
     assert "NO  trunk address 0x53" in out
-    assert "nobody acknowledges this address" in out
+    assert "no chip acknowledges this address" in out
     assert "?   trunk address 0x1d       not in the configuration     adxl345" in out
     assert out.splitlines()[-1] == "1 as configured, 1 not"
     code, out, _ = run("detect", "one.toml", "--bus", "emulated:?board=board.toml", "--json")
@@ -205,7 +205,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("log", "one.toml", "--bus", "emulated:?x=1", "-o", "r.h5"), "x: no such parameter"),
     (
         ("log", "one.toml", "--bus", "emulated:?board=other.toml", "-o", "r.h5", "--seconds", "1"),
-        "A (adxl345) at trunk address 0x53: nobody",
+        "A (adxl345) at trunk address 0x53: no chip acknowledges",
     ),
     ((*GOOD_LOG, "-o", "r.h5", "--seconds", "0"), "--seconds"),
     ((*GOOD_LOG, "-o", "r.h5", "--seconds", "x"), "--seconds"),

@@ -225,7 +225,7 @@ def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: flo
         clock_hz = int.from_bytes(path.read_bytes()[:4], "big")
     except OSError:
         clock_hz = 0
-    said = f"{clock_hz / 1000:g} kHz" if clock_hz else f"not told; {DEFAULT_HZ / 1000:g} kHz is usual"
+    said = f"{clock_hz / 1000:g} kHz" if clock_hz else f"unknown; {DEFAULT_HZ / 1000:g} kHz is usual"
     if array is None:
         return Check("bus clock", True, said)
     most_hz = (clock_hz or DEFAULT_HZ) / frame_clocks(array)
@@ -351,7 +351,7 @@ def _heard(talk: Callable[[], list[Check]]) -> list[Check]:
         return [Check("opening", False, str(error), "end the other program, or see the lines above")]
     except OSError as error:
         held = error.errno in (errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY)
-        advice = "somebody holds a wire low: unplug sensors one by one" if held else "look at wires and supply"
+        advice = "a device holds a wire low: unplug sensors one by one" if held else "look at wires and supply"
         return [Check("talking", False, f"{error.strerror or error} (errno {error.errno})", advice)]
 
 
@@ -361,7 +361,7 @@ def serial_checks(machine: Machine, device: str) -> list[Check]:
     there = sorted(f"/dev/{path.name}" for kind in ("ttyACM*", "ttyUSB*") for path in folder.glob(kind))
     if not device or not machine.path(device).exists():
         finding = f"{device or 'no port named'}; there are {', '.join(there) or 'none'}"
-        return [Check("port", False, finding, "plug it in with a cable that carries data; dmesg tells its name")]
+        return [Check("port", False, finding, "plug it in with a cable that carries data; dmesg shows its name")]
     checks = [Check("port", True, device), permission(machine, device)]
     names = (path.read_text(errors="replace").strip() for path in machine.path("/proc").glob("[0-9]*/comm"))
     if "ModemManager" in names:

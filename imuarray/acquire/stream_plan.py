@@ -179,7 +179,7 @@ _WHY = {
     0: "the conversion was not finished",
 }
 _KEPT = 1024
-LINK = "lost on the link, or the microcontroller came late"
+LINK = "lost on the link, or the microcontroller was late"
 
 
 class Readings(NamedTuple):

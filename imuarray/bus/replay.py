@@ -227,4 +227,4 @@ def _words(path: str, address: int, write: bytes, read: int) -> str:
 def _claimed(path: str, address: int) -> str:
     """The question whose an address is, in words."""
     where = f"{path} " if path else ""
-    return f"{where}{address:#04x}: whose is it"
+    return f"{where}{address:#04x}: owner query"

@@ -210,5 +210,5 @@ def outcome_of(payload: bytes, count: int, what: str) -> bytes:
         number = _ERRNO[payload[0]]
         raise OSError(number, f"{os.strerror(number)}: {what}")
     if len(payload) != 1 + count:
-        raise LinkError(f"{what}: {len(payload) - 1} bytes came; {count} were asked for")
+        raise LinkError(f"{what}: {len(payload) - 1} bytes received; {count} requested")
     return payload[1:]

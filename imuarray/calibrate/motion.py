@@ -100,6 +100,7 @@ def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
     if len(elsewhere) > 1:
         listed = ", ".join(names[place] for place in elsewhere[:5])
         raise CalibrationError(
-            f"{listed}: the box lay {np.median(degrees[elsewhere]):.0f} degrees otherwise than in the other runs; one"
+            f"{listed}: the box lay {np.median(degrees[elsewhere]):.0f} degrees away from its pose in the"
+            f" other runs; one"
             " pose is required"
         )

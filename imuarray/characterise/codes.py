@@ -139,7 +139,7 @@ def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDe
     """
     readings = int(seen.counts.sum())
     if readings == 0:
-        raise ValueError("a histogram without readings says nothing")
+        raise ValueError("a histogram needs readings")
     moments = _moments(seen, readings)
     std = moments[1]
     step = _step(seen.codes)

@@ -32,20 +32,18 @@ from imuarray.units import SI_NAME, SI_PER_UNIT
 Progress = Callable[[], None]
 
 
-# What can be chosen about one evaluation; `imuarray.characterise` offers the same by name.
 def characterise_log(
     log: Log,
-    phase: str | None = None,
+    phase: str | Stretch | None = None,
     sensors: Sequence[str] | None = None,
     progress: Progress | None = None,
     estimator: Estimator | None = None,
     scales: Mapping[str, Sequence[float]] = MappingProxyType({}),
-    stretch: Stretch | None = None,
 ) -> dict[str, Any]:
     """Noise of the triads of `log` (or of the `sensors` named, of any kind) in one stretch at rest.
 
-    `phase` names the stretch; without it the longest phase at rest is taken, else a `stretch` that somebody found to be
-    at rest, else the whole log; the result says which.
+    `phase` names the stretch; without a name the longest phase at rest is taken. If there is none, a `Stretch` that is
+    given in its place is taken, else the whole log; the result says which.
     `scales`: counts per unit of a sensor's axes (3,), where a calibration knows better than the data sheet.
     `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
     `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
@@ -53,9 +51,9 @@ def characterise_log(
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     if not chosen:
         raise LogError(f"{log.path}: no accelerometer, gyroscope or magnetometer in it")
-    chosen_stretch = choose_stretch(log, phase)
-    if chosen_stretch.phase is None and stretch is not None:
-        chosen_stretch = stretch
+    chosen_stretch = choose_stretch(log, None if isinstance(phase, Stretch) else phase)
+    if isinstance(phase, Stretch) and chosen_stretch.phase is None:
+        chosen_stretch = phase
     described = []
     for sensor in chosen:
         with sensor.in_memory():  # it is gone through several times

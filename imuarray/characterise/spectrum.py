@@ -91,7 +91,9 @@ class Welch:
         if not 0 < rate_hz < np.inf:
             raise ValueError(f"rate_hz is {rate_hz}, a positive number is required")
         if segment_rows < 16 or segment_rows % 2 or columns < 1:
-            raise ValueError(f"{segment_rows} rows, {columns} columns: an even number from 16, and at least 1, wanted")
+            raise ValueError(
+                f"{segment_rows} rows, {columns} columns: an even number from 16 on, and at least 1, are required"
+            )
         self._rate_hz, self._segment_rows = rate_hz, segment_rows
         kind = np.float32 if precision == "single" else np.float64
         self._window = _hann(segment_rows).astype(kind)

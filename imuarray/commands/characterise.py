@@ -103,12 +103,11 @@ def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
     with progress(columns, str(log.path)) as done:
         return characterise_log(
             log,
-            options.phase,
+            longest_rest(log, options.phase) or options.phase,
             sensors,
             lambda: done(next(count)),
             options.estimator,
             _scales(log, options.calibration),
-            longest_rest(log, options.phase),
         )
 
 

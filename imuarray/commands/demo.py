@@ -56,4 +56,4 @@ def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool)
         click.echo(f"  {line}")
     click.echo(f"  {result['gap']['sentence']}")
     pages = f"{result['report']} and {result['gap']['page']}"
-    click.echo(f"Open {pages}; the logs, the calibration and the fused results lie beside them.")
+    click.echo(f"Open {pages}; the logs, the calibration and the fused results are in the same folder.")

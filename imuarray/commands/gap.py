@@ -66,7 +66,7 @@ command.add_command(validate)
     type=click.IntRange(40, 10_000),
     default=64,
     show_default=True,
-    help="simulations by which chance is told from a gap; 40 do where nothing is strange",
+    help="simulations that separate chance from a gap; 40 are enough if all is normal",
 )
 @workers_option
 @click.option(

@@ -43,7 +43,7 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
     multiple=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="cases that somebody else wrote, with figures of their own (python -m pydoc imuarray.validation.case_folder)",
+    help="cases of other makers, with figures of their own (python -m pydoc imuarray.validation.case_folder)",
 )
 @click.option(
     "--half",
@@ -59,11 +59,11 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
     default="processes",
     show_default=True,
     metavar="processes|tcp://HOST:PORT",
-    help="who works: processes of this machine, or the Dask cluster of that scheduler",
+    help="workers: processes of this machine, or the Dask cluster of that scheduler",
 )
 @workers_option
 @click.option("--again", is_flag=True, help="try cases that failed once more")
-@click.option("--score-only", is_flag=True, help="open the truth of what is there; run nothing")
+@click.option("--score-only", is_flag=True, help="score the existing outcomes; run nothing")
 @json_option
 def validate(**options: Any) -> None:
     """Diagnose cases in which something is wrong that the diagnosis is not told, and score what it says.

@@ -68,7 +68,7 @@ class Registers:
         except OSError as error:
             if error.errno not in NOT_ACKNOWLEDGED:
                 raise SensorError(f"{self.label}: the bus fails: {error.strerror or error}") from error
-            raise SensorError(f"{self.label}: nobody acknowledges this address") from error
+            raise SensorError(f"{self.label}: no chip acknowledges this address") from error
         expected = bytes(register.reset for register in registers)
         if identity != expected:
             raise SensorError(f"{self.label}: identity {identity.hex(' ')}, expected {expected.hex(' ')}")

@@ -134,7 +134,7 @@ class _Half(SixAxisHalf):
         self.configure()
         trim = self._trim_counts()
         if not trim.all():
-            return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
+            return SelfTest(None, "this chip holds no factory trim to compare with")
         still = self._range_and_rate(self.self_test_range, _RATE_CODES[1000.0])
         self.registers.poke(still.register, still.value)
         before = self.readings(_SELF_TEST_SETTLE_S) / trim

@@ -70,7 +70,7 @@ class _Half(SixAxisHalf):
         self.configure()
         trim = self._trim_counts()
         if not trim.all():
-            return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
+            return SelfTest(None, "this chip holds no factory trim to compare with")
         still = self._self_test_range()
         self.registers.poke(still.register, still.value)
         before = self.readings(_SELF_TEST_SETTLE_S) / trim

@@ -88,7 +88,7 @@ class SixAxisHalf:
             identity = self.registers.peek(self.identity)[0]
         except OSError as error:
             if error.errno in NOT_ACKNOWLEDGED:
-                raise SensorError(f"{self.registers.label}: nobody acknowledges this address") from error
+                raise SensorError(f"{self.registers.label}: no chip acknowledges this address") from error
             raise SensorError(f"{self.registers.label}: the bus fails: {error.strerror or error}") from error
         if identity != self.identity.reset:
             what = f", {self.relatives[identity]}" if identity in self.relatives else ""

@@ -102,10 +102,10 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
         done = iter(range(1, 3 * len(names) + 1))
         return characterise_log(
             log,
-            sensors=names,
+            longest_rest(log),
+            names,
             progress=lambda: progress(next(done, 0) / (3 * len(names))),
             scales=_scales(log, names, request.calibration or Calibration()),
-            stretch=longest_rest(log),
         )
 
 

@@ -78,6 +78,7 @@ def technique_names() -> tuple[str, ...]:
     return NAMES
 
 
+# What is compared, who follows it and which processes take part are independent of one another, and keyword-only.
 def compare(
     log: Log,
     calibration: Calibration,

@@ -236,7 +236,7 @@ def _track_of(log: Log) -> Track:
     """Return the log's track of the motion; FusionError if it has none."""
     track = log.truth or log.reference
     if track is None:
-        raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
+        raise FusionError(f"{log.path}: has neither /truth nor /reference to compare with")
     return track
 
 

@@ -109,7 +109,7 @@ def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
     files: Files = {}
     for name, table, rows in _texts(file, path, CSV_INDEX):
         if Path(name).name != name or "\0" in name or "\\" in name or not rows.isascii() or not rows.isdigit():
-            raise SourceError(f"{path}: {printable(name)[:80]!r}: its files are beside it, and have rows")
+            raise SourceError(f"{path}: {printable(name)[:80]!r}: its files must be in the same folder, and have rows")
         files[table] = (path.with_name(name), int(rows[:18]))
     wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.groups, "phases", "events"}
     if set(files) != wanted:
@@ -143,7 +143,7 @@ class _Tables:
         regular file.
         """
         if not path.is_file():
-            raise SourceError(f"{path}: no such file, though {self._path.name} says so")
+            raise SourceError(f"{path}: no such file, although {self._path.name} names it")
         file = open_source(path, self._output)
         if not _has_comments(file):
             return file, 0
@@ -174,7 +174,7 @@ class _Tables:
                 self._progress(min(1.0, self._done / self._total))
                 yield columns
         if wanted is not None and count != wanted:
-            raise SourceError(f"{path}: {count} rows, where {self._path.name} says {wanted}")
+            raise SourceError(f"{path}: {count} rows, {self._path.name} states {wanted}")
 
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:

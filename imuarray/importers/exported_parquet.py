@@ -55,7 +55,7 @@ def import_file(
         listed = _texts(path, CSV_INDEX)
         files = {str(table): path.with_name(str(name)) for name, table, _ in listed}
         if any(Path(str(name)).name != name for name, _, _ in listed):
-            raise SourceError(f"{path}: names a file of another folder; its files are beside it")
+            raise SourceError(f"{path}: names a file of another folder; its files must be in the same folder")
     wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | set(head.groups)
     if missing := wanted - set(files):
         raise SourceError(f"{path}: holds no {printable(min(missing))}")

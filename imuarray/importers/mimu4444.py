@@ -157,7 +157,10 @@ class _Recording:
             "lost", np.flatnonzero(steps > 1), at, lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}"
         )
         self._tell(
-            "repeated", np.flatnonzero(steps == 0), at, lambda i: f"packet {number[i]} came twice; left out once"
+            "repeated",
+            np.flatnonzero(steps == 0),
+            at,
+            lambda i: f"packet {number[i]} was received twice; one is left out",
         )
         self._tell("clock", jumps, at, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}")
         self._tell(

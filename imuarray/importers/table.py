@@ -399,7 +399,7 @@ class _Stream:
     def remarks(self) -> Iterator[str]:
         """Return what was changed or left out, as sentences."""
         if self.padding:
-            yield f"{counted(self.padding, 'row')} of nothing but zeros, time too, left out: padding"
+            yield f"{counted(self.padding, 'row')} of zeros only, time included, left out as padding"
         if self._clock.tied:
             yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
         if self._clock.wrapped:

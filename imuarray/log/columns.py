@@ -67,7 +67,7 @@ class NamedColumn:
         else:
             start, stop = 0, len(self)
         which = f"row {start} is" if stop == start + 1 else f"rows {start} to {stop - 1} are"
-        return LogError(f"{self._where}: {which} damaged (imuarray verify tells all)")
+        return LogError(f"{self._where}: {which} damaged (imuarray verify lists all)")
 
 
 class Column:
@@ -183,7 +183,7 @@ def clocks_of(group: Any, where: str) -> ClockTrack:
     if any(not isinstance(column, DATASET) or column.dtype.kind != "i" for column in columns) or (
         len({column.shape for column in columns}) != 1
     ):
-        raise LogError(f"{where} lacks a column, or they differ in length")
+        raise LogError(f"{where} is missing a column, or its columns differ in length")
     return ClockTrack(*_named(columns, where))
 
 

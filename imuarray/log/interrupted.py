@@ -250,7 +250,7 @@ def _content(
     losses = committed.check() if thorough or journal is None else []
     if journal is None:
         tail: list[Columns] = [group.joined([]) for group in groups]
-        losses.append(f"its journal {journal_of(path).name} {why}: rows since the last commit are not here")
+        losses.append(f"its journal {journal_of(path).name} {why}: rows since the last commit are missing")
     else:
         mark = commits[-1].mark if commits else None
         tail = journal.columns(journal.records(mark, _newest_ns(groups, committed)))

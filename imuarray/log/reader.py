@@ -188,7 +188,7 @@ class Log:
         try:
             values = [[_plain(value) for value in read_texts(group[column])] for column in columns]
         except DAMAGE:
-            raise LogError(f"{self.path}: group {name} lacks one of the columns {', '.join(columns)}") from None
+            raise LogError(f"{self.path}: group {name} is missing one of the columns {', '.join(columns)}") from None
         if len({len(column) for column in values}) != 1:
             raise LogError(f"{self.path}: group {name} has columns of different lengths")
         for index, column in enumerate(values):

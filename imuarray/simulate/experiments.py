@@ -79,7 +79,7 @@ def motion(wanted: ExperimentOptions) -> Motion:
             )
         moved = load_trajectory(Path(wanted.drive))
         if wanted.seconds is not None and wanted.seconds > moved.seconds + 1e-9:
-            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are required of it")
+            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are required")
         return moved
     return DRIVES[wanted.drive](wanted)
 

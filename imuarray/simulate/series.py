@@ -70,9 +70,9 @@ def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -
     triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
     ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
     if ideal:
-        yield f"model {model.name} says nothing of {', '.join(ideal)}: simulated as ideal"
+        yield f"model {model.name} has no parameters for {', '.join(ideal)}: simulated as ideal"
     idle = sorted({part.name for part in model.sensors} - set(plan.sensors))
     if idle and len(idle) == len({part.name for part in model.sensors}):
         yield f"model {model.name}: its sensors {', '.join(idle)} are not in this array"
     if log is not None and log.truth is None and log.reference is None:
-        yield f"{log.path} does not say how the box moved: it lies still on the faces of its phases"
+        yield f"{log.path} does not say how the box moved: simulated at rest on the faces of its phases"

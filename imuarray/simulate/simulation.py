@@ -76,7 +76,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
         if len(sensor)
     }
     if not sensors:
-        raise LogError(f"{log.path}: nothing was read in it")
+        raise LogError(f"{log.path}: has no readings")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
     period_ns = round(1e9 / _FRAMES_LIKE_HZ)
     flags = IMPORTED_FLAGS if log.source == "imported" else EVERY_FLAG

@@ -39,7 +39,7 @@ def test_the_papers_array() -> None:
 def test_missing(an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
     lines = found(an_array(A=0, B=1), an_array(A=0), tmp_path, number)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
-    assert lines[2] == Detection("channel 1 address 0x40", "B", "bma180", "nobody acknowledges this address", False)
+    assert lines[2] == Detection("channel 1 address 0x40", "B", "bma180", "no chip acknowledges this address", False)
 
 
 def test_wrong(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:

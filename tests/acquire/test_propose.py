@@ -53,7 +53,7 @@ class Chips:
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         if address not in self.registers:
-            raise OSError(121, "nobody acknowledges this address")
+            raise OSError(121, "no chip acknowledges this address")
         if write:
             self.pointers[address] = write[0]
         first = self.pointers[address]

@@ -388,7 +388,7 @@ class TestNothingIsWritten:
         with (
             open_bus(f"emulated:?errno={number}&board={tmp_path / 'board.toml'}", array) as bus,
             pytest.raises(
-                SensorError, match=r"^B \(bma180\) at channel 1 address 0x40: nobody acknowledges this address$"
+                SensorError, match=r"^B \(bma180\) at channel 1 address 0x40: no chip acknowledges this address$"
             ),
         ):
             record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)

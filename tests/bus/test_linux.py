@@ -296,7 +296,7 @@ def test_both_errnos_mean_that_nobody_is_there(served: Any, number: int) -> None
     board, _ = board_of(ON_TRUNK, nack_errno=number)
     served(board)
     other = parse_array(ON_TRUNK.replace("0x53", "0x1D"))
-    with LinuxBus(ROOT) as bus, pytest.raises(SensorError, match="nobody acknowledges this address"):
+    with LinuxBus(ROOT) as bus, pytest.raises(SensorError, match="no chip acknowledges this address"):
         connect(other, bus)
 
 

@@ -80,7 +80,7 @@ def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.Captur
 def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
     tilts = (0.0, 1.0, 30.0, 0.5, 40.0)
     logs = [open_log(record(tmp_path / f"{i}.h5", leaning(tilt), i)) for i, tilt in enumerate(tilts)]
-    with pytest.raises(CalibrationError, match=r"run 3, .*2\.h5, run 5, .*4\.h5: the box lay 3\d degrees otherwise"):
+    with pytest.raises(CalibrationError, match=r"run 3, .*2\.h5, run 5, .*4\.h5: the box lay 3\d degrees away"):
         calibrate_turn_on(logs)
     for log in logs:
         log.close()

@@ -133,5 +133,5 @@ def test_narrow_and_constant_say_nothing_of_parity() -> None:
     found = of(np.full(100, 7))
     assert (found.mean, found.std, found.step, found.usual_step, found.missing_codes) == (7, 0, 0, 0, 0)
     assert np.isnan([found.skewness, found.excess_kurtosis, found.even_p]).all()
-    with pytest.raises(ValueError, match="without readings"):
+    with pytest.raises(ValueError, match="needs readings"):
         code_density(NOTHING)

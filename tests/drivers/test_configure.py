@@ -373,7 +373,7 @@ class TestIdentity:
             made.wire.reroute()
             made.wire.nack_errno = number
             with pytest.raises(
-                SensorError, match=rf"^S \({chip}\) at trunk address {address:#04x}: nobody acknowledges this address$"
+                SensorError, match=rf"^S \({chip}\) at trunk address {address:#04x}: no chip acknowledges this address$"
             ):
                 made.driver.identify()
 

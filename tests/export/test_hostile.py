@@ -170,12 +170,12 @@ def test_damage_is_told_in_a_line(tmp_path: Path, members: Members, data: st.Dat
 
 
 CSV_BAD = {
-    "a path": ("r.csv", "r_Acc.csv,", "../r_Acc.csv,", "its files are beside it"),
-    "a whole path": ("r.csv", "r_Acc.csv,", "/etc/passwd,", "its files are beside it"),
+    "a path": ("r.csv", "r_Acc.csv,", "../r_Acc.csv,", "its files must be in the same folder"),
+    "a whole path": ("r.csv", "r_Acc.csv,", "/etc/passwd,", "its files must be in the same folder"),
     "a file that is not there": ("r.csv", "r_Acc.csv,", "r_Bcc.csv,", "no such file"),
     "another file": ("r.csv", "r_Acc.csv,", "run.h5,", "no column 'time_s'"),
     "a row less": ("r.csv", "sensors/Acc,5", "sensors/Acc,6", "5 rows, where r.csv says 6"),
-    "no rows": ("r.csv", "sensors/Acc,5", "sensors/Acc,many", "its files are beside it"),
+    "no rows": ("r.csv", "sensors/Acc,5", "sensors/Acc,many", "its files must be in the same folder"),
     "no such table": ("r.csv", "sensors/Acc,5", "sensors/Bcc,5", "its list and its header differ"),
     "a cell of text": ("r_Acc.csv", "8191", "lots", "line 3, column counts_y: 'lots' is no number of type int16"),
     "too large a count": ("r_Acc.csv", "8191", "81910", "line 3, column counts_y: '81910' is no number of type int16"),

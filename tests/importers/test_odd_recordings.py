@@ -245,7 +245,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         edited(lambda lines: [*lines, *["0,0,0,0,0,0,0"] * 300]),
         MAP,
         0,
-        ["2000 rows each", "300 rows of nothing but zeros, time too, left out: padding"],
+        ["2000 rows each", "300 rows of zeros only, time included, left out as padding"],
     ),
     "decimal commas": (
         joined(plain()).replace(b",", b";").replace(b".", b","),

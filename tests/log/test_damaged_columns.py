@@ -70,7 +70,7 @@ def test_damaged_columns_stay_on_the_disk_and_are_named_by_who_reads_them(small:
 def test_damaged_rows_are_named(small: Path, key: object, rows: str) -> None:
     with open_log(flip_a_bit(small, "sensors/Acc/counts")) as log, pytest.raises(LogError) as refused:
         log["Acc"].counts[key]
-    assert str(refused.value) == f"{small}, sensor Acc: counts: {rows} damaged (imuarray verify tells all)"
+    assert str(refused.value) == f"{small}, sensor Acc: counts: {rows} damaged (imuarray verify lists all)"
 
 
 def test_so_are_those_of_the_truth(small: Path) -> None:

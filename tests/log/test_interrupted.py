@@ -160,7 +160,7 @@ def test_it_is_recovered_elsewhere(run: Path, tmp_path: Path) -> None:
 def test_without_its_journal_it_is_good_up_to_the_last_commit(run: Path) -> None:
     journal_of(run).unlink()
     with pytest.warns(
-        LogWarning, match="its journal run.h5.journal is missing: rows since the last commit are not here"
+        LogWarning, match="its journal run.h5.journal is missing: rows since the last commit are missing"
     ):
         check(run, 210)
     recover(run, force=True)
@@ -178,7 +178,7 @@ def check_damaged(path: Path, rows: int) -> None:
 def test_without_its_journal_it_is_not_called_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     journal_of(run).unlink()
     before = run.read_bytes()
-    missing = "its journal run.h5.journal is missing: rows since the last commit are not here"
+    missing = "its journal run.h5.journal is missing: rows since the last commit are missing"
     assert main(["verify", str(run)]) == 2
     assert missing in capsys.readouterr().err
     assert main(["info", str(run)]) == 0

@@ -191,7 +191,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
             "sensor Acc: attribute position_mm",
         ),
         (replace("sensors/Acc", np.arange(3)), "sensor Acc: "),
-        (delete("phases/name"), "group phases lacks one of the columns start, end, name, up"),
+        (delete("phases/name"), "group phases is missing one of the columns start, end, name, up"),
         (replace("events/time", [1, 2]), "group events has columns of different lengths"),
         (replace("phases", 5), "group phases"),
         (replace("phases/start", 5), "group phases"),

@@ -203,7 +203,7 @@ def test_what_a_model_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureF
         simulate("martin2013", "--model", model, "--only", "Gyro1,BMA1", "--seconds", 2, "-o", tmp_path / "r.h5") == 0
     )
     said = capsys.readouterr().err
-    assert "model small says nothing of BMA1, Gyro1: simulated as ideal" in said
+    assert "model small has no parameters for BMA1, Gyro1: simulated as ideal" in said
     assert "its sensors Gyro7 are not in this array" in said
 
 

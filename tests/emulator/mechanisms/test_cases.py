@@ -110,7 +110,7 @@ def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
 @pytest.mark.slow
 def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
     case = Case.of(ARRAY, SHORT[:1])
-    with pytest.raises(ValueError, match="beside the logs"):
+    with pytest.raises(ValueError, match="in the folder of the logs"):
         case.write(tmp_path, tmp_path / "truth.json")
     case.write(tmp_path / "logs", tmp_path / "truth.json")
     with pytest.raises(OutputExistsError):
