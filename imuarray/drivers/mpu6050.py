@@ -33,9 +33,7 @@ class _Half(SixAxisHalf):
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
     identity: ClassVar[Register] = facts.WHO_AM_I
-    marked: ClassVar[Register] = (
-        facts.I2C_SLV0_DO
-    )  # sent to a slave of a bus that is off: INV-23
+    marked: ClassVar[Register] = facts.I2C_SLV0_DO  # sent to a slave of a bus that is off: INV-23
     relatives: ClassVar[Mapping[int, str]] = INVENSENSE
     temperature: ClassVar[slice] = slice(6, 8)
     full_scale: ClassVar[Field]

@@ -411,7 +411,10 @@ def test_questions_whose_an_address_is_are_recorded(tmp_path: Path) -> None:
     with ReplayBus(tmp_path / "t.jsonl") as replay:
         assert ask(replay) == first == ["", "OSError 16", "SensorError belongs to the kernel"]
         replay.finished()
-    with ReplayBus(tmp_path / "t.jsonl") as replay, pytest.raises(SensorError, match="line 1: recorded 0x1e: owner query"):
+    with (
+        ReplayBus(tmp_path / "t.jsonl") as replay,
+        pytest.raises(SensorError, match="line 1: recorded 0x1e: owner query"),
+    ):
         replay.transfer(0x1E)
     with RecordingBus(Script([]), tmp_path / "u.jsonl") as bus:
         assert not hasattr(bus, "claim")
