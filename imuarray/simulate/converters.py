@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.chips import CHIPS
+from imuarray.chips import CHIPS, die_of
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.signal import Analog, Codes, Counts
 
@@ -87,7 +87,7 @@ def adxl345_bandwidth_hz(rate_hz: float) -> float:
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32; 16 bits elsewhere."""
+    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; 16 bits elsewhere."""
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)
@@ -96,6 +96,8 @@ def code_span(sensor: SensorHeader) -> CodeSpan:
         return CodeSpan(-8192, 8191)
     if sensor.chip in ("hmc5883", "hmc5883l"):
         return CodeSpan(-2048, 2047, beyond=-4096)
+    if die_of(sensor.chip) == "icm42688":
+        return CodeSpan(-32767, 32767)
     return CodeSpan(-32768, 32767)
 
 

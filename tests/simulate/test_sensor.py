@@ -77,6 +77,26 @@ def test_codes_end_at_the_span_and_are_flagged(constant: Any, chip: str, force: 
     assert (block.status & SATURATED).all()
 
 
+@pytest.mark.parametrize(
+    ("chip", "address", "lowest", "degc", "temperature"),
+    [
+        ("icm42688", 0x68, -32767, 35.0, 1325),  # -32768 is no reading: TDK-13; 132.48 a degC above 25: TDK-32
+        ("lsm6dso", 0x6A, -32768, 35.0, 2560),  # LSM-32
+        ("mpu9250", 0x68, -32768, 31.0, 3339),  # 333.87 a degC above 21: INV-76
+        ("mpu6050", 0x68, -32768, 36.0, -181),  # -521 at 35 degC and 340 a degC: INV-42
+    ],
+)
+def test_six_axis_chips_end_at_their_span_and_tell_their_temperature(
+    constant: Any, chip: str, address: int, lowest: int, degc: float, temperature: int
+) -> None:
+    motion = constant(force_box=(-99.0, 99.0, 0.0), temperature_degc=degc)
+    block = sensor(motion, f"{chip}_acc", settings_of_chip=f"address = {address}\nrange = 4").block(0, 1)
+    assert block.counts.tolist() == [[lowest, 32767, 0]]
+    assert block.status[0] & SATURATED
+    assert block.temperature_counts is not None
+    assert block.temperature_counts.tolist() == [temperature]
+
+
 def test_a_magnetometer_beyond_its_span_says_so(constant: Any) -> None:
     block = sensor(constant(field_box=(2.0, 0.0, 0.0)), "hmc5883l").block(0, 1)
     assert block.counts[0, 0] == -4096  # HMC-32
