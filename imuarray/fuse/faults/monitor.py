@@ -122,7 +122,7 @@ class FaultMonitor:
                     passed = self._isolation.advance(stretch, range(number - begin, last - begin))
                     self._masks += [stretch.out.copy() for _ in range(passed)]
                     number += passed
-                    if number == last:
+                    if passed:
                         continue
             self._masks.append(np.zeros(held.valid.shape[1], bool))
             masks, out = self._masks[-2:], self._isolation.out
