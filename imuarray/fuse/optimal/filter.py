@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Booleans, Floats, Times
+from imuarray.arrays import Booleans, Floats, Indices, Times
 from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, segment_view, solve
 from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
 from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
@@ -66,8 +66,11 @@ class Dynamics:
     def _changes(self, time: Times, triad: Floats) -> Floats:
         """(n,) squares of the change per second; 0 where nothing is known yet."""
         times, triads = np.concatenate([self._time, time]), held(np.concatenate([self._triad, triad]))
-        now = np.arange(len(self._time), len(times))
-        then = np.maximum(now - self._back, 0)
+        now: slice | Indices = slice(len(self._time), len(times))
+        then: slice | Indices = slice(len(times) - self._back)
+        if len(self._time) < self._back:  # of the first frames none is so far back
+            now = np.arange(len(self._time), len(times))
+            then = np.maximum(now - self._back, 0)
         self._time, self._triad = times[-self._back :], triads[-self._back :]
         seconds = np.maximum((times[now] - times[then]) * 1e-9, 1e-9)
         return np.asarray(np.nan_to_num(((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2))

@@ -51,8 +51,8 @@ class Adjoint(NamedTuple):
 
 def predicted(before: Normal, remaining: Floats, added: Floats) -> Normal:
     """The states a while later: `left` (n,) of each, and `added` (n,) new variance."""
-    covariance = before.covariance * np.outer(remaining, remaining)
-    covariance[np.diag_indices_from(covariance)] += added
+    covariance = before.covariance * (remaining[:, None] * remaining)
+    covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
     return Normal(before.mean * remaining, covariance)
 
 
