@@ -11,7 +11,7 @@ _SHELLS = ("bash", "zsh", "fish")
 @click.command("completion")
 @click.argument("shell", type=click.Choice(_SHELLS))
 def command(shell: str) -> None:
-    """A script for SHELL that completes commands, options and file names.
+    """Print a script for SHELL that completes commands, options and file names.
 
     \b
     imuarray completion bash > ~/.local/share/bash-completion/completions/imuarray

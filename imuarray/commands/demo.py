@@ -33,7 +33,7 @@ from imuarray.shipped import find_config
 def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool) -> None:
     """Record the emulated paper array, calibrate it, fuse it, diagnose it, and write report.html.
 
-    No hardware is needed: the chips are emulated to the register, and the drivers do not know.
+    No hardware is needed: the chips are emulated register by register.
 
     \b
     imuarray demo -o demo

@@ -43,14 +43,14 @@ command.add_command(validate)
     "--model",
     "model_name",
     metavar="MODEL",
-    help="what the simulator has: a model file, or one that comes with the package: datasheet, martin2013 (default: "
-    "what the data sheets of the log's chips say)",
+    help="the simulator's model: a file, or one that comes with the package: datasheet, martin2013 (default: the data "
+    "sheets of the log's chips)",
 )
 @click.option(
     "--without",
     default="",
     metavar="EFFECT,...",
-    help="take these effects out of the library of causes (imuarray simulate --effects lists them)",
+    help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
 )
 @click.option("--only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
 @click.option(
@@ -58,9 +58,9 @@ command.add_command(validate)
     multiple=True,
     metavar="EARLIER.h5",
     type=click.Path(path_type=Path),
-    help="an earlier log of the same array, in the simulator's place: what has changed since then (may be repeated)",
+    help="an earlier log of the same array, to find what has changed since then (may be repeated)",
 )
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
+@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
 @click.option(
     "--replicates",
     type=click.IntRange(40, 10_000),
@@ -79,12 +79,12 @@ command.add_command(validate)
 @force_option
 @json_option
 def diagnose(**options: Any) -> None:
-    """Compare recorded logs with what the simulator says such logs should look like, and name the causes.
+    """Compare recorded logs with simulated replicates of them, and name the causes of the differences.
 
-    Logs of one array, of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to one part
-    of them; what is said of causes is judged on the rest. Without --model the simulator has what the data sheets of the
-    chips in the log's configuration say, with noise, bias and temperature slope as fitted. With --against the question
-    is what has changed since an earlier log: parameters are fitted to that one, and what it shows is no difference.
+    The logs are of one array and of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to
+    one part of them; causes are judged on the rest. Without --model the simulator uses the data sheets of the chips in
+    the log's configuration, with fitted noise, bias and temperature slope. --against asks what has changed since an
+    earlier log: parameters are fitted to that log, and what it shows already is no difference.
 
     \b
     imuarray gap diagnose static.h5 tumble.h5 -o gap

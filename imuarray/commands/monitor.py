@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 )
 @click.option("--parent", type=int, hidden=True, help="end with this process")
 def command(**options: Any) -> None:
-    """LogMonitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
+    """Monitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
     Serves a page to this machine's browser; with --text, shows the same in the terminal. It only reads, at low
     priority, and follows a log that is split into parts.

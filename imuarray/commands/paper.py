@@ -30,14 +30,12 @@ output_option = click.option(
 @click.command("paper")
 @output_option
 @click.option("--replica", is_flag=True, help="simulate its experiments and compare every statistic, with z scores")
-@click.option(
-    "--gap", is_flag=True, help="list what of its tables the data sheets do not foretell, and the likely causes"
-)
+@click.option("--gap", is_flag=True, help="list what in its tables the data sheets do not predict, with likely causes")
 @click.option("--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica")
 @json_option
 @force_option
 def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: bool, force: bool) -> None:
-    """The paper's tables and conclusions, recomputed from its published data.
+    """Recompute the paper's tables and conclusions from its published data.
 
     Everything follows from the tables of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), which come with this
     program: what agrees to the printed digits, what does not, and which conclusions hold.

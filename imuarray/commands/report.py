@@ -22,7 +22,7 @@ _STEPS = 1000
 def command(files: tuple[Path, ...], output: Path, title: str, workers: int, force: bool, as_json: bool) -> None:
     """Write one HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
 
-    A folder stands for the files in it. The page needs nothing beside it, and reads well on paper. Noise and residuals
+    A folder stands for the files in it. The page is self-contained and can be printed. Noise and residuals
     are in the units of the calibrations among the files.
 
     \b

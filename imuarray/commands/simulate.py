@@ -118,7 +118,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
 @click.option("--population", is_flag=True, help="draw every unit from its design, known ones too")
 @click.option("--without", metavar="EFFECT,...", default="", help="leave these effects out; no other draw changes")
 @click.option("--only", metavar="SENSOR,...", help="simulate only these sensors")
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
+@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
 @click.option("--boot", type=click.IntRange(0), default=0, show_default=True, help="another run of the same units")
 @click.option("--single", is_flag=True, help="single precision: faster, 24 bits")
 @click.option(
