@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -61,8 +62,10 @@ class Registers:
                 f" {setting.into(kept):#04x} was written; the chip refuses its configuration"
             )
 
-    def expect(self, *registers: Register) -> None:
-        """SensorError unless somebody answers and the identity registers hold what the data sheet says."""
+    def expect(self, *registers: Register, relatives: Mapping[int, str] = MappingProxyType({})) -> None:
+        """SensorError unless a chip answers whose identity registers hold what the data sheet says. `relatives` names
+        other chips at these addresses, by what the first register holds.
+        """
         try:
             identity = b"".join(self.peek(register) for register in registers)
         except OSError as error:
@@ -71,7 +74,8 @@ class Registers:
             raise SensorError(f"{self.label}: no chip acknowledges this address") from error
         expected = bytes(register.reset for register in registers)
         if identity != expected:
-            raise SensorError(f"{self.label}: identity {identity.hex(' ')}, expected {expected.hex(' ')}")
+            what = f", {relatives[identity[0]]}" if identity[0] in relatives else ""
+            raise SensorError(f"{self.label}: identity {identity.hex(' ')}{what}, expected {expected.hex(' ')}")
 
 
 Bytes = npt.NDArray[np.uint8]

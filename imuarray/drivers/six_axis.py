@@ -20,7 +20,6 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, DecodedBursts, carry_out, registers_for, saturated
-from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
 from imuarray.facts.registers import Register, Setting
 
 SELF_TEST_SAMPLES = 32
@@ -84,17 +83,7 @@ class SixAxisHalf:
 
     def identify(self) -> None:
         """SensorError unless the identity is right; it names a relative or a clone as what it is."""
-        try:
-            identity = self.registers.peek(self.identity)[0]
-        except OSError as error:
-            if error.errno in NOT_ACKNOWLEDGED:
-                raise SensorError(f"{self.registers.label}: no chip acknowledges this address") from error
-            raise SensorError(f"{self.registers.label}: the bus fails: {error.strerror or error}") from error
-        if identity != self.identity.reset:
-            what = f", {self.relatives[identity]}" if identity in self.relatives else ""
-            raise SensorError(
-                f"{self.registers.label}: identity {identity:02x}{what}, expected {self.identity.reset:02x}"
-            )
+        self.registers.expect(self.identity, relatives=self.relatives)
 
     def configure(self) -> None:
         """All `steps`."""
