@@ -31,15 +31,19 @@ def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
     """Its figures, with their uncertainties."""
     axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor)]
-    words = "Every figure with its standard error where one was measured; without, it is the data sheet's. "
-    words += "A bias is what the axis reads when it feels nothing; the direction is where it really points in the box."
+    words = "Figures have their standard error if they were measured; figures without are the data sheet's. "
+    words += "A bias is the reading without input; the direction is where the axis really points in the box."
     heading = ["axis", "unit", "bias", "± s.e.", "counts per unit", "± s.e.", "azimuth °", "elevation °", "noise"]
     parts = [
         Table(heading, axes, "Biases, responses and the scatter of single readings, along each sensor's axes.", (1,))
     ]
     if slopes := [row for sensor in calibration.sensors.values() for row in _slopes(sensor)]:
         heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "is"]
-        parts.append(Table(heading, slopes, "What a degree does; “bias or scale”: one attitude can't tell.", (1, 5, 6)))
+        parts.append(
+            Table(
+                heading, slopes, "Change per degree; “bias or scale”: one attitude does not separate them.", (1, 5, 6)
+            )
+        )
     if states := [row for sensor in calibration.sensors.values() for row in _turn_on(sensor)]:
         heading = ["axis", "unit", "run to run", "± s.e.", "p of none", "runs", "states"]
         parts.append(Table(heading, states, "How much a bias changes when the array is switched off and on.", (1,)))
@@ -140,4 +144,4 @@ def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Sect
         drawing = residual_figure(names, labels, residual_mg)
         parts.append(Figure(drawing, caption, f"Residuals of {len(names)} accelerometers in {len(labels)} poses"))
     parts.append(Table(["sensor", *labels, "rms"], rows, caption if not drawn else "The same as numbers, mg."))
-    return Section(f"{log.path.name}: what calibration leaves", words, parts)
+    return Section(f"{log.path.name}: residuals of the calibration", words, parts)

@@ -58,10 +58,10 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict
                 [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
             )
     heading = ["box axis", "unit", "scatter at rest", "its own estimate"]
-    caption = "Scatter from frame to frame where it is quietest, beside the error that the estimate gives itself."
+    caption = "Scatter from frame to frame in the quietest part, and the standard error that the estimate states."
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
     if use := _use_rows(head, course):
-        words = "Share of the frames in which an axis of the sensor went into the result; below one it was left out."
+        words = "Share of frames in which an axis of the sensor was used; below one, it was left out of some."
         parts.append(Table(["sensor", "x", "y", "z"], use, words))
     if events := _events(path):
         parts.append(events)
@@ -84,7 +84,7 @@ def _drawn(quantity: str, course: _Course) -> Figure:
     factor, unit = READABLE_SI[quantity]
     name = quantity.replace("_", " ")
     drawing = course_figure(course.time_s, factor * course.triads[quantity], f"{name} ({unit})")
-    caption = f"The fused {name} over time: steps that no motion made would be a sensor that came or went."
+    caption = f"The fused {name} over time: steps without motion indicate a sensor that was left out or taken back."
     return Figure(drawing, caption, f"Fused {name} along the three box axes against time")
 
 

@@ -133,7 +133,7 @@ def _map(shown: Map, *, drawn: bool) -> Section:
     kept = [domain for domain, flag in zip(shown.domains, said, strict=True) if flag]
     silent = [domain for domain in shown.domains if domain not in kept]
     if not kept:
-        return Section("Where the gap is", "Nothing can be said of any sensor in any domain.")
+        return Section("Where the gap is", "No statistic is available for any sensor in any domain.")
     small = replace(shown, domains=tuple(kept), before=shown.before[:, said], after=shown.after[:, said])
     words = (
         "The largest score of each sensor in each domain, in standard deviations of chance. Chance alone reaches "
@@ -209,7 +209,7 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
             "floor that is gone, with 95 % interval."
         )
     if uses:
-        words += " Figures in units of use say what the difference means to who works with the sensors."
+        words += " Figures in units of use show what the difference means in practice."
     figures = [*_shrink_figures(gap), *_use_figures(uses)] if drawn else []
     more = [tables.uses_table(uses)] if uses else []
     return Section("How far it shrinks", words, [*figures, tables.shrink_table(gap), *more])
@@ -279,7 +279,7 @@ def _unexplained(diagnosis: Diagnosis) -> Section:
 def _unshown(diagnosis: Diagnosis) -> Section:
     title = "What can't be told"
     if not diagnosis.unshown:
-        return Section(title, "Nothing that the library holds was out of reach of these recordings.")
+        return Section(title, "These recordings can show all effects of the library.")
     words = "Effects that may be there all the same: these recordings can't show them, those named on the right would."
     return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
 
@@ -287,7 +287,7 @@ def _unshown(diagnosis: Diagnosis) -> Section:
 def _missing(diagnosis: Diagnosis) -> Section:
     title = "What is missing"
     if not diagnosis.missing:
-        return Section(title, "Nothing: both the recordings and the simulator had what every statistic needs.")
+        return Section(title, "Nothing: recordings and simulator have what every statistic needs.")
     words = (
         "What a recording or the simulator lacks is not a difference; the statistics that need it were not compared."
     )
@@ -295,7 +295,7 @@ def _missing(diagnosis: Diagnosis) -> Section:
 
 
 def _next(diagnosis: Diagnosis) -> Section:
-    return Section("Next experiment", diagnosis.next_experiment or "None is needed to tell the causes apart.")
+    return Section("Next experiment", diagnosis.next_experiment or "None is needed to separate the causes.")
 
 
 def _judged(diagnosis: Diagnosis) -> Section:

@@ -91,5 +91,5 @@ def _coasting(comparison: Comparison) -> list[Table]:
         for name, coast in comparison.coasting.items()
         if len(coast.begins_s)
     ]
-    caption = "A navigator that stood still for ten seconds and then had nothing but this for a minute."
+    caption = "Errors of a navigator that stands still for ten seconds and then coasts on this result for a minute."
     return [Table(["technique", "heading °", "velocity m/s", "coasts"], rows, caption)] if rows else []

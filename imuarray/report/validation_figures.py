@@ -72,7 +72,7 @@ def alarms_figure(rows: Sequence[Row]) -> Figure:
 
 
 def detection_figure(curves: Sequence[Curve]) -> Figure:
-    """Share of cases in which a gap is told against severity, all plans together and each."""
+    """Share of cases in which a gap is reported against severity, all plans together and each."""
     figure, panel = sheet(NARROW, 4.0)
     for number, curve in enumerate(curves):
         shift = np.exp(_SPREAD * (number - (len(curves) - 1) / 2))

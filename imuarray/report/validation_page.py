@@ -98,7 +98,7 @@ def _worlds(figures: Figures) -> Iterator[Section]:
     parts: Parts = []
     if figures.transfers:
         heading = ["figure", *figures.worlds, "transfer gap"]
-        caption = "In brackets the cases; the gap is what is lost from the first world to the worst of the others."
+        caption = "Number of cases in brackets; the gap is the loss from the first world to the worst of the others."
         parts.append(Table(heading, list(transfer_rows(figures)), caption))
     for world, world_rows in figures.elsewhere.items():
         cells = [
@@ -115,7 +115,7 @@ def _worlds(figures: Figures) -> Iterator[Section]:
         caption = "The cases with a chip or an experiment, and all others."
         parts.append(Table(["part", "figure", "with it", "without it", "cases"], rows_of, caption, (1,)))
     if parts:
-        words = "What the figures are worth where nothing was developed: in other worlds, on other chips and plans."
+        words = "The figures in other worlds, on other chips and on other plans than those of the development."
         yield Section("Elsewhere", words, parts)
 
 
@@ -130,7 +130,7 @@ def _by_plan(figures: Figures) -> Iterator[Table]:
         if own
     ]
     if len(plans) > 1:
-        yield Table(["figure", *plans], rows, "On each plan, in brackets the cases.")
+        yield Table(["figure", *plans], rows, "On each plan, with the number of cases in brackets.")
 
 
 def _names_by_meaning(figures: Figures) -> dict[str, str]:
@@ -160,11 +160,11 @@ def _alarms(figures: Figures, plots: Plots) -> Section:
     parts: Parts = []
     if "false-alarms" in plots:
         listed = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
-        caption = "Cases without anything wrong in which a gap is told; in brackets how many cases there are."
+        caption = "Cases without a fault in which a gap is reported; number of cases in brackets."
         parts.append(SmallFigure(plots["false-alarms"], caption, f"{caption} {listed}."))
-    words = "Nothing is wrong with these cases, and one in twenty may be told to have a gap."
+    words = "These cases have no fault; a gap may be reported in one of twenty."
     cells = [[_plan_of(row), *format_row(row)] for row in rows]
-    table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is told.")
+    table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is reported.")
     return Section("False alarms", words, [*parts, table])
 
 
@@ -184,7 +184,7 @@ def _detection(figures: Figures, plots: Plots) -> Section:
     parts: Parts = []
     if "detection" in plots:
         whole = ", ".join(f"{limits:g} limits {share(estimate.value)}" for limits, estimate in curves[0].points)
-        caption = "Share of cases in which a gap is told, against severity; grey: the bars at 2 and 5 limits."
+        caption = "Share of cases in which a gap is reported, against severity; grey: the bars at 2 and 5 limits."
         parts.append(SmallFigure(plots["detection"], caption, f"{caption} All plans: {whole}."))
     rows = [
         [name, *(f"{hits} of {cases}" if cases else "–" for hits, cases in counts)]
@@ -193,7 +193,7 @@ def _detection(figures: Figures, plots: Plots) -> Section:
     caption = f"Detected cases on {_plan_text(figures)}, by mechanism and severity."
     if rows:
         parts.append(Table(["mechanism", *power.severities], rows, caption))
-    words = "Severity is in units of the detection limit; some mechanisms have none, they are there or not."
+    words = "Severity is in units of the detection limit; some mechanisms have none: they are present or not."
     return Section("Detection", words, [*parts, _curve_table(figures)])
 
 
@@ -204,7 +204,9 @@ def _curve_table(figures: Figures) -> Table:
         points = dict(curve.points)
         cells = [points.get(limits) for limits in limits]
         rows.append([curve.plan, *(f"{decimal(limits.value)} ({limits.cases})" if limits else "–" for limits in cells)])
-    return Table(["plan", *(f"{limits:g}x" for limits in limits)], rows, "Share detected, in brackets the cases.")
+    return Table(
+        ["plan", *(f"{limits:g}x" for limits in limits)], rows, "Share detected, with the number of cases in brackets."
+    )
 
 
 def _causes(figures: Figures, plots: Plots) -> Section:
@@ -215,13 +217,14 @@ def _causes(figures: Figures, plots: Plots) -> Section:
     wrong = _taken_for(figures)
     if "causes" in plots:
         caption = (
-            "What was at work (rows) against the first cause said (columns), all severities; numbers are cases, colour "
-            "is the share of the row, red frames are what is right: for what has no name, that none is said."
+            "Active mechanism (rows) against the first reported cause (columns), all severities; numbers"
+            " are cases, colour "
+            "is the share of the row, red frames mark what is right: no cause, for a mechanism without a name."
         )
         listed = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
         parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {listed}."))
     if wrong:
-        caption = f"The most frequent confusions of {len(wrong)}; cases in which no gap is told are not among them."
+        caption = f"The most frequent confusions of {len(wrong)}; cases without a reported gap are not included."
         parts.append(Table(["at work", "first cause said", "cases"], wrong[:20], caption, (1,)))
     words = "The most probable cause of each case of one mechanism or none. A mechanism can have several right names."
     return Section("Causes", words, parts)
@@ -242,13 +245,13 @@ def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
 def _probabilities(figures: Figures, plots: Plots) -> Section:
     filled = [bin_ for bin_ in figures.reliability if bin_.cases]
     if not filled:
-        return Section("Probabilities", "No cause was told.")
-    caption = "Causes told, by their probability: as many should be right as it says. Numbers are causes."
+        return Section("Probabilities", "No cause was reported.")
+    caption = "Reported causes by probability: the share that is right should equal it. Numbers count causes."
     listed = "; ".join(f"{_bin_name(bin_)}: {decimal(bin_.right)} of {bin_.cases}" for bin_ in filled)
     parts: Parts = [SmallFigure(plots["probabilities"], caption, f"{caption} {listed}.")] if plots else []
     rows = [[_bin_name(bin_), decimal(bin_.mean), decimal(bin_.right), str(bin_.cases)] for bin_ in filled]
-    table = Table(["probability", "mean", "right", "causes"], rows, "Probabilities said, and what came true.")
-    words = "Every cause that was told, in cases of one mechanism, two or none."
+    table = Table(["probability", "mean", "right", "causes"], rows, "Reported probabilities and observed frequencies.")
+    words = "Every reported cause, in cases of one mechanism, two or none."
     return Section("Probabilities", words, [*parts, table])
 
 
@@ -259,11 +262,11 @@ def _bin_name(bin_: Bin) -> str:
 def _closure(figures: Figures, plots: Plots) -> Section:
     known = [closure for closure in figures.closures if isfinite(closure.claimed)]
     silent = len(figures.closures) - len(known)
-    words = "The share of the gap that goes with the causes said, against that of an oracle who is told the effects."
-    words += f" In {silent} cases nothing was said, though the oracle could." if silent else ""
+    words = "Share of the gap that the reported causes close, against that of an oracle that knows the effects."
+    words += f" In {silent} cases no share was reported, although the oracle closes some." if silent else ""
     if not known:
         return Section("Closure", f"{words} No cases.")
-    caption = "A point a case; grey: near enough."
+    caption = "One point per case; grey: close enough."
     summary = f"{caption} {sum(closure.is_right for closure in known)} with the right cause first, {len(known)} in all."
     parts: Parts = [SmallFigure(plots["closure"], caption, summary)] if plots else []
     rows = [[row.name, *format_row(row)] for row in figures.rows if "closure" in row.name]

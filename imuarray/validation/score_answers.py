@@ -212,8 +212,9 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
     lost += _without_truth(planned, sealed, outcomes)
     answers = sorted(_with_controls(answers), key=lambda answer: (answer.case.half, answer.case.number))
     notes = {
-        f"In {differing} cases what is at work has other names in the plan than by its generator.": differing,
-        f"In {idle} cases what comes by chance never came while something was recorded: they don't count.": idle,
+        f"In {differing} cases the plan and the generator name the mechanism differently.": differing,
+        f"In {idle} cases the fault, which occurs by chance, did not occur while logs were recorded: they"
+        f" are not counted.": idle,
     }
     return Run(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
 

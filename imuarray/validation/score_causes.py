@@ -54,7 +54,7 @@ def cause_rows(
     yield from _unknown_rows(answers, singles, full, seed)
     yield from _pair_rows([answer for answer in answers if answer.case.kind == "pair"], full)
     removals = [answer for answer in answers if answer.case.kind == "removal"]
-    about = "the model has an effect that the sensors have not: a likely cause takes it out or replaces it"
+    about = "the model has an effect that the sensors lack: a likely cause removes or replaces it"
     yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, Breakdown(full))
     yield _control(on_plan(singles, full), seed)
 

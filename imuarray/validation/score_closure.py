@@ -70,14 +70,14 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     yield _wrong(own, seed)
     yield _without(own, seed)
     controls = [answer for answer in answers if answer.case.kind == "none"]
-    about = "nothing is wrong: nothing is said to be closed, or the interval has 0 in it"
+    about = "no fault: no closure is reported, or its interval contains 0"
     yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, Breakdown(full, ()))
 
 
 def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
     """Yield the calibration error and Brier score of all reported causes, and the error expected by chance."""
     counted = on_plan(answers, full)
-    about = "all causes told in cases of one mechanism, two or none: right if the name is, at one of the sensors"
+    about = "all reported causes in cases of one mechanism, two or none: right if the name is, at one of the sensors"
     for name, statistic, bar in (
         ("calibration error (ECE)", calibration_error, CALIBRATION),
         ("Brier score of causes", brier, BRIER),

@@ -52,7 +52,7 @@ def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iter
     shown = shown_singles(answers, hidden)
     for limits, bar in DETECTION.items():
         own = [answer for answer in shown if isclose(answer.limits, limits)]
-        about = "single mechanisms: a gap is told; those that a plan can't show are judged below"
+        about = "single mechanisms: a gap is reported; those that a plan can't show are judged below"
         yield rate_row(
             f"detection at {severity_name(limits)}", own, _is_detected, bar, about, Breakdown(full, ("mechanism",))
         )
@@ -108,7 +108,7 @@ def power_of(answers: Sequence[Answer], full: str) -> Power:
 
 
 def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
-    about = "nothing is wrong, a gap is told all the same (nominally 5 %)"
+    about = "no fault, but a gap is reported (nominally 5 %)"
     if full == EVERY and controls:
         parts = ("experiment", "chip", "stratum")
         cells = [cell for group in parts for cell in cells_of(group, controls, _is_false_alarm, NO_BAR)]

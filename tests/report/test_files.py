@@ -46,7 +46,7 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
     assert titles == [
         "tumble.h5: what was recorded",
         "tumble.h5: noise",
-        "tumble.h5: what calibration leaves",
+        "tumble.h5: residuals of the calibration",
         "tumble.h5: what each technique gains",
         "cal.toml: calibration",
         "fused.h5: fused by mean",
@@ -63,7 +63,7 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
     """
     page = tmp_path / "page.html"
     write_report([made / "cal.toml", made / "tumble.h5"], page)
-    table = page.read_text().split("what calibration leaves</h2>")[1].split("</table>")[0]
+    table = page.read_text().split("residuals of the calibration</h2>")[1].split("</table>")[0]
     rms = [float(row.split("<td>")[-1].split("<")[0]) for row in table.split("<tr>")[2:]]
     assert len(rms) == 6
     assert 0 < max(rms) < 13.4

@@ -295,7 +295,7 @@ def test_nothing_at_all_is_said_too(tmp_path: Path) -> None:
     silent = replace(made_without_gap(), map=Map(("a", "b"), ("level",), none, none, 4.0), unshown=(), recorded=())
     page = page_of(silent, tmp_path)
     assert page.images == {}
-    assert "Nothing can be said of any sensor" in page.words["Where the gap is"]
+    assert "No statistic is available for any sensor" in page.words["Where the gap is"]
 
 
 @pytest.mark.slow

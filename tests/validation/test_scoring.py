@@ -382,7 +382,7 @@ def test_what_never_came_does_not_count(made: Made) -> None:
     score = figures(made)
     assert shares(score.row("detection at 5x the limit")) == (0.0, 2)
     assert score.notes == (
-        "In 1 cases what comes by chance never came while something was recorded: they don't count.",
+        "In 1 cases the fault, which occurs by chance, did not occur while logs were recorded: they are not counted.",
     )
 
 
