@@ -23,8 +23,9 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True)
 class RangeReset(Effect):
-    """A range that is reset from `onset_s` on, in a run with this probability, or only in that number `run`, or in
-    those with numbers in `runs`: counts per unit of that other range, y = x + offset, and noise times `noise_share`.
+    """A range that is reset from `onset_s` on (0: always), in a run with this probability, or only in that number
+    `run`, or in those with numbers in `runs`: counts per unit of that other range, y = x + offset, and noise times
+    `noise_share`.
 
     `range` in the sensor's unit (nan: no reset), `offset` too: each range has an offset of its own (BMA-79). A chip
     that lost its settings has another filter and another gain before its converter: its noise, in the unit, is another.
@@ -71,7 +72,9 @@ class RangeReset(Effect):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)
         first, stop = analog.first, analog.first + len(analog.instant_ns)
-        since = self._known(first, stop, at) if self.moments_s else analog.instant_ns >= self.onset_s * 1e9
+        # the first reading of a log may have been measured before its clock began
+        onset_ns = self.onset_s * 1e9 if self.onset_s > 0 else -math.inf
+        since = self._known(first, stop, at) if self.moments_s else analog.instant_ns >= onset_ns
         by_chance = not self.moments_s and self.probability < 1
         if not since.any() or (by_chance and at.boot_generator(self.name).random() >= self.probability):
             return analog

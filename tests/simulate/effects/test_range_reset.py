@@ -38,6 +38,13 @@ def test_from_one_row_to_the_next(place: MakePlace, analog: MakeAnalog) -> None:
         np.testing.assert_array_equal(counts, np.repeat([[512.0] * 3, [1.25 * 4096] * 3], 5, axis=0))
 
 
+def test_a_reading_that_is_older_than_its_log(place: MakePlace, analog: MakeAnalog) -> None:
+    """The chip measured the first row before the log's clock began: it is in the other range too."""
+    rows = analog(0, 5, value=1.0)
+    early = replace(rows, instant_ns=rows.instant_ns - 5_000_000)
+    assert RangeReset(2.0).analog(early, place()).sensitivity == 4096
+
+
 def test_in_one_run_only(place: MakePlace, analog: MakeAnalog) -> None:
     effect, before = RangeReset(2.0, run=3.0), analog(0, 5)
     assert effect.analog(before, place(boot=2)) is before
