@@ -176,3 +176,28 @@ def test_another_range_for_a_while() -> None:
     found = next(iter(RANGE_RESET.guesses(replace(evidence, resets=((0, brief),))))).effects[0]
     assert isinstance(found, RangeReset)
     assert (found.blanks_s, found.noise_share) == ((0.01,), (1.0, 1.0, 1.0))
+
+
+def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None:
+    """2000 dps in the place of 250 in one of three logs, with no offset. A slope over a temperature that is far from
+    the reference is no offset, since all logs are as warm.
+    """
+    other = RangeReset(2000.0, runs=(1.0,))
+    evidence = evidence_of("turn-on", "G1", {"G1": (Bias((5.0, -4.0, 3.0)), other)}, seed=7)
+    seen = tuple(
+        replace(
+            part, raw=replace(part.raw, segments=replace(segments, temperature_degc=segments.temperature_degc - 49))
+        )
+        for part in evidence.seen
+        for segments in (part.raw.segments,)
+    )
+    cold = replace(evidence, seen=seen, fitted=replace(evidence.fitted, slope=(0.5, -0.5, 0.5)))
+    for item in (evidence, cold):
+        (reset,) = (
+            effect
+            for trial in RANGE_RESET.guesses(item)
+            for effect in trial.effects
+            if isinstance(effect, RangeReset) and effect.range == 2000.0 and effect.runs
+        )
+        assert reset.runs == (1.0,)
+        assert reset.offset == pytest.approx((0.0,) * 3, abs=0.5)

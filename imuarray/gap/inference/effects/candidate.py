@@ -18,6 +18,9 @@ Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
 
 Action = Literal["add", "remove", "replace"]
 
+_CHOICES = frozenset({"range", "axes"})
+"""Parameters with a few values, none of which is near another one."""
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -78,10 +81,10 @@ class Hypothesis:
     @property
     def form(self) -> tuple[str, ...]:
         """What is done with which effects, and which of their parameters do something: a line that drifts is another
-        form than one that stays. When it does so doesn't matter.
+        form than one that stays, and so is another range than a third one. When it does so doesn't matter.
         """
         used = [
-            f"{effect.name}.{item.name}"
+            f"{effect.name}.{item.name}" + (f"={getattr(effect, item.name)}" if item.name in _CHOICES else "")
             for effect in (*self.effects, *self.opposite)
             for item in fields(effect)
             if item.name != "spans" and repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))

@@ -12,6 +12,7 @@ from imuarray.chips import CHIPS
 from imuarray.gap.inference.effects.bistable_bias import rarer
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels, log_levels
+from imuarray.gap.inference.effects.quietness import with_noise
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.steps import Onset, States, onsets, states_of_logs
 from imuarray.gap.inference.evidence import Evidence
@@ -90,14 +91,19 @@ def _within(evidence: Evidence, onsets: Sequence[Onset]) -> Iterator[Hypothesis]
 
 def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
     """In these logs and no others: chance may put all of them into one part, of which the other knows nothing. Noise
-    has to be another one too, as that of a mere bias is not.
+    has to be another one too, as that of a mere bias is not. Level and noise of the sensor are those of the other logs.
     """
+    others = np.array([phase.log not in logs for phase in evidence.still])
+    level = np.array([np.nanmean(phase.residual.segments.mean, axis=0) for phase in evidence.still])
+    x, y, z = (evidence.fitted.offset + np.median(level[others], axis=0) / evidence.header.sensitivity).tolist()
+    usual = with_noise(evidence, np.log(states.noise_before / evidence.noise))
     for guess in _cheapest(_guesses(evidence, [states])):
         ratio = _ratios(evidence)[guess.effect.range]
         changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
         if changed.min() > _NOISE_TOO:
             effect = replace(guess.effect, runs=tuple(map(float, logs)))
-            yield Hypothesis((effect,), whole=True, rarity=NUMBERS * len(logs) + _unlike(evidence, guess.size))
+            rarity = NUMBERS * len(logs) + _unlike(evidence, guess.size)
+            yield Hypothesis((effect,), whole=True, rarity=rarity, fitted=replace(usual, offset=(x, y, z)))
 
 
 def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:

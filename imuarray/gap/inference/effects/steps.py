@@ -21,7 +21,9 @@ _CLEAR = 15.0
 
 
 class States(NamedTuple):
-    """(3,) readings before and after, in the unit by the configured sensitivity, on the same face, and noises."""
+    """(3,) readings before and after, in the unit by the configured sensitivity, on the same face and at the same
+    temperature, and noises.
+    """
 
     before: Floats
     after: Floats
@@ -39,11 +41,14 @@ class Onset(NamedTuple):
 
 
 class _Series(NamedTuple):
-    """Segments in order: (s,) times, (s, 3) levels less the model's, what the model predicts, and variances."""
+    """Segments in order: (s,) times, (s, 3) levels less the model's, what the model predicts, the part of that which
+    follows the temperature, and variances.
+    """
 
     time_s: Floats
     left: Floats
     predicted: Floats
+    warm: Floats
     variance: Floats
 
 
@@ -62,7 +67,9 @@ def onsets(evidence: Evidence) -> list[Onset]:
 
 
 def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
-    """The values of the `rare` ones of the logs (l,) on the face of the first log."""
+    """The values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the rare ones:
+    a chip's own thermometer may have any zero.
+    """
     logs = sorted({one.log for one in evidence.still})
     if len(logs) != len(rare):
         return None
@@ -71,9 +78,9 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
     usual, other = (_Series(*(np.concatenate(column) for column in zip(*side, strict=True))) for side in sides)
     if not len(usual.time_s) or not len(other.time_s):
         return None
-    felt = usual.predicted.mean(axis=0)
+    warmer = other.warm.mean(axis=0) - usual.warm.mean(axis=0)
     return States(
-        felt + usual.left.mean(axis=0),
+        usual.predicted.mean(axis=0) + usual.left.mean(axis=0) + warmer,
         other.predicted.mean(axis=0) + other.left.mean(axis=0),
         np.sqrt(np.median(usual.variance, axis=0)),
         np.sqrt(np.median(other.variance, axis=0)),
@@ -86,10 +93,10 @@ def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
         raw, residual = one.raw.segments, one.residual.segments
         held = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
         warm = (raw.temperature_degc[held, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
-        predicted = (raw.mean[held] - residual.mean[held]) / scale - warm
+        predicted = (raw.mean[held] - residual.mean[held]) / scale
         variance = raw.steady_variance[held] * (raw.rows[held] / (raw.rows[held] - 1.0))[:, None]
         variance = np.maximum(variance, _ROUNDING_LSB2) / scale**2
-        parts.append((raw.time_s[held], residual.mean[held] / scale, predicted, variance))
+        parts.append((raw.time_s[held], residual.mean[held] / scale, predicted, warm, variance))
     return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
