@@ -8,6 +8,7 @@ import numpy as np
 
 from imuarray.array import parse_array
 from imuarray.arrays import Floats
+from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
@@ -15,7 +16,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.motion.posed import Attitude, PoseSequence
 from imuarray.simulate.motion.still import Still
-from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects, temperature_of
+from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects
 
 POSE_S, TURN_S = 5, 1
 
@@ -45,7 +46,7 @@ def simulated(motion: PoseSequence, more: Effects, seed: int = 0) -> Simulation:
 def campaign_in(motion: PoseSequence, more: Effects | None = None, seed: int = 0) -> Campaign:
     """One log."""
     sources = simulated_sources(simulated(motion, more or {}, seed))
-    return Campaign((summarise_log("tumble", sources, motion.phases, temperature_of(motion)),))
+    return Campaign((summarise_log("tumble", sources, motion.phases, reference_of(motion)),))
 
 
 def written(path: Path, simulation: Simulation, phases: tuple[Phase, ...] = ()) -> Path:

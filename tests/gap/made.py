@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from imuarray.array import parse_array
 from imuarray.gap.findings.diagnosis import Where
-from imuarray.gap.recording.recordings import Recording, sources_of
+from imuarray.gap.recording.recordings import Recording, reference_of, sources_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.probes import PROBES, LogProbe, PhaseProbe
@@ -102,10 +102,6 @@ def simulation(motion: Motion, more: Effects, seed: int, boot: int = 0) -> Simul
     return Simulation(plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds), motion, effects, seed=seed, boot=boot)
 
 
-def temperature_of(motion: Motion) -> Temperature:
-    return lambda time_ns: np.asarray(motion.felt(np.asarray(time_ns)).temperature_degc)
-
-
 def phases_of(motion: Motion) -> list[Phase]:
     return phases_within(motion.phases, round(motion.seconds * 1e9))
 
@@ -117,13 +113,13 @@ def campaign_of(kind: str, more: Effects | None = None, seed: int = 0) -> Campai
 
 def _log(kind: str, motion: Motion, more: Effects, seed: int, boot: int) -> LogSummary:
     sources = simulated_sources(simulation(motion, more, seed, boot))
-    return summarise_log(kind, sources, phases_of(motion), temperature_of(motion))
+    return summarise_log(kind, sources, phases_of(motion), reference_of(motion))
 
 
 def summarised(recording: Recording) -> LogSummary:
     """A recorded log in its own phases."""
     motion = recording.experiment.motion
-    return summarise_log(recording.kind, sources_of(recording), recording.phases, temperature_of(motion))
+    return summarise_log(recording.kind, sources_of(recording), recording.phases, reference_of(motion))
 
 
 def header(name: str = "S", axes: str = "+X+Y+Z", chip: str = "bma180", **changes: Any) -> SensorHeader:

@@ -9,7 +9,7 @@ from imuarray.array import parse_array
 from imuarray.gap.findings.diagnosis import Where
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, bench_of
-from imuarray.gap.recording.recordings import Experiment, temperature_of
+from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.split import split_of
@@ -25,7 +25,7 @@ def benched(kinds: Sequence[str], more: Mapping[str, Sequence[Effect]], seed: in
     found = []
     for boot, (kind, motion) in enumerate(logs):
         sources = simulated_sources(simulation(motion, more, seed, boot))
-        found.append(summarise_log(kind, sources, split.phases()[boot], temperature_of(motion)))
+        found.append(summarise_log(kind, sources, split.phases()[boot], reference_of(motion)))
     campaign = Campaign(tuple(found))
     experiments = [Experiment(plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds), motion) for _, motion in logs]
     train = split.train(campaign)

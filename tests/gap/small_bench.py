@@ -9,7 +9,7 @@ from typing import Any
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, bench_of
-from imuarray.gap.recording.recordings import Experiment
+from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.split import split_of
@@ -17,7 +17,7 @@ from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
-from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of, temperature_of
+from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 
 More = Mapping[str, tuple[Effect, ...]]
 SHORT = Still(seconds=20)
@@ -46,7 +46,7 @@ def prepared(
     found = []
     for boot, (kind, motion) in enumerate(logs):
         sources = simulated_sources(simulated(motion, names, more or {}, seed, boot))
-        found.append(summarise_log(kind, sources, split.phases()[boot], temperature_of(motion)))
+        found.append(summarise_log(kind, sources, split.phases()[boot], reference_of(motion)))
     campaign = Campaign(tuple(found))
     experiments = [Experiment(plan_of(array_of(*names), RATE_HZ, motion.seconds), motion) for _, motion in logs]
     train = split.train(campaign)

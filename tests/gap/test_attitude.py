@@ -14,6 +14,7 @@ from imuarray.gap.inference.comparison import compared_with_base
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.model.bench import bench_of
 from imuarray.gap.recording.attitude import array_mean, ups_of
+from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
@@ -21,7 +22,7 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.motion.posed import PoseSequence
 from tests.gap.hand_posed import campaign_in, directions, posed, simulated
-from tests.gap.made import BASE, temperature_of
+from tests.gap.made import BASE
 from tests.gap.small_bench import Run, prepared
 
 UNKNOWN = np.full((20, 3), np.nan)
@@ -105,7 +106,7 @@ def test_held_out_halves_are_judged_by_the_parameters_of_the_others() -> None:
         [part._replace(start_ns=(part.start_ns + part.end_ns) // 2) for part in motion.phases],
     ]
     sources = simulated_sources(simulated(motion, {}))
-    first, second = (Campaign((summarise_log("tumble", sources, part, temperature_of(motion)),)) for part in halves)
+    first, second = (Campaign((summarise_log("tumble", sources, part, reference_of(motion)),)) for part in halves)
     base = fit(first, [motion])
     assert np.abs(means_of(residual(second, [motion], base))).max() < 1e-3
     off = replace(base.fitted["A1"], offset=tuple(np.array(base.fitted["A1"].offset) + 0.03))

@@ -13,6 +13,7 @@ from scipy.signal import butter, lfilter
 
 from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate_seed, residual
 from imuarray.gap.model.rest import response_of
+from imuarray.gap.recording.recordings import Reference
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import OVERRUN, STALE, Phase
@@ -328,7 +329,9 @@ def fitted_to_rows(
         if flagged is not None:
             rows = rows._replace(status=rows.status | np.where(flagged, np.uint16(flag), np.uint16(0)))
     whole = Phase(0, 100 * 10**9, "static", "+Z")
-    log = summarise_log("static", {"G": OneBlock(gyro, rows)}, [whole], lambda time_ns: np.full(len(time_ns), 25.0))
+    log = summarise_log(
+        "static", {"G": OneBlock(gyro, rows)}, [whole], Reference(lambda time_ns: np.full(len(time_ns), 25.0))
+    )
     return fit(Campaign((log,)), [Still()]).fitted["G"]
 
 

@@ -11,7 +11,7 @@ import pytest
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, bench_of
 from imuarray.gap.model.replication import SensorModel
-from imuarray.gap.recording.recordings import Experiment
+from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.probes import PROBES
@@ -23,7 +23,7 @@ from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still, turn_on_run
-from tests.gap.made import RATE_HZ, phases_of, temperature_of
+from tests.gap.made import RATE_HZ, phases_of
 from tests.gap.small_bench import array_of, prepared, simulated, static
 
 
@@ -164,7 +164,7 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
     for boot, motion in enumerate(motions):
         more = (Bias((0.0, 0.2 * (boot % 2), 0.0)),)
         sources = simulated_sources(simulated(motion, ["G1"], {"G1": more}, 1, boot))
-        logs.append(summarise_log("turn-on", sources, split.phases()[boot], temperature_of(motion)))
+        logs.append(summarise_log("turn-on", sources, split.phases()[boot], reference_of(motion)))
     campaign = Campaign(tuple(logs))
     experiments = [Experiment(plan_of(array_of("G1"), RATE_HZ, motion.seconds), motion) for motion in motions]
     train = split.train(campaign)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.probes import PROBES, CrossProbe
 from imuarray.log.format import Phase, SensorHeader
+from imuarray.simulate.motion.faces import resting
+from imuarray.simulate.motion.felt import Felt
 from imuarray.units import SI_PER_UNIT
 from tests.gap.made import block, header
 
@@ -150,6 +154,65 @@ def test_gain_and_cross_axes_of_motion() -> None:
     np.testing.assert_allclose(value("motion_gain", found, "A"), [1.02, 0.97, -1.0], atol=1e-4)
     np.testing.assert_allclose(value("motion_next", found, "A"), [0.01, -0.03, 0.02], atol=1e-4)
     np.testing.assert_allclose(value("motion_after", found, "A"), [0.0, 0.0, 0.0], atol=1e-4)
+
+
+@dataclass(frozen=True)
+class Swaying:
+    """Motion of a box that sways along X and Y and not along Z, with the rates and forces of `swaying` in SI units."""
+
+    phases: tuple[Phase, ...] = (MOVING,)
+    seconds: float = 40.0
+
+    def felt(self, time_ns: np.ndarray) -> Felt:
+        sway = swaying(time_ns * 1e-9) * [1.0, 1.0, 0.0]
+        return replace(resting(time_ns, np.eye(3), 25.0), force_box=9.80665 * sway, rate_box=np.radians(100) * sway)
+
+
+def test_the_only_sensor_of_its_quantity_is_compared_with_the_track() -> None:
+    """An accelerometer with errors of scale and mounting, a gyroscope with none: gains of 1.05 and 1, 2 % of X on the
+    axis along Y, and nothing of Z, along which the box does not move.
+    """
+    sensors = [
+        header("A", "+Y+X-Z"),
+        header("G", chip="l3g4200d", unit="dps", quantity="angular_rate", sensitivity=100.0),
+    ]
+    motion = Swaying()
+    own = swaying(SECONDS) * [1.0, 1.0, 0.0]
+    response = np.array([[1.05, 0.02, 0.0], [0.0, 1.05, 0.0], [0.0, 0.0, 1.0]])  # own x is along the box's Y
+    counts = [2048 * own[:, [1, 0, 2]] @ response.T, 100 * 100 * own]
+    tally = CrossTally(sensors, MOVING, 50_000_000, track=motion)
+    for sensor, rows in zip(sensors, counts, strict=True):
+        for first in (0, 1500):
+            part = np.rint(rows[first : 1500 if first == 0 else None])
+            tally.update(sensor.name, block(part, INTERVAL_NS, first * INTERVAL_NS))
+    found = tally.result()
+    np.testing.assert_allclose(value("motion_gain", found, "A"), [1.05, 1.05, 0.0], atol=3e-3)
+    np.testing.assert_allclose(value("motion_next", found, "A"), [0.02, 0.0, 0.0], atol=3e-3)
+    np.testing.assert_allclose(value("motion_gain", found, "G"), [1.0, 1.0, 0.0], atol=3e-3)
+    np.testing.assert_allclose(value("motion_delay", found, "A")[:2], 0.0, atol=1e-3)
+    assert found.fast[found.kinematic, found.kinematic].shape == (9, 9)
+
+
+def test_with_another_sensor_of_the_quantity_the_track_is_not_used() -> None:
+    sensors = [header("A"), header("B")]
+    tally = CrossTally(sensors, MOVING, 50_000_000, track=Swaying())
+    for sensor in sensors:
+        tally.update(sensor.name, block(np.rint(20_000 * swaying(SECONDS)), INTERVAL_NS))
+    found = tally.result()
+    assert found.tracked == ()
+    np.testing.assert_allclose(value("motion_gain", found, "A"), 1.0, atol=1e-4)
+
+
+def test_an_axis_that_hardly_moves_has_no_delay() -> None:
+    """One part in a thousand of the others' motion, with what a misalignment mixes in a quarter of a period late."""
+    mixed = np.stack([np.sin(2 * np.pi * 0.9 * SECONDS), np.cos(2 * np.pi * 0.9 * SECONDS)], axis=1)
+    still = 1e-3 * mixed[:, :1]
+    first = 20_000 * np.concatenate([mixed, still - 0.01 * mixed[:, 1:]], axis=1)
+    other = 20_000 * np.concatenate([mixed, still], axis=1)
+    found = crossed([header("A"), header("B")], [np.rint(first), np.rint(other)], MOVING, window=50_000_000)
+    delay_s = value("motion_delay", found, "A")
+    assert abs(delay_s[2]) < 0.02  # 0.01 / (1e-3 * 2 pi 0.9 Hz) = 1.8 s by the plain ratio
+    np.testing.assert_allclose(delay_s[:2], 0.0, atol=1e-4)
 
 
 def test_what_is_late_by_the_same_time_leaves_nothing() -> None:

@@ -15,6 +15,7 @@ from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.signal_delay import NO_DELAY, fit_signal_delays
 from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
+from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase
@@ -22,7 +23,7 @@ from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
-from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation, temperature_of
+from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
 
 
 @pytest.mark.parametrize("lag_s", [4.0, 12.0])
@@ -48,7 +49,7 @@ def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
     """
     tone, motion = Tone((amplitude_g, 0.0, 0.0), 17.0, phase_deg=30.0), Still(seconds=600)
     sources = simulated_sources(simulation(motion, dict.fromkeys(names, (tone,)), seed=5))
-    campaign = Campaign((summarise_log("static", sources, phases_of(motion), temperature_of(motion)),))
+    campaign = Campaign((summarise_log("static", sources, phases_of(motion), reference_of(motion)),))
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     fitted = fit_vibrations(campaign, headers)
     return tuple(item.amplitude_box_g[0] for item in fitted if abs(item.frequency_hz - 17.0) < 0.2)
@@ -77,6 +78,15 @@ def test_the_delay_of_filters_is_fitted_in_motion() -> None:
     difference_s = delays["G1"].filter_s - delays["G2"].filter_s
     own_s = 1 / (math.sqrt(2) * math.pi * 12.5)  # G2 has no filter here
     assert difference_s == pytest.approx(own_s, rel=0.25)
+
+
+def test_a_filter_that_delays_nothing_is_none() -> None:
+    """Sensors of one cutoff, in step: a delay of a picosecond would have a cutoff that no effect accepts."""
+    campaign = campaign_of("motion", seed=2)
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
+    headers["G1"] = replace(headers["G1"], bandwidth_hz=1e4)
+    delays = fit_signal_delays(campaign, [campaign], headers, (), dict.fromkeys(headers, NO_DELAY))
+    assert {delays[name].filter_s for name in ("G1", "G2")} == {0.0}
 
 
 def phases(*ends_s: tuple[float, float, str]) -> list[Phase]:

@@ -17,7 +17,7 @@ from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.rest import FittedParameters
-from imuarray.gap.recording.recordings import recordings_of
+from imuarray.gap.recording.recordings import recordings_of, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import summarise_phase
 from imuarray.gap.statistics.split import Split
@@ -35,7 +35,7 @@ from imuarray.simulate.model import Model, parse_model
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from imuarray.simulate.streams import Streams
-from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, temperature_of, units
+from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, units
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)
 FITTED = FittedParameters((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))
@@ -190,7 +190,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
     made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seed=3)
     (phase,) = phases_of(motion)
     for name, is_there in (("G1", True), ("G2", False)):
-        spectrum = summarise_phase(simulated_sources(made), phase, 0, temperature_of(motion)).sensors[name].spectrum
+        spectrum = summarise_phase(simulated_sources(made), phase, 0, reference_of(motion)).sensors[name].spectrum
         density = spectrum.density[1:, 1]
         assert (density.max() > 8 * np.median(density)) == is_there
         if is_there:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
+from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import RecordedSource, SimulatedSource, Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
@@ -19,7 +20,7 @@ from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor
-from tests.gap.made import BASE, RATE_HZ, campaign_of, phases_of, simulation, temperature_of
+from tests.gap.made import BASE, RATE_HZ, campaign_of, phases_of, simulation
 from tests.selection import some
 
 TUMBLE = Tumble(10.0, 1.0)
@@ -57,11 +58,11 @@ def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
 def test_statistics_are_the_same(tmp_path: Path) -> None:
     """To rounding: the log's blocks are the simulator's chunks."""
     simulated, path = sources_of(tmp_path / "log.h5")
-    degc = temperature_of(TUMBLE)
-    one = statistics(Campaign((summarise_log("tumble", simulated, phases_of(TUMBLE), degc),)))
+    reference = reference_of(TUMBLE)
+    one = statistics(Campaign((summarise_log("tumble", simulated, phases_of(TUMBLE), reference),)))
     with open_log(path) as log:
         recorded = {name: RecordedSource(sensor) for name, sensor in log.sensors.items() if sensor.is_triad}
-        other = statistics(Campaign((summarise_log("tumble", recorded, log.phases, degc),)))
+        other = statistics(Campaign((summarise_log("tumble", recorded, log.phases, reference),)))
     assert one.keys == other.keys
     np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(one.resolutions, other.resolutions)

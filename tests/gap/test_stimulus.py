@@ -14,6 +14,7 @@ from imuarray.arrays import Integers
 from imuarray.gap.findings.diagnosis import Cause
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.model.base_model import headers_in
+from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.environment import SharedSignal, environment_of, fast_test, groups_of, slow_test
@@ -30,7 +31,7 @@ from imuarray.simulate.motion.faces import resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still
-from tests.gap.made import RATE_HZ, header, phases_of, temperature_of
+from tests.gap.made import RATE_HZ, header, phases_of
 from tests.selection import some
 
 ARRAY = """
@@ -98,7 +99,7 @@ def campaign(motion: Motion, more: Mapping[str, Sequence[Effect]] | None = None,
     noises = {name: 0.05 if name.startswith("G") else 0.004 for name, *_ in SENSORS}
     effects = {name: (WhiteNoise(rms), Bias(2 * rms), *(more or {}).get(name, ())) for name, rms in noises.items()}
     simulation = Simulation(plan_of(parse_array(TEXT), RATE_HZ, motion.seconds), motion, effects, seed=seed)
-    log = summarise_log("static", simulated_sources(simulation), phases_of(motion), temperature_of(motion))
+    log = summarise_log("static", simulated_sources(simulation), phases_of(motion), reference_of(motion))
     return Campaign((log,))
 
 

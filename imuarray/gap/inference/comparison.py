@@ -26,7 +26,7 @@ from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Recording, sources_of, temperature_of
+from imuarray.gap.recording.recordings import Recording, reference_of, sources_of
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key
@@ -34,8 +34,6 @@ from imuarray.gap.statistics.pairs import Pairs, scores_by_others
 from imuarray.gap.statistics.split import Split, split_of
 from imuarray.log.format import Phase
 from imuarray.simulate.model import Model
-from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.motion.like import LikeLog
 
 ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
 """Numbers of replicates after which no more are simulated if the p-value is larger than the limit. The limits never
@@ -111,12 +109,11 @@ def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
     """All logs, in the phases of the split."""
     logs = []
     for recording, phases in zip(recordings, split.phases(), strict=True):
-        summary = summarise_log(
-            recording.kind, sources_of(recording), phases, temperature_of(recording.experiment.motion)
-        )
+        reference = reference_of(recording.experiment.motion)
+        summary = summarise_log(recording.kind, sources_of(recording), phases, reference)
         lines = {name: line for name, (_, line) in recording.experiment.plan.sensors.items()}
         moving = [phase for phase in recording.phases if not is_at_rest(phase)]
-        events = events_of(recording.log, lines, moving, _tracked(recording.experiment.motion))
+        events = events_of(recording.log, lines, moving, reference.track)
         logs.append(replace(summary, events=events, spells=_Spells(recording)))
     return Campaign(tuple(logs))
 
@@ -153,10 +150,10 @@ class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
 
 def _spells(recording: Recording, sensor: str) -> Iterator[tuple[Stretches, LogSummary]]:
     still = [phase for phase in recording.phases if is_at_rest(phase)]
-    source, temperature = sources_of(recording)[sensor], temperature_of(recording.experiment.motion)
+    source, reference = sources_of(recording)[sensor], reference_of(recording.experiment.motion)
     for stretches in stretches_of(source, still):
         parts = list(_cut(still, stretches, source))
-        yield stretches, summarise_log(recording.kind, {sensor: source}, parts, temperature)
+        yield stretches, summarise_log(recording.kind, {sensor: source}, parts, reference)
 
 
 def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Iterator[Phase]:
@@ -167,11 +164,6 @@ def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Itera
             end_ns = phase.end_ns if math.isinf(end_s) else min(phase.end_ns, round(end_s * 1e9))
             if start_ns < end_ns and source.rows(start_ns, end_ns) >= _PART_ROWS:
                 yield phase._replace(start_ns=start_ns, end_ns=end_ns)
-
-
-def _tracked(motion: Motion) -> Motion | None:
-    """The motion if a track of the log gives it; None if only the faces are known."""
-    return motion if isinstance(motion, LikeLog) and motion.source != "phases" else None
 
 
 def _of_fitted(campaign: Campaign, base: Base) -> Campaign:

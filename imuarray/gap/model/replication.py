@@ -13,7 +13,7 @@ from typing import Any
 
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Experiment, temperature_of
+from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summarise_logs
 from imuarray.gap.statistics.split import Split
@@ -137,7 +137,7 @@ class Stage:
                 self._sources(log, *request, own, alone=not held_out)
                 for request, own in zip(asked[some], effects[some], strict=True)
             ]
-            summaries += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
+            summaries += summarise_logs(kind, replicates, phases, reference_of(motion), self._layouts(log, held_out))
         return summaries
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:

@@ -6,7 +6,8 @@ the ratio of the delay to this figure, between 0 and `MOST_RATIO`, is a nuisance
 have in common. A sensor that is late by another ratio has another cause.
 
 Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
-period of the chip, which is another nuisance parameter of each such sensor.
+period of the chip, which is another nuisance parameter of each such sensor. So may the times of a sensor that nothing
+but the track of an instrument is compared with, by a period of the rows: the clocks of two instruments differ.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ _PRIOR = 1.0
 MOST_RATIO = 1.5
 """Largest ratio of the delay to that of two poles at the configured cutoff: three poles, or a cutoff a third lower."""
 
+_LEAST_S = 1e-7
+"""A shorter delay in the filter is none: times are known to a microsecond at best."""
+
 
 class SignalDelay(NamedTuple):
     """Delay of a sensor's signal in its filter, and how much older its readings are than their times, both in s."""
@@ -52,13 +56,15 @@ def fit_signal_delays(
     """Delays of the sensors by the phases in which the box moves; `queued` sensors have rows from a queue.
 
     A Gauss-Newton step from the delays that the `replicates` were `simulated` with: least squares of the delays behind
-    the other sensors of the quantity, less those of the replicates on average. Empty without such phases.
+    the other sensors of the quantity, or the track, less those of the replicates on average. Empty without such phases.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
         names = [name for name, header in headers.items() if header.quantity == quantity]
-        late = [name for name in names if name in queued and headers[name].rate_hz > 0]
+        offset_s = {name: 1 / headers[name].rate_hz for name in names if name in queued and headers[name].rate_hz > 0}
+        offset_s |= {name: period_s for name, period_s in _tracked(_crosses(campaign)).items() if name in names}
+        late = list(offset_s)
         observed = _rows(_crosses(campaign), names, nominal_s, late)
         seen = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
         comparable = [delay_s for delay_s in seen if len(delay_s) == len(observed.delay_s)]
@@ -66,28 +72,40 @@ def fit_signal_delays(
             continue
         ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
         start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
-        most = np.array([MOST_RATIO, *(1 / headers[name].rate_hz for name in late)])
-        least = np.array([0.0, *(-1 / headers[name].rate_hz for name in late)])
+        most = np.array([MOST_RATIO, *offset_s.values()])
+        least = np.array([0.0, *(-most[1:])])
         ratio, *stamps_s = _solve(observed, np.mean(comparable, axis=0), start, (least, most)).tolist()
         own = dict(zip(late, stamps_s, strict=True))
-        delays |= {name: SignalDelay(ratio * nominal_s[name], own.get(name, 0.0)) for name in names}
+        delays |= {name: SignalDelay(_not_negligible(ratio * nominal_s[name]), own.get(name, 0.0)) for name in names}
     return delays
 
 
+def _not_negligible(delay_s: float) -> float:
+    return delay_s if delay_s > _LEAST_S else 0.0
+
+
 def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str]) -> bool:
-    """True if the box moves, and sensors of one quantity have filters that delay differently, or a queue."""
+    """True if the box moves, and sensors of one quantity have filters that delay differently, a queue, or nothing but a
+    track to be compared with.
+    """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     by_quantity: dict[str, set[float]] = {}
     for name, header in headers.items():
         by_quantity.setdefault(header.quantity, set()).add(nominal_s[name])
     differ = any(len(delays_s) > 1 for delays_s in by_quantity.values())
-    return bool(_crosses(campaign)) and (differ or bool(queued))
+    crosses = _crosses(campaign)
+    return bool(crosses) and (differ or bool(queued) or bool(_tracked(crosses)))
 
 
 def _nominal_delay_s(header: SensorHeader) -> float:
     """Delay at the configured cutoff; 0 where none is known."""
     cutoff_hz = noise_bandwidth_hz(header)
     return two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
+
+
+def _tracked(crosses: Sequence[Cross]) -> dict[str, float]:
+    """The sensors that are compared with a track, each with the period of its rows in s, or a little more."""
+    return {name: cross.window_s / 2 for cross in crosses for name in cross.tracked}
 
 
 def _crosses(campaign: Campaign) -> list[Cross]:
@@ -112,12 +130,14 @@ def _rows(
     design = [np.zeros((0, 1 + len(late)))]
     for cross in crosses:
         for name in (item.name for item in cross.sensors if item.name in names):
-            if others := cross.others(name, family=False):
-                own = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
-                rest = [[nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others]
-                seen.append(delay(cross, name))
-                information.append(information_on_delay(cross, name))
-                design.append(np.tile(own - np.mean(rest, axis=0), (3, 1)))
+            others = cross.others(name, family=False)
+            if not others and name not in cross.tracked:
+                continue
+            own = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
+            rest = [[nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others]
+            seen.append(delay(cross, name))
+            information.append(information_on_delay(cross, name))
+            design.append(np.tile(own - (np.mean(rest, axis=0) if others else 0.0), (3, 1)))
     return _Delays(np.concatenate(seen), np.concatenate(information), np.concatenate(design))
 
 

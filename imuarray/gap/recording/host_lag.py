@@ -58,7 +58,7 @@ def _moving_windows(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
     size = np.zeros(len(starts))
     for at, start in enumerate(starts.tolist()):
         size[at] = max(
-            np.sqrt(np.var(values, axis=0).sum()) for values in _track_values(motion, _grid(start, 0)[::8]).values()
+            np.sqrt(np.var(values, axis=0).sum()) for values in track_values(motion, _grid(start, 0)[::8]).values()
         )
     chosen = np.argsort(-size, kind="stable")[:WINDOWS]
     return sorted(starts[chosen[size[chosen] > _LEAST_RMS]].tolist())
@@ -68,7 +68,7 @@ def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near
     """The lag in one window; None where no lag fits, or more than one does."""
     near = round(near_s / GRID_S)
     reach = _grid(start_ns - _ns(near), _MOST_LAG_ROWS)
-    read, track = _read(sensors, _grid(start_ns, 0)), _track_values(motion, reach)
+    read, track = _read(sensors, _grid(start_ns, 0)), track_values(motion, reach)
     unexplained, square, noise = np.zeros(2 * _MOST_LAG_ROWS + 1), np.zeros(_WINDOW), 0.0
     for quantity, own in read.items():
         expected = track[quantity]
@@ -116,7 +116,7 @@ def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
     return {quantity: np.mean(several, axis=0) for quantity, several in readings.items()}
 
 
-def _track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
+def track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
     """The track's values (n, 3) of each quantity, SI, box axes."""
     felt = motion.felt(time_ns)
     return {

@@ -51,6 +51,13 @@ say anything.
 """
 
 
+class Reference(NamedTuple):
+    """What a log says beside its sensors: the `temperature`, and the motion by the `track` of an instrument, if any."""
+
+    temperature: Temperature
+    track: Motion | None = None
+
+
 class Experiment(NamedTuple):
     """The plan of one log (which sensors were read when) and the motion of the box."""
 
@@ -210,6 +217,12 @@ def temperature_of(motion: Motion) -> Temperature:
         return np.asarray(motion.felt(time_ns).temperature_degc, float)
 
     return temperature
+
+
+def reference_of(motion: Motion) -> Reference:
+    """The temperature of a motion, and the motion itself if a track of the log gives it."""
+    is_tracked = isinstance(motion, LikeLog) and motion.source != "phases"
+    return Reference(temperature_of(motion), motion if is_tracked else None)
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:

@@ -11,13 +11,14 @@ import numpy as np
 from imuarray.gap.recording.course import Stretches
 from imuarray.gap.recording.events import Events
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Temperature
+from imuarray.gap.recording.recordings import Reference
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.runs import Runs, runs_of
 from imuarray.gap.statistics.summary import Grid, Summary, Tally
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
+from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.streams import CHUNK
 from imuarray.units import INERTIAL
 
@@ -35,7 +36,7 @@ class Layout:
 @dataclass(frozen=True)
 class PhaseSummary:
     """Summary of one phase: its number in the log, a summary for each sensor, and the moments that inertial sensors
-    have in common (None for fewer than two).
+    have in common, or have with a track (None for fewer than two).
     """
 
     phase: Phase
@@ -86,13 +87,13 @@ def summarise_log(
     kind: str,
     sources: Mapping[str, Source],
     phases: Sequence[Phase],
-    temperature: Temperature,
+    reference: Reference,
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
     """Summarises every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
     compare with.
     """
-    (summary,) = summarise_logs(kind, [sources], phases, temperature, layouts)
+    (summary,) = summarise_logs(kind, [sources], phases, reference, layouts)
     return summary
 
 
@@ -100,22 +101,22 @@ def summarise_logs(
     kind: str,
     replicates: Sequence[Mapping[str, Source]],
     phases: Sequence[Phase],
-    temperature: Temperature,
+    reference: Reference,
     layouts: Sequence[Layout] | None = None,
 ) -> list[LogSummary]:
     """Summarises several replicates of one log, which have the same sensors, as `summarise_log` does."""
     phases_of_replicates = [
-        _summarise_phases(replicates, phase, number, temperature, None if layouts is None else layouts[number])
+        _summarise_phases(replicates, phase, number, reference, None if layouts is None else layouts[number])
         for number, phase in enumerate(phases)
     ]
     return [LogSummary(kind, tuple(phase[at] for phase in phases_of_replicates)) for at in range(len(replicates))]
 
 
 def summarise_phase(
-    sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout | None = None
+    sources: Mapping[str, Source], phase: Phase, number: int, reference: Reference, layout: Layout | None = None
 ) -> PhaseSummary:
     """Summarises one phase of one log."""
-    (summary,) = _summarise_phases([sources], phase, number, temperature, layout)
+    (summary,) = _summarise_phases([sources], phase, number, reference, layout)
     return summary
 
 
@@ -123,7 +124,7 @@ def _summarise_phases(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
-    temperature: Temperature,
+    reference: Reference,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
     """Summarises one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
@@ -137,9 +138,9 @@ def _summarise_phases(
     for first in range(0, len(replicates), at_once):
         some = replicates[first : first + at_once]
         if len(some) > 1:
-            summaries += _summarise_jointly(some, phase, number, temperature, chosen, recorded)
+            summaries += _summarise_jointly(some, phase, number, reference, chosen, recorded)
         else:
-            summaries.append(_summarise_in_one_pass(some[0], phase, number, temperature, chosen, recorded))
+            summaries.append(_summarise_in_one_pass(some[0], phase, number, reference, chosen, recorded))
     return summaries
 
 
@@ -147,7 +148,7 @@ def _summarise_jointly(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
-    temperature: Temperature,
+    reference: Reference,
     layout: Layout,
     recorded: bool,
 ) -> list[PhaseSummary]:
@@ -160,13 +161,17 @@ def _summarise_jointly(
         new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].cache]
         for some in _simultaneous([one[name] for one in blocks], new):
             header = replicates[0][name].header
-            tallied = _summaries(header, phase, grid, [blocks[at][name] for at in some], temperature, recorded)
+            tallied = _summaries(header, phase, grid, [blocks[at][name] for at in some], reference, recorded)
             for at, summary in zip(some, tallied, strict=True):
                 replicates[at][name].cache[phase, grid] = summary
     crosses: dict[int, Cross | None] = {}
     for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
         crosses.update(
-            zip(some, _crosses(replicates[some[0]], [blocks[at] for at in some], phase, layout, recorded), strict=True)
+            zip(
+                some,
+                _crosses(replicates[some[0]], [blocks[at] for at in some], phase, layout, reference, recorded),
+                strict=True,
+            )
         )
     return [
         PhaseSummary(
@@ -204,14 +209,14 @@ def _summaries(
     phase: Phase,
     grid: Grid,
     replicates: Sequence[Sequence[Block]],
-    temperature: Temperature,
+    reference: Reference,
     recorded: bool,
 ) -> list[Summary]:
     """Summaries of one sensor in replicates whose blocks have the same times."""
     tally = Tally(header, phase, grid, len(replicates), outliers=recorded)
     for blocks in zip(*replicates, strict=True):
         tally.update(*blocks)
-    return tally.results(temperature)
+    return tally.results(reference.temperature)
 
 
 def _crosses(
@@ -219,10 +224,11 @@ def _crosses(
     blocks: Sequence[Mapping[str, Sequence[Block]]],
     phase: Phase,
     layout: Layout,
+    reference: Reference,
     recorded: bool,
 ) -> Sequence[Cross | None]:
     """Common moments of the inertial sensors in replicates whose blocks have the same times."""
-    cross = _cross(sources, phase, layout.window_ns, len(blocks), recorded=recorded)
+    cross = _cross(sources, phase, reference.track, layout.window_ns, len(blocks), recorded=recorded)
     if cross is None:
         return [None] * len(blocks)
     waiting = {
@@ -237,7 +243,7 @@ def _summarise_in_one_pass(
     sources: Mapping[str, Source],
     phase: Phase,
     number: int,
-    temperature: Temperature,
+    reference: Reference,
     layout: Layout,
     recorded: bool,
 ) -> PhaseSummary:
@@ -245,14 +251,14 @@ def _summarise_in_one_pass(
     tallies = {
         name: Tally(source.header, phase, layout.grids[name], outliers=recorded) for name, source in sources.items()
     }
-    cross = _cross(sources, phase, layout.window_ns, recorded=recorded)
+    cross = _cross(sources, phase, reference.track, layout.window_ns, 1, recorded=recorded)
     waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
     for name, blocks in _interleaved(waiting, phase):
         if blocks is not None:
             tallies[name].update(*blocks)
         if cross is not None and name in cross.sensors:
             cross.accept(name, blocks)
-    sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
+    sensors = {name: tally.result(reference.temperature) for name, tally in tallies.items()}
     return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
 
 
@@ -289,9 +295,12 @@ def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
 
 
 def _cross(
-    sources: Mapping[str, Source], phase: Phase, window: int, replicates: int = 1, *, recorded: bool
+    sources: Mapping[str, Source], phase: Phase, track: Motion | None, window: int, replicates: int, *, recorded: bool
 ) -> CrossTally | None:
+    """The tally of what inertial sensors have in common with each other, and in motion with a track."""
     there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
     headers = [source.header for source in there if source.header.quantity in INERTIAL]
-    changes = recorded or not is_at_rest(phase)
-    return CrossTally(headers, phase, window, replicates, changes=changes) if len(headers) > 1 else None
+    moves = not is_at_rest(phase)
+    if len(headers) < 2 and not (headers and moves and track):
+        return None
+    return CrossTally(headers, phase, window, replicates, changes=recorded or moves, track=track if moves else None)

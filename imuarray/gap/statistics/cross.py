@@ -5,7 +5,8 @@ is slow, variation between windows within a segment is fast. Moments are kept al
 of one design have the same sign; the mounting turns them into the box's axes, where motion is.
 
 Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
-linear in them.
+linear in them. The only sensor of its quantity has nothing to be compared with but the track of an instrument, if there
+is one: what that felt at the times of the sensor's rows makes up further columns.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.arrays import Booleans, Floats
+from imuarray.arrays import Booleans, Floats, Integers
+from imuarray.gap.recording.host_lag import track_values
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
+from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
 
 KINEMATIC = 9
@@ -35,8 +38,9 @@ _PRODUCTS = np.triu_indices(3)
 
 @dataclass(frozen=True)
 class Cross:
-    """Second moments of window means of m sensors, in their units, along their own axes, three columns each, and of the
-    `KINEMATIC` columns (rad^2/s^2).
+    """Second moments of window means of m sensors, in their units, along their own axes, three columns each, of the
+    track beside each of the sensors `tracked`, in that sensor's unit along the box's axes, and of the `KINEMATIC`
+    columns (rad^2/s^2).
 
     `slow` (s, p) are means of the segments (nan for one without enough windows in which all sensors read); `fast` (p,
     p) is the mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the
@@ -53,6 +57,7 @@ class Cross:
     fast: Floats
     turning: Floats
     changes: Floats
+    tracked: tuple[str, ...] = ()
 
     def columns(self, sensor: str) -> slice:
         """The columns of a sensor's three axes; KeyError for a sensor that isn't there."""
@@ -61,7 +66,7 @@ class Cross:
     @property
     def kinematic(self) -> slice:
         """The columns of the products of rates and the angular accelerations."""
-        return slice(3 * len(self.sensors), None)
+        return slice(3 * (len(self.sensors) + len(self.tracked)), None)
 
     def header(self, sensor: str) -> SensorHeader:
         """The header of a sensor."""
@@ -70,6 +75,28 @@ class Cross:
     def others(self, sensor: str, *, family: bool) -> tuple[str, ...]:
         """The sensors of the same chip, or else all others that measure the same."""
         return self._others[sensor, family]
+
+    def reference(self, sensor: str) -> Floats | None:
+        """Weights (3, p) of what a sensor should read along its nominal axes: the mean of the others that measure the
+        same, else the track; None without either.
+        """
+        others = self.others(sensor, family=False)
+        if others:
+            box = self.mean_box(others)
+        elif sensor in self.tracked:
+            box = np.zeros((3, self.fast.shape[0]))
+            first = 3 * (len(self.sensors) + self.tracked.index(sensor))
+            box[:, first : first + 3] = np.eye(3)
+        else:
+            return None
+        return np.array(self.header(sensor).orientation).T @ box
+
+    def mean_box(self, sensors: Collection[str]) -> Floats:
+        """Weights (3, p) of the mean of these sensors along the box's axes."""
+        weights = np.zeros((3, self.fast.shape[0]))
+        for name in sensors:
+            weights[:, self.columns(name)] = np.array(self.header(name).orientation) / len(sensors)
+        return weights
 
     @cached_property
     def slow_covariance(self) -> Floats:
@@ -103,7 +130,8 @@ class CrossTally:
     reached their window.
 
     Handles so many `replicates` at once, whose rows have the same times. `changes`: with the moments for statistics of
-    a moving box; without them it takes half of the time.
+    a moving box; without them it takes half of the time. `track`: the motion that takes the place of other sensors
+    where a sensor is the only one of its quantity.
     """
 
     def __init__(
@@ -114,21 +142,26 @@ class CrossTally:
         replicates: int = 1,
         *,
         changes: bool = True,
+        track: Motion | None = None,
     ) -> None:
         self._sensors, self._phase, self._window_ns = tuple(sensors), phase, window_ns
         self._last = (phase.end_ns - phase.start_ns) // window_ns
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
         self._places = {sensor.name: place for place, sensor in enumerate(sensors)}
-        self._scale = np.array([1 / sensor.sensitivity for sensor in sensors])
+        quantities = [sensor.quantity for sensor in sensors]
+        lone = [sensor for sensor in sensors if track is not None and quantities.count(sensor.quantity) == 1]
+        self._track, self._track_places = track, {sensor.name: len(sensors) + at for at, sensor in enumerate(lone)}
+        units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in lone]
+        self._scale = np.array(units)
         self._gyroscopes = [
             (place, SI_PER_UNIT[sensor.unit], np.array(sensor.orientation).T)
             for place, sensor in enumerate(sensors)
             if sensor.quantity == "angular_rate"
         ]
-        columns = 3 * len(sensors) + KINEMATIC
+        columns = 3 * len(units) + KINEMATIC
         self._with_changes = changes
-        self._sums = np.zeros((replicates, len(sensors), 3, self._length))
-        self._rows = np.zeros((len(sensors), self._length))
+        self._sums = np.zeros((replicates, len(units), 3, self._length))
+        self._rows = np.zeros((len(units), self._length))
         self._reached = np.zeros(len(sensors), np.int64)
         self._base, self._windows, self._inner_windows = 0, 0, 0
         self._slow: list[Floats] = []
@@ -150,9 +183,11 @@ class CrossTally:
         if len(at) == last - first + 1:
             at = slice(first - self._base, last - self._base + 1)  # no window is empty
         counts = np.ascontiguousarray([block.counts.T for block in blocks], float)
-        sums = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
-        sums[:, :, at] += np.add.reduceat(counts, starts, axis=2)
-        self._rows[place, at] += np.concatenate([starts[1:], [len(since_ns)]]) - starts
+        rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
+        self._accumulate(place, at, np.add.reduceat(counts, starts, axis=2), rows)
+        if self._track is not None and sensor in self._track_places:
+            felt = track_values(self._track, blocks[0].time)[self._sensors[place].quantity]
+            self._accumulate(self._track_places[sensor], at, np.add.reduceat(felt.T, starts, axis=1), rows)
         self._reached[place] = last
         self._finish_segments(int(self._reached.min()))
 
@@ -184,9 +219,15 @@ class CrossTally:
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
-            Cross(self._sensors, self._phase, window_s, self._windows, *own)
+            Cross(self._sensors, self._phase, window_s, self._windows, *own, tuple(self._track_places))
             for own in zip(slow, fast, turning, changes, strict=True)
         ]
+
+    def _accumulate(self, place: int, windows: Any, sums: Floats, rows: Integers) -> None:
+        """Adds sums (r, 3, w) or (3, w) over so many rows (w,) to windows, given by a slice or their places (w,)."""
+        own = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
+        own[:, :, windows] += sums
+        self._rows[place, windows] += rows
 
     def _extend(self, window: int) -> None:
         missing = window - self._base + 1 - self._rows.shape[1]

@@ -12,7 +12,7 @@ from imuarray.array import parse_array
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.base_model import fit, headers_in, residual, residual_statistics
 from imuarray.gap.model.bench import bench_of
-from imuarray.gap.recording.recordings import Experiment
+from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, runs_in, summarise_log
 from imuarray.gap.statistics.catalogue import Key
@@ -21,7 +21,7 @@ from imuarray.simulate import Motion, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import ARRAY, PLANS, RATE_HZ, Effects, phases_of, simulation, temperature_of
+from tests.gap.made import ARRAY, PLANS, RATE_HZ, Effects, phases_of, simulation
 
 Floats = npt.NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def _campaign(kinds: tuple[str, ...], more: Effects | None, seed: int) -> Campai
     for kind in kinds:
         for motion in _PLANS[kind]:
             sources = simulated_sources(simulation(motion, more or {}, seed, len(logs)))
-            logs.append(summarise_log(kind.split()[0], sources, phases_of(motion), temperature_of(motion)))
+            logs.append(summarise_log(kind.split()[0], sources, phases_of(motion), reference_of(motion)))
     return Campaign(tuple(logs))
 
 

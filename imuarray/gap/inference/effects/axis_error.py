@@ -19,6 +19,11 @@ _PROBES = ("mean", "force_own", "force_next", "force_after", "motion_gain", "mot
 _BETTER = 0.4
 """An exchange of axes leaves less than such a share of what the nominal axes leave: it is exact, or it is none."""
 
+_CHANGE = 0.01
+"""Cost of each axis that reads otherwise than nominal, as a share of what the nominal axes leave: an axis about which
+the box does not turn may keep its place.
+"""
+
 _MOST = 3
 
 
@@ -32,7 +37,10 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if measured is None:
         return
     nominal = measured.misfit(np.eye(3))
-    misfits = {axes: measured.misfit(matrix) for axes, matrix in exchanges().items()}
+    misfits = {
+        axes: measured.misfit(matrix) + _CHANGE * nominal * np.count_nonzero(np.diag(matrix) != 1)
+        for axes, matrix in exchanges().items()
+    }
     for axes in sorted(misfits, key=misfits.__getitem__)[:_MOST]:
         if misfits[axes] < _BETTER * nominal:
             yield Hypothesis((AxisError(axes),))

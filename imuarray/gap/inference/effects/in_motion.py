@@ -17,7 +17,7 @@ FORCE = slice(6 + KINEMATIC, 9 + KINEMATIC)
 @dataclass(frozen=True)
 class Moments:
     """Mean products (18, 18) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
-    those of the mean of all others that measure the same along its nominal axes (`REFERENCE`), products of angular
+    those of its reference along its nominal axes (`REFERENCE`; `Cross.reference`), products of angular
     rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean force in the sensor's nominal axes
     in g (`FORCE`); over `windows` windows.
     """
@@ -36,7 +36,7 @@ class Moments:
 
 
 def moments(evidence: Evidence) -> Moments | None:
-    """Moments over all phases in motion; None without one, or for the only sensor of its kind."""
+    """Moments over all phases in motion; None without one, or without a reference."""
     total, windows = np.zeros((9 + KINEMATIC, 9 + KINEMATIC)), 0
     for phase in evidence.seen:
         if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
@@ -56,21 +56,14 @@ def takes_part(evidence: Evidence, cross: Cross) -> bool:
 
 def _weights(cross: Cross, sensor: str) -> Floats | None:
     """(18, p) what each column is made of."""
-    others = cross.others(sensor, family=False)
-    if not others:
+    reference = cross.reference(sensor)
+    if reference is None:
         return None
     weights = np.zeros((9 + KINEMATIC, cross.fast.shape[0]))
     weights[OWN, cross.columns(sensor)] = np.eye(3)
     turn = np.array(cross.header(sensor).orientation).T
-    weights[REFERENCE] = turn @ _mean_box(cross, others)
+    weights[REFERENCE] = reference
     weights[ROTATION, cross.kinematic] = np.eye(KINEMATIC)
     feel = tuple(item.name for item in cross.sensors if item.quantity == "specific_force")
-    weights[FORCE] = turn @ _mean_box(cross, feel)
-    return weights
-
-
-def _mean_box(cross: Cross, sensors: tuple[str, ...]) -> Floats:
-    weights = np.zeros((3, cross.fast.shape[0]))
-    for name in sensors:
-        weights[:, cross.columns(name)] = np.array(cross.header(name).orientation) / len(sensors)
+    weights[FORCE] = turn @ cross.mean_box(feel)
     return weights

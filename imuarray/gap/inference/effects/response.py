@@ -14,7 +14,7 @@ MOTION_WEIGHT = 0.1
 """Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
 
 _LEAST_SHARE = 0.1
-"""A motion of which even the model shows less says nothing."""
+"""A motion of which even the model shows less along every axis says nothing."""
 
 ODD, DOUBTFUL = 2.5, 1.5
 """Scores beyond which there is something to explain, and beyond which an axis may have a part in it."""
@@ -73,15 +73,15 @@ def _of_faces(evidence: Evidence) -> Response | None:
 
 
 def _of_motion(evidence: Evidence) -> Response | None:
-    """Shares of the others' motion over what the model makes of them, in the median over phases."""
-    shares = [_median(evidence, probe) for probe in ("motion_gain", "motion_next", "motion_after")]
-    usual = shares[0][1]
-    if not (all(np.isfinite(pair).all() for pair in shares) and (np.abs(usual) > _LEAST_SHARE).all()):
+    """Shares of the reference's motion beside what the model makes of them, in the median over phases; along an axis
+    about which the box hardly turned, or along which it hardly moved, both are small.
+    """
+    read, felt = np.zeros((2, 3, 3))
+    for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
+        read[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _median(evidence, probe)
+    if not (np.isfinite([read, felt]).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
-    matrix = np.eye(3)
-    for step, (value, expected) in enumerate(shares):
-        matrix[_AXES, (_AXES + step) % 3] = value / usual if step == 0 else (value - expected) / usual
-    return Response(MOTION_WEIGHT * np.eye(3), MOTION_WEIGHT * matrix.T)
+    return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * read.T)
 
 
 def _median(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:

@@ -1,7 +1,8 @@
 """Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm.
 
-The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes. It is noisy
-itself, which makes gains a little too small, but equally in a simulation of the same motion.
+The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes; of the only
+sensor of its quantity it is the track of the log. It is noisy itself, which makes gains a little too small, but equally
+in a simulation of the same motion.
 
 A polled chip's readings are up to one of its periods old, and in step with the polls always equally old: a delay
 without significance. The residual of a sensor's motion is what no delay explains either.
@@ -18,6 +19,11 @@ from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, log, once
 
 AXES = np.arange(3)
+
+_STILL = 1e-3
+"""Motion along an axis, as a share of the mean square over the axes, below which the box hardly moves along it: what
+misalignments mix in there has no delay of its own, and an exact reference tells any gain.
+"""
 
 _ENDS = 0.02
 """Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
@@ -41,7 +47,8 @@ def axis_after(cross: Cross, sensor: str) -> Floats:
 def delay(cross: Cross, sensor: str) -> Floats:
     """Delay of each axis in seconds behind the reference.
 
-    y(t) = r(t - delay) is about r - delay dr/dt, so the delay is the projection of r - y on the change of r.
+    y(t) = r(t - delay) is about r - delay dr/dt, so the delay is the projection of r - y on the change of r; 0 along an
+    axis along which the box hardly moves.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -49,7 +56,8 @@ def delay(cross: Cross, sensor: str) -> Floats:
     own, reference = AXES, AXES + 3
     lacks = joint.turning[reference, reference] - joint.turning[own, reference]
     square = joint.changes[reference, reference]
-    ratio = np.divide(lacks, square, out=NOTHING.copy(), where=square > 0)
+    damped = square**2 + (_STILL * square.mean()) ** 2
+    ratio = np.divide(lacks * square, damped, out=NOTHING.copy(), where=square > 0)
     return np.asarray(ratio * cross.window_s)
 
 
@@ -94,7 +102,7 @@ class _JointMoments(NamedTuple):
 
 
 def _joint_moments(cross: Cross, sensor: str) -> _JointMoments | None:
-    """The joint moments of a sensor; None for the only sensor of its kind, or without windows."""
+    """The joint moments of a sensor; None without a reference, or without windows."""
     return _all_joint_moments(cross)[sensor]
 
 
@@ -104,29 +112,24 @@ def _all_joint_moments(cross: Cross) -> dict[str, _JointMoments | None]:
 
 
 def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
-    others = cross.others(sensor, family=False)
-    if not others or not cross.windows:
+    reference = cross.reference(sensor)
+    if reference is None or not cross.windows:
         return None
     header = cross.header(sensor)
     own = np.zeros((3, cross.fast.shape[0]))
     own[:, cross.columns(sensor)] = np.eye(3)
     turn = np.array(header.orientation).T
-    more = [turn @ _mean_box(cross, others)]
+    more = [reference]
     if header.quantity == "specific_force":
         more.append(np.eye(cross.fast.shape[0])[cross.kinematic])
     else:
         feel = [item.name for item in cross.sensors if item.quantity == "specific_force"]
-        more += [turn @ _mean_box(cross, feel)] if feel else []
+        more += [turn @ cross.mean_box(feel)] if feel else []
     weights = np.concatenate([own, *more])
-    return _JointMoments(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
-
-
-def _mean_box(cross: Cross, sensors: tuple[str, ...] | list[str]) -> Floats:
-    """(3, p) the mean of these along the box's axes."""
-    weights = np.zeros((3, cross.fast.shape[0]))
-    for name in sensors:
-        weights[:, cross.columns(name)] = np.array(cross.header(name).orientation) / len(sensors)
-    return weights
+    joint = _JointMoments(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
+    if not cross.others(sensor, family=False):  # the mean of other sensors has a noise of its own
+        joint.moments[AXES + 3, AXES + 3] += _STILL * np.diag(joint.moments)[AXES + 3].mean()
+    return joint
 
 
 def _gains(cross: Cross, sensor: str) -> Floats:
