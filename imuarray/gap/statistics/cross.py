@@ -26,8 +26,9 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
 
 KINEMATIC = 9
-"""Columns after those of the sensors: six products of angular rates, three angular accelerations; zeros without a
-gyroscope."""
+"""The last columns: six products of angular rates, three angular accelerations, by the gyroscopes, or without one by
+the track; zeros without either.
+"""
 
 SEGMENTS = 64
 _SEGMENT_WINDOWS = 8
@@ -66,7 +67,7 @@ class Cross:
     @property
     def kinematic(self) -> slice:
         """The columns of the products of rates and the angular accelerations."""
-        return slice(3 * (len(self.sensors) + len(self.tracked)), None)
+        return slice(len(self.fast) - KINEMATIC, None)
 
     def header(self, sensor: str) -> SensorHeader:
         """The header of a sensor."""
@@ -150,14 +151,20 @@ class CrossTally:
         self._places = {sensor.name: place for place, sensor in enumerate(sensors)}
         quantities = [sensor.quantity for sensor in sensors]
         lone = [sensor for sensor in sensors if track is not None and quantities.count(sensor.quantity) == 1]
-        self._track, self._track_places = track, {sensor.name: len(sensors) + at for at, sensor in enumerate(lone)}
+        self._track, self._lone = track, tuple(sensor.name for sensor in lone)
+        # places of a track's quantities, by the sensor at whose times they are taken
+        self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(lone)}
         units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in lone]
-        self._scale = np.array(units)
         self._gyroscopes = [
             (place, SI_PER_UNIT[sensor.unit], np.array(sensor.orientation).T)
             for place, sensor in enumerate(sensors)
             if sensor.quantity == "angular_rate"
         ]
+        if track is not None and not self._gyroscopes:
+            self._gyroscopes = [(len(units), 1.0, np.eye(3))]
+            self._track_places.setdefault(sensors[0].name, []).append((len(units), "angular_rate"))
+            units.append(1.0)
+        self._scale = np.array(units)
         columns = 3 * len(units) + KINEMATIC
         self._with_changes = changes
         self._sums = np.zeros((replicates, len(units), 3, self._length))
@@ -186,8 +193,9 @@ class CrossTally:
         rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
         self._accumulate(place, at, np.add.reduceat(counts, starts, axis=2), rows)
         if self._track is not None and sensor in self._track_places:
-            felt = track_values(self._track, blocks[0].time)[self._sensors[place].quantity]
-            self._accumulate(self._track_places[sensor], at, np.add.reduceat(felt.T, starts, axis=1), rows)
+            felt = track_values(self._track, blocks[0].time)
+            for track_place, quantity in self._track_places[sensor]:
+                self._accumulate(track_place, at, np.add.reduceat(felt[quantity].T, starts, axis=1), rows)
         self._reached[place] = last
         self._finish_segments(int(self._reached.min()))
 
@@ -219,7 +227,7 @@ class CrossTally:
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
-            Cross(self._sensors, self._phase, window_s, self._windows, *own, tuple(self._track_places))
+            Cross(self._sensors, self._phase, window_s, self._windows, *own, self._lone)
             for own in zip(slow, fast, turning, changes, strict=True)
         ]
 

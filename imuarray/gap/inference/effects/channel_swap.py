@@ -115,12 +115,15 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
-    """The course of a sensor over its phases at rest; `faces` numbers the attitudes and grows."""
+    """The course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not feel, and
+    grows.
+    """
     parts = []
     for phase in phases:
         raw, residual = phase.raw.segments, phase.residual.segments
         held = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
-        attitude = faces.setdefault(phase.raw.phase.up, len(faces))
+        feels = phase.raw.header.quantity != "angular_rate"
+        attitude = faces.setdefault(phase.raw.phase.up if feels else "", len(faces))
         noise = np.sqrt(raw.steady_variance[held] / raw.rows[held, None])
         count = int(held.sum())
         numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, attitude)

@@ -10,7 +10,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.cross import Cross
-from imuarray.gap.statistics.probes.motion import delay, gain
+from imuarray.gap.statistics.probes.motion import gain, quadrature
 from imuarray.log.format import Phase
 
 ODD = 2.5
@@ -55,7 +55,7 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
     for phase, cross in motions(evidence):
         seen, moved = _pace(cross, sensor)
         pace = np.arcsin(np.minimum(seen * cross.window_s, 1.0)) / cross.window_s
-        found = np.arctan2(seen * (delay(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
+        found = np.arctan2(seen * (quadrature(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
         known = np.isfinite(found) & (moved > 0)
         if known.any():
             middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9

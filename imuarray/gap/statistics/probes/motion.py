@@ -45,10 +45,25 @@ def axis_after(cross: Cross, sensor: str) -> Floats:
 
 
 def delay(cross: Cross, sensor: str) -> Floats:
-    """Delay of each axis in seconds behind the reference.
+    """Delay of each axis in seconds behind what its gains make of the reference, p; 0 for an axis that hardly moves.
 
-    y(t) = r(t - delay) is about r - delay dr/dt, so the delay is the projection of r - y on the change of r; 0 along an
-    axis along which the box hardly moves.
+    y(t) = p(t - delay) is about p - delay dp/dt, so the delay is the projection of p - y on the change of p.
+    """
+    joint = _joint_moments(cross, sensor)
+    if joint is None:
+        return NOTHING
+    gains, reference = _gains(cross, sensor), AXES + 3
+    turning, square = joint.turning[np.ix_(reference, reference)], _changes_of(joint, gains)
+    lacks = np.einsum("oa,ab,ob->o", gains, turning, gains) - np.einsum(
+        "ob,ob->o", joint.turning[np.ix_(AXES, reference)], gains
+    )
+    damped = square**2 + (_STILL * np.diag(joint.changes)[reference].mean()) ** 2
+    return np.divide(lacks * square, damped, out=NOTHING.copy(), where=damped > 0) * cross.window_s
+
+
+def quadrature(cross: Cross, sensor: str) -> Floats:
+    """Share of the change of the reference, in seconds, that each axis lacks of the reference along it: the delay, if
+    that is short; of a sine of angular frequency w that is late by d, sin(w d) / w.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -56,22 +71,27 @@ def delay(cross: Cross, sensor: str) -> Floats:
     own, reference = AXES, AXES + 3
     lacks = joint.turning[reference, reference] - joint.turning[own, reference]
     square = joint.changes[reference, reference]
-    damped = square**2 + (_STILL * square.mean()) ** 2
-    ratio = np.divide(lacks * square, damped, out=NOTHING.copy(), where=square > 0)
-    return np.asarray(ratio * cross.window_s)
+    return np.divide(lacks, square, out=NOTHING.copy(), where=square > 0) * cross.window_s
 
 
 def information_on_delay(cross: Cross, sensor: str) -> Floats:
-    """Inverse variance (3,) of each axis's delay, in s^-2, by what the delay leaves unexplained; nan without others."""
+    """Inverse variance (3,) of each axis's delay, in s^-2, by what the delay leaves unexplained; nan without a
+    reference.
+    """
     joint = _joint_moments(cross, sensor)
     if joint is None:
         return NOTHING
-    reference = AXES + 3
-    square = joint.changes[reference, reference] / cross.window_s**2
-    left_over = _residual_variance(joint, reference)
+    square = _changes_of(joint, _gains(cross, sensor)) / cross.window_s**2
+    left_over = _residual_variance(joint, AXES + 3)
     return np.asarray(
         cross.windows * np.divide(square, left_over, out=np.zeros(3), where=(left_over > 0) & np.isfinite(square))
     )
+
+
+def _changes_of(joint: _JointMoments, gains: Floats) -> Floats:
+    """Mean square (3,) of the change from window to window of what gains (3, 3) make of the reference."""
+    changes = joint.changes[np.ix_(AXES + 3, AXES + 3)]
+    return np.asarray(np.einsum("oa,ab,ob->o", gains, changes, gains))
 
 
 def residual(cross: Cross, sensor: str) -> Floats:
