@@ -15,6 +15,8 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from imuarray.arrays import Floats
 from imuarray.gap.model.element_temperature import HeatedRest, fit_lag, with_element_temperatures
@@ -77,6 +79,9 @@ _SLIPS = 4.0
 
 _SAME_CLOCK = 0.3
 """Relative difference of phases, beside chance, within which one clock error explains them all."""
+
+_LEAST_JITTER, _MOST_FAST = 0.01, 4.0
+"""Jitter, as a share of the repeats, below which polls are even; the fastest clock that repeats show, in jitters."""
 
 _OVERSAMPLED = 1.05
 """Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
@@ -392,13 +397,15 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. Rows
     that the recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as
     overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
-    none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate.
+    none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate. Where no
+    missed reading is flagged, the share of repeats of polls with that jitter tells the rate (`_readings_a_row`).
     """
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if header.rate_hz <= 0 or not rests:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
     tolerance, is_flagged = clock_tolerance(header), _is_flagged(rests)
+    tells_missed = any(phase.flags["overrun"] for phase in rests)
     for phase in rests:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
@@ -410,8 +417,12 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         if repeats.longest > longest:
             return math.nan
         slips += phase.flags["stale"] > 0 or excess >= _SLIPS
-        readings = 1 - _repeated_share(phase, is_flagged) + is_flagged * phase.flags["overrun"] / phase.rows
-        readings_per_s.append(readings * rows_per_s)
+        repeated = _repeated_share(phase, is_flagged)
+        readings_per_s.append(
+            rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows)
+            if is_flagged and tells_missed
+            else rows_per_s * _readings_a_row(repeated, phase.intervals.std_s / phase.intervals.mean_s)
+        )
         weight.append(phase.rows)
     if not slips:
         return math.nan
@@ -422,6 +433,25 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     if is_one_clock and abs(error) <= tolerance:
         return error
     return 0.0 if is_flagged and abs(error) <= tolerance else math.nan
+
+
+def _readings_a_row(repeated: float, jitter: float) -> float:
+    """Readings of the chip for each poll, if a share of polls `repeated` finds no new one, and intervals between polls
+    scatter by the share `jitter`.
+
+    A poll finds no new reading with the probability E[max(0, 1 - L)], L the readings in an interval, whatever the
+    phase of the clocks. With L normal about 1 + e, of standard deviation s, that is s phi(e / s) - e (1 - Phi(e / s)).
+    """
+    if repeated <= 0:
+        return 1.0
+    if jitter < _LEAST_JITTER * repeated:
+        return 1 - repeated
+
+    def excess(error: float) -> float:
+        return jitter * float(norm.pdf(error / jitter)) - error * float(norm.sf(error / jitter)) - repeated
+
+    most = _MOST_FAST * jitter
+    return 1 + float(brentq(excess, -repeated - most, most)) if excess(most) < 0 else 1 + most
 
 
 def _equal_in_a_row(by_chance: float, rows: int) -> int:

@@ -115,8 +115,8 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
-    """The course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not feel, and
-    grows.
+    """The course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not feel,
+    and grows.
     """
     parts = []
     for phase in phases:
