@@ -58,7 +58,7 @@ def delay(cross: Cross, sensor: str) -> Floats:
         "ob,ob->o", joint.turning[np.ix_(AXES, reference)], gains
     )
     damped = square**2 + (_STILL * np.diag(joint.changes)[reference].mean()) ** 2
-    return np.divide(lacks * square, damped, out=NOTHING.copy(), where=damped > 0) * cross.window_s
+    return np.asarray(np.divide(lacks * square, damped, out=NOTHING.copy(), where=damped > 0) * cross.window_s)
 
 
 def quadrature(cross: Cross, sensor: str) -> Floats:
@@ -71,7 +71,7 @@ def quadrature(cross: Cross, sensor: str) -> Floats:
     own, reference = AXES, AXES + 3
     lacks = joint.turning[reference, reference] - joint.turning[own, reference]
     square = joint.changes[reference, reference]
-    return np.divide(lacks, square, out=NOTHING.copy(), where=square > 0) * cross.window_s
+    return np.asarray(np.divide(lacks, square, out=NOTHING.copy(), where=square > 0) * cross.window_s)
 
 
 def information_on_delay(cross: Cross, sensor: str) -> Floats:
