@@ -67,7 +67,9 @@ class Chip:
         self.power_on(powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Everything as after the supply has come up at `at_ns`: reset values in every register, pointer at 0."""
+        """Bring the chip to the state after the supply has come up at `at_ns`: reset values in every register, pointer
+        at 0.
+        """
         self.powered_on_ns = at_ns
         self.page[:] = bytes(256)
         self.pointer = 0
@@ -92,7 +94,7 @@ class Chip:
         return bytes(sent)
 
     def stop(self, at_ns: int) -> None:
-        """Nothing happens at STOP unless a chip says so."""
+        """Do nothing at STOP, unless a chip overrides this."""
 
     def advance(self, pointer: int, reading: bool) -> int:
         """The pointer after a byte: the next register (the pointer survives STOP, DEC-03)."""

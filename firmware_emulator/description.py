@@ -13,7 +13,7 @@ class MuxLike(Protocol):
 
     @property
     def chip(self) -> str:
-        """Only "pca9544a"."""
+        """The chip: only "pca9544a"."""
 
     @property
     def address(self) -> int:

@@ -52,7 +52,7 @@ class FaultyMux(Pca9544a):
             self.route = self._kept
 
     def reset(self) -> None:
-        """Its supply failed: nothing is connected."""
+        """Reset it, since its supply failed: nothing is connected."""
         self.power_on(0)
         self._kept, self.route = None, NO_CHANNEL
 

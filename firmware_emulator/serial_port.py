@@ -30,7 +30,7 @@ class SerialPort:
         self._woken, self._waker = os.pipe()
 
     def serve_forever(self) -> None:
-        """Until `shutdown`, which another thread may call."""
+        """Serve until `shutdown`, which another thread may call."""
         while not self._step():
             pass
 

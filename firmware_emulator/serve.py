@@ -78,7 +78,7 @@ class UsbipServer:
         return host, port
 
     def serve_forever(self) -> None:
-        """Until `shutdown`, which another thread may call."""
+        """Serve until `shutdown`, which another thread may call."""
         while True:
             for key, _ in self._selector.select(PATIENCE_S / 4):
                 if key.fileobj is self._woken:

@@ -17,7 +17,9 @@ NEVER_NS = 1 << 62
 
 @dataclass
 class Grid:
-    """When samples fall: at `start_ns` + n * `period_ns` for n from 1 on; `index` counts the latest from 0."""
+    """The grid on which samples fall: at `start_ns` + n * `period_ns` for n from 1 on; `index` counts the latest from
+    0.
+    """
 
     start_ns: int = NEVER_NS
     period_ns: int = 1_000_000

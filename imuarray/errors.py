@@ -1,4 +1,4 @@
-"""Everything that `imuarray` raises on purpose, in one tree.
+"""Errors that `imuarray` raises on purpose, in one tree.
 
 ::
 

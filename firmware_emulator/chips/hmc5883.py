@@ -72,7 +72,9 @@ def word(code: int) -> int:
 
 
 class Hmc5883(Chip):
-    """Either part, by `variant`; `wrap` is the register whose read sends the pointer back to 3: 8 or 9 (DEC-30)."""
+    """An HMC5883 or HMC5883L, by `variant`; `wrap` is the register whose read sends the pointer back to 3: 8 or 9
+    (DEC-30).
+    """
 
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, variant: str = "hmc5883", wrap: int = 8

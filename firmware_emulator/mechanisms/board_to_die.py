@@ -26,7 +26,7 @@ class BoardToDie(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More heat capacity in both nodes."""
+        """Return one with more heat capacity in both nodes."""
         return cls(board_s=cls.board_s * severity, die_s=cls.die_s * severity)
 
     def put_on(self, site: Site) -> None:

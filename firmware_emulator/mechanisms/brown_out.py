@@ -28,7 +28,7 @@ class BrownOut(SensorMechanism):
         return cls(mean_s=cls.mean_s / severity)
 
     def put_on(self, site: Site) -> None:
-        """Before the chip is next addressed."""
+        """Act before the chip is next addressed."""
         due_ns = (WHILE_SET_UP_S + site.run_random("dip").exponential(self.mean_s)) * 1e9
         done, touched = False, site.touched.setdefault(self, set())
 

@@ -31,7 +31,7 @@ class DriveImbalance(SensorMechanism):
         return cls(imbalance_dps_per_g=cls.imbalance_dps_per_g * severity)
 
     def put_on(self, site: Site) -> None:
-        """Along axes of the part's own."""
+        """Act along axes of the part's own."""
         lever, from_box = site.direction("imbalance"), transposed(site.orientation)
         factor = self.imbalance_dps_per_g / STANDARD_GRAVITY
 

@@ -30,7 +30,7 @@ class DroppedBox(SensorMechanism):
         return cls(shift_g=cls.shift_g * severity, shift_dps=cls.shift_dps * severity)
 
     def put_on(self, site: Site) -> None:
-        """Nothing before the fall."""
+        """Change nothing before the fall."""
         if site.run == 0:
             return
         direction, shift = site.direction("fall"), site.by_unit(self.shift_g, self.shift_dps)

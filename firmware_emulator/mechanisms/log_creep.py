@@ -25,7 +25,7 @@ class LogCreep(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More creep."""
+        """Return one with more creep."""
         return cls(per_decade_g=cls.per_decade_g * severity, per_decade_dps=cls.per_decade_dps * severity)
 
     def put_on(self, site: Site) -> None:

@@ -32,7 +32,7 @@ class MainsRipple(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More ripple."""
+        """Return one with more ripple."""
         return cls(peak_g=cls.peak_g * severity, peak_dps=cls.peak_dps * severity)
 
     def put_on(self, site: Site) -> None:

@@ -26,7 +26,7 @@ class MissingCodes(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More codes."""
+        """Return one with more missing codes."""
         return cls(missing=min(PERIOD - 2, max(2, round(cls.missing * severity))))
 
     def put_on(self, site: Site) -> None:

@@ -30,7 +30,7 @@ class MuxHang(Mechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More often."""
+        """Return one that acts more often."""
         return cls(share=min(0.5, cls.share * severity))
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:

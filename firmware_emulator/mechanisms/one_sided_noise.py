@@ -22,7 +22,7 @@ class OneSidedNoise(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More of it."""
+        """Return one with more noise."""
         return cls(mean_g=cls.mean_g * severity, mean_dps=cls.mean_dps * severity)
 
     def put_on(self, site: Site) -> None:

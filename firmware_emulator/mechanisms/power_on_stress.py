@@ -25,7 +25,7 @@ class PowerOnStress(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More stress."""
+        """Return one with more stress."""
         return cls(scale_g=cls.scale_g * severity, scale_dps=cls.scale_dps * severity)
 
     def put_on(self, site: Site) -> None:

@@ -20,9 +20,10 @@ RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class RangeSwitch(SensorMechanism):
-    """After every `every`-th power-up the amplifier stays in the range below the one that the range bits ask, or above
-    it where that is the smallest: codes are as much larger and clip at their ends; the offset is that of the range in
-    force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has nothing to switch.
+    """A wrong range: after every `every`-th power-up the amplifier stays in the range below the one that the range bits
+    ask, or above it where that is the smallest: codes are as much larger and clip at their ends; the offset is that of
+    the range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has nothing to
+    switch.
 
     Looks like run 10 of BMA1 in the paper's Table 6. There or not, every fourth power-up: the next range shows whatever
     it is.
@@ -35,7 +36,7 @@ class RangeSwitch(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """There or not."""
+        """Return the same: it is there or not."""
         return cls()
 
     def put_on(self, site: Site) -> None:

@@ -44,7 +44,7 @@ class Divider:
     page: bytearray
 
     def as_wired(self, field: Field) -> AbstractContextManager[None]:
-        """While a setting is taken over."""
+        """Act while a setting is taken over."""
         return lost(self.page, field, self.which)
 
 

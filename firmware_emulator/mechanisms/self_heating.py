@@ -12,7 +12,8 @@ from firmware_emulator.mechanisms.site import Site
 
 @dataclass(frozen=True)
 class SelfHeating(SensorMechanism):
-    """Its own thermometer shows T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; bias follows the mass, T.
+    """Self-heating: the chip's thermometer shows T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; bias
+    follows the mass, T.
 
     rise = power x thermal resistance; only chips whose thermometer has a zero. Reference: 3 K after 5 s.
     """
@@ -25,7 +26,7 @@ class SelfHeating(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More power."""
+        """Return one with more power."""
         return cls(rise_k=cls.rise_k * severity)
 
     def put_on(self, site: Site) -> None:

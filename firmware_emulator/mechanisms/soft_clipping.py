@@ -25,7 +25,7 @@ class SoftClipping(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Less supply."""
+        """Return one with less supply."""
         return cls(share=cls.share / severity)
 
     def put_on(self, site: Site) -> None:

@@ -40,7 +40,7 @@ class SpinningMotor(SensorMechanism):
         return risen**2 * math.sin(2 * math.pi * self.speed_hz * (since - self.spin_up_s * risen))
 
     def put_on(self, site: Site) -> None:
-        """Along a direction of the place."""
+        """Act along a direction of the place."""
         direction, peak = site.direction("motor"), site.by_unit(self.peak_g, self.peak_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:

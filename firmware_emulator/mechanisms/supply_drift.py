@@ -37,7 +37,7 @@ class SupplyDrift(Mechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More drift."""
+        """Return one with more drift."""
         return cls(drift_v=cls.drift_v * severity)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:

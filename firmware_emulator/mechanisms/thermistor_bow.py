@@ -24,7 +24,7 @@ class ThermistorBow(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More bow."""
+        """Return one with more bow."""
         return cls(bow_g_per_k2=cls.bow_g_per_k2 * severity, bow_dps_per_k2=cls.bow_dps_per_k2 * severity)
 
     def put_on(self, site: Site) -> None:

@@ -24,7 +24,7 @@ class TornReads(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More often."""
+        """Return one that acts more often."""
         return cls(share=min(1.0, cls.share * severity))
 
     def put_on(self, site: Site) -> None:

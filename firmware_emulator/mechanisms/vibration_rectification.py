@@ -29,7 +29,7 @@ class VibrationRectification(SensorMechanism):
         return cls(per_g2_g=cls.per_g2_g * severity, per_g2_dps=cls.per_g2_dps * severity)
 
     def put_on(self, site: Site) -> None:
-        """Along axes of the part's own."""
+        """Act along axes of the part's own."""
         direction, factor = site.direction("stops"), site.by_unit(self.per_g2_g, self.per_g2_dps)
         elapsed = Stopwatch()
         mean: Triple | None = None

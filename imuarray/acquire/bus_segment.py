@@ -62,7 +62,7 @@ class Adapter:
         return began
 
     def returned(self) -> None:
-        """It is there again."""
+        """Note that the adapter is there again."""
         self.removed = False
         self.silent_until_ns = -(1 << 62)
 
@@ -78,7 +78,7 @@ class Adapter:
         return began
 
     def answered(self) -> bool:
-        """Something was heard; whether that ended a hang."""
+        """Note that something was received; return whether that ended a hang."""
         ended = self.hangs
         self.hangs = False
         self.time_outs = 0

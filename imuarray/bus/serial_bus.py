@@ -117,7 +117,7 @@ class SerialBus:
             raise OSError(errno.ENODEV, f"the microcontroller is gone: {error.strerror}") from error
 
     def channel_bus(self, path: str) -> Bus:
-        """There is none: OSError, as for a device file that isn't there."""
+        """Raise an error: OSError, as for a device file that isn't there."""
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
 
     def start(self, lists: Sequence[PollList], period_us: int) -> None:
@@ -140,9 +140,9 @@ class SerialBus:
         self._do(link.STOP, b"", "stop")
 
     def receive(self) -> Mapping[int, Samples]:
-        """Everything that came since the last call, by number of the list; while streaming after a nap, when a frame
-        has arrived or a moment has passed, without delay if there is more than can be kept up with. LinkError when the
-        port is gone.
+        """Return everything that arrived since the last call, by number of the list; while streaming after a nap, when
+        a frame has arrived or a moment has passed, without delay if there is more than can be kept up with. LinkError
+        when the port is gone.
         """
         if self.streaming:
             if not self._behind:

@@ -90,7 +90,9 @@ class OpposedChange:
 
 @dataclass(frozen=True)
 class CalibrationComparison:
-    """Everything; `names` are those of the calibrations. Without calibrations that share a sensor there is nothing."""
+    """A comparison of calibrations; `names` are those of the calibrations. Without calibrations that share a sensor
+    there is nothing.
+    """
 
     names: tuple[str, ...]
     changes: tuple[Change, ...]

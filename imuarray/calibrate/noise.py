@@ -277,7 +277,7 @@ class _PooledSquares:
         return np.asarray(np.sqrt(self._squares / self.freedom))
 
     def rms_sem_lsb(self) -> Floats:
-        """Its standard error, by what the variances of the segments scatter: correlated or not, normal or not."""
+        """The standard error, by what the variances of the segments scatter: correlated or not, normal or not."""
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:
             return np.asarray(np.sqrt(variance / (2 * self.freedom)))

@@ -88,7 +88,7 @@ class Pose:
 
     @property
     def label(self) -> str:
-        """Its phase, and what was up if the name does not say that."""
+        """The phase's name, and the axis that was up if the name does not say it."""
         name = self.phase.name
         return name if not self.phase.up or face_up(name) else f"{name} ({self.phase.up})"
 

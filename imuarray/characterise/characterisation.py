@@ -38,7 +38,7 @@ class Characterisation:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the sensors."""
         return tuple(sensor["name"] for sensor in self.result["sensors"])
 
     def axis(self, sensor: str, axis: str) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""Everything that is known of a log's sensors at rest, as one JSON-ready object.
+"""Result of a characterisation: everything that is known of a log's sensors at rest, as one JSON-ready object.
 
 Values are in counts; `unit_per_count` turns them into the sensor's unit and `si_per_count` into SI, by a calibration or
 else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients stand in all

@@ -54,7 +54,8 @@ class Survey:
 def survey(
     sensor: SensorLog, rows: slice, timing: Timing, interval_s: float, estimator: Estimator | None = None
 ) -> Survey | None:
-    """Everything about the `rows` of a sensor, whose runs `timing` found; `interval_s` is the longest run's mean.
+    """Return everything about the `rows` of a sensor, whose runs `timing` found; `interval_s` is the longest run's
+    mean.
 
     `estimator` None: overlapping for a run of at most `EXACT_ROWS`, else decimated. None without two rows.
     """

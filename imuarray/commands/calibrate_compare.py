@@ -19,7 +19,7 @@ _UNITS = {"g": (1e3, "mg"), "dps": (1.0, "dps"), "g/degC": (1e3, "mg/degC"), "ga
 
 
 def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
-    """Everything, JSON-ready."""
+    """Return the whole comparison, JSON-ready."""
     return {
         "calibrations": list(comparison.names),
         "changes": [{**asdict(change), "changed": change.changed} for change in comparison.changes],

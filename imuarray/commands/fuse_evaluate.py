@@ -33,7 +33,7 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
 
 
 def report_of(comparison: Comparison) -> dict[str, Any]:
-    """Everything, JSON-ready, SI but for headings in degrees."""
+    """Return the whole evaluation, JSON-ready, SI but for headings in degrees."""
     return {
         "scores": [_score(score) for score in comparison.scores],
         "coasting": {technique: _coasting(coast) for technique, coast in comparison.coasting.items()},

@@ -85,11 +85,13 @@ class Bmp180:
         self._due_ns, self._converting = self.clock.now_ns(), 0
 
     def mark(self, code: int) -> bool:
-        """It has no byte to spare."""
+        """Do nothing: it has no byte to spare."""
         return False
 
     def self_test(self) -> SelfTest:
-        """It has none: one conversion, whose temperature and pressure must lie within the operating range (BMP-70)."""
+        """Replace the self-test that it lacks: one conversion, whose temperature and pressure must lie within the
+        operating range (BMP-70).
+        """
         self.configure()
         burst, tries, longest_ns = b"", 0, 0
         while not burst and tries < 100:

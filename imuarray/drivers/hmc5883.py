@@ -82,7 +82,7 @@ class Hmc5883:
         yield 1 / self.rate_hz
 
     def mark(self, code: int) -> bool:
-        """It has no byte to spare."""
+        """Do nothing: it has no byte to spare."""
         return False
 
     def self_test(self) -> SelfTest:

@@ -84,7 +84,9 @@ class L3g4200d:
         carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
-        """There is no reset: every control register is written, then the power bit; wait out the turn-on."""
+        """The steps of its configuration, without a reset, since there is none: every control register is written, then
+        the power bit; wait out the turn-on.
+        """
         for setting in (*self.settings, self.power):
             self.registers.set(setting)
             yield 0.0

@@ -114,7 +114,7 @@ def _cells(sensor: SensorLog) -> tuple[str, ...]:
 
 
 def full_header(sensor: SensorLog) -> SensorHeader:
-    """Everything that a log says of a sensor, as the header with which it would be written again."""
+    """Return all that a log says of a sensor, as the header with which it would be written again."""
     extra = {name: value for name, item in sensor.attributes.items() if (value := _plain(item)) is not None}
     delay = extra.pop("delay_ns", None)
     return replace(

@@ -94,6 +94,6 @@ class Meter:
         self._done, self._progress = 0, progress
 
     def add(self, rows: int, columns: int = 1) -> None:
-        """So many rows of so many columns are done."""
+        """Count so many rows of so many columns as done."""
         self._done += rows * columns
         self._progress(min(1.0, self._done / self._total))

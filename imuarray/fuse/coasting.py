@@ -50,12 +50,12 @@ class Coasting:
 
     @property
     def heading_rms_deg(self) -> float:
-        """Over all coasts; nan if there is none."""
+        """The rms of the heading error over all coasts; nan if there is none."""
         return _rms(self.heading_deg)
 
     @property
     def velocity_rms_mps(self) -> float:
-        """Over all coasts; nan if there is none."""
+        """The rms of the velocity error over all coasts; nan if there is none."""
         return _rms(self.velocity_mps)
 
 

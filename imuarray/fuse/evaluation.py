@@ -84,7 +84,7 @@ class Evaluation:
     """
 
     def __init__(self, log: Log, phases: Iterable[Phase] = ()) -> None:
-        """Only inside `phases`, if there are any. FusionError if the log has neither."""
+        """Evaluate frames only inside `phases`, if there are any. FusionError if the log has neither."""
         self._track = _track_of(log)
         self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
         self._stack = ExitStack()
@@ -192,7 +192,9 @@ class ErrorFramesOnDisk:
     """
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
-        """With a `folder`, in files there that stay. FusionError if the log knows no truth."""
+        """Keep the frames' errors on disk; with a `folder`, in files there that stay. FusionError if the log knows no
+        truth.
+        """
         self._track, self._folder = _track_of(log), folder
         self._stack = ExitStack()
         self._kept: dict[str, dict[str, _ErrorFramesSpool]] = {}
@@ -292,7 +294,7 @@ class _ErrorSpool:
         self.frames = 0
 
     def add(self, errors: Floats) -> None:
-        """More of them, (n, 3)."""
+        """Add more of them, (n, 3)."""
         self._file.write(np.ascontiguousarray(errors, np.float64).tobytes())
         self.frames += len(errors)
 
@@ -343,7 +345,7 @@ class _ErrorFramesSpool:
         self._file: IO[bytes] = TemporaryFile() if path is None else path.open(mode)  # noqa: SIM115, lives as long
 
     def add(self, frames: ErrorFrames) -> None:
-        """More of them."""
+        """Add more of them."""
         time = np.ascontiguousarray(frames.time, np.int64).view(np.float64)  # the same bits
         rows = np.concatenate([time[:, None], frames.errors, frames.truth, frames.covariances], axis=1)
         self._file.write(rows.tobytes())

@@ -386,7 +386,7 @@ class LiveFused:
         self.frames = 0
 
     def append(self, block: FusedBlock) -> None:
-        """More frames. OSError."""
+        """Append more frames. OSError."""
         self._fused.append(block)
         self.frames += len(block.time)
         if not self._file.swmr_mode:
@@ -457,7 +457,7 @@ class _FusedColumns:
         self._datasets: dict[str, h5py.Dataset] = {}
 
     def append(self, block: FusedBlock) -> None:
-        """More rows of every column. OSError."""
+        """Append more rows of every column. OSError."""
         _ask_for_room(self._path, block)
         columns = _columns(block)
         if not len(self._group):

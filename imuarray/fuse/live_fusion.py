@@ -94,7 +94,7 @@ class FusedFiles:
         self._file = self._create(0)
 
     def append(self, block: FusedBlock) -> None:
-        """More frames. OSError, OutputExistsError, OutputError."""
+        """Append more frames. OSError, OutputExistsError, OutputError."""
         for number, rows in self._split(block):
             if number > self._number:
                 self._file.close()

@@ -66,7 +66,7 @@ class QuantityPipeline:
         )
 
     def finish(self) -> Iterator[FusedBlock]:
-        """Nothing."""
+        """Return nothing: no frame is held back."""
         return iter(())
 
     def notes(self) -> FusionNotes:
@@ -90,7 +90,7 @@ class TechniqueSet:
         yield {name: next(each(frames, degc)) for name, each in self._each.items()}
 
     def finish(self) -> Iterator[dict[str, FusedBlock]]:
-        """Nothing."""
+        """Return nothing: no frame is held back."""
         return iter(())
 
 
@@ -112,7 +112,7 @@ class ComparisonPipeline:
         yield from self._technique(frames, degc)
 
     def finish(self) -> Iterator[FusedBlock]:
-        """Nothing."""
+        """Return nothing: no frame is held back."""
         return iter(())
 
     def notes(self) -> FusionNotes:

@@ -188,13 +188,13 @@ class FusionStream(Generic[Out]):
             yield from self._advance()
 
     def end(self, sensor: str) -> Iterator[Out]:
-        """Nothing comes from this sensor any more, and what is complete without it."""
+        """End a sensor, from which no more rows come; yield what is complete without it."""
         if sensor in self._rows:
             self._rows[sensor].ended = True
             yield from self._advance()
 
     def finish(self) -> Iterator[Out]:
-        """Everything that is left; FusionError if there were fewer than three rows of every sensor."""
+        """Yield everything that is left; FusionError if there were fewer than three rows of every sensor."""
         for rows in self._rows.values():
             rows.ended = True
         yield from self._advance()

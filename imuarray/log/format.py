@@ -91,7 +91,7 @@ class Phase(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened while logging; `sensor` is "" for the array as a whole."""
+    """An event while logging; `sensor` is "" for the array as a whole."""
 
     time_ns: int
     sensor: str
@@ -156,5 +156,5 @@ class SensorHeader:
 
     @property
     def where(self) -> str:
-        """Its name in errors."""
+        """The name in errors."""
         return f"sensor {self.name}"

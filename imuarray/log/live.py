@@ -187,7 +187,7 @@ class Live:
         self._queue.put(_Item(number, rows, self.groups[number].encode(columns)))
 
     def flush(self) -> None:
-        """Everything that was put is acknowledged and on the disk when this returns; DiskFullError, LogError."""
+        """Wait until everything that was put is acknowledged and on the disk; DiskFullError, LogError."""
         done = threading.Event()
         self._queue.put(done)
         done.wait()

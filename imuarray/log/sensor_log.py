@@ -214,7 +214,7 @@ class SensorLog:
         return table(self.to_xarray(calibration))
 
     def plot(self, calibration: Calibration | None = None) -> Figure:
-        """Its physical values in the box frame over time, or its counts where no unit is known; MissingExtraError
+        """Draw the physical values in the box frame over time, or the counts where no unit is known; MissingExtraError
         without matplotlib (extra "report").
         """
         from imuarray.log.plots import log_figure

@@ -32,7 +32,7 @@ class _File:
         return self._items[name]
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is nothing to close."""
 
 
 class MemoryLog(Log):

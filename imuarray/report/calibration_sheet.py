@@ -29,7 +29,7 @@ def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
 
 
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
-    """Its figures, with their uncertainties."""
+    """Return the figures of a calibration, with their uncertainties."""
     axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor)]
     words = "Figures have their standard error if they were measured; figures without are the data sheet's. "
     words += "A bias is the reading without input; the direction is where the axis really points in the box."

@@ -29,7 +29,7 @@ PLACEBO = "placebo"
 
 
 def map_table(shown: Map) -> Table:
-    """Before and after in numbers, marked beyond the limit."""
+    """Return the values before and after, marked beyond the limit."""
     rows = [
         [sensor, *(_pair(*cell, shown.limit) for cell in zip(before, after, strict=True))]
         for sensor, before, after in zip(shown.sensors, shown.before.tolist(), shown.after.tolist(), strict=True)
@@ -72,7 +72,7 @@ def each_table(causes: Sequence[Cause]) -> Table | None:
 
 
 def shrink_table(gap: Gap) -> Table:
-    """Over all and by domain: before, after and what closed."""
+    """Return the gap over all and by domain: before, after and what closed."""
     rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
     for domain, (before, after, closed) in gap.domains.items():
         rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])

@@ -54,7 +54,7 @@ class Timeline(Protocol):
 
     @property
     def rows_per_s(self) -> float:
-        """Their nominal rate."""
+        """The nominal rate."""
 
     def stamps(self, start: int, stop: int) -> Integers:
         """(stop - start,) int64 ns since the epoch, strictly increasing."""

@@ -94,7 +94,7 @@ class FaultReport:
         )
 
     def readmitted(self, exclusion: Exclusion, time_ns: int) -> None:
-        """They are used again."""
+        """Note that they are used again."""
         kind = exclusion.kind or _UNKNOWN
         self._add(exclusion.sensor, exclusion.axes, time_ns, kind, "readmitted")
 
@@ -116,7 +116,7 @@ class FaultReport:
         self._add(sensor, _ALL, time_ns, Kind("dropped_samples", seconds), "silent")
 
     def back(self, sensor: int, time_ns: int) -> None:
-        """It says something again."""
+        """Note that it gives readings again."""
         self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "back")
 
     def blind(self, sensor: int, time_ns: int) -> None:

@@ -273,7 +273,7 @@ class CausalPipeline:
         yield fused_block(next(iter(frames.values())).time, self._optimal(frames, degc), self._axes)
 
     def finish(self) -> Iterator[FusedBlock]:
-        """Nothing."""
+        """Return nothing: no frame is held back."""
         return iter(())
 
     def notes(self) -> FusionNotes:
@@ -289,7 +289,7 @@ class FramePipeline:
         yield frames, degc
 
     def finish(self) -> Iterator[FrameBlock]:
-        """Nothing."""
+        """Return nothing: no frame is held back."""
         return iter(())
 
 

@@ -31,5 +31,5 @@ def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
 
 
 def field_until_ns(fields: Sequence[PhaseField], at_ns: int) -> int:
-    """Until when the field is what it is at `at_ns`."""
+    """Return until when the field is what it is at `at_ns`."""
     return min((field.start_ns for field in fields[1:] if field.start_ns > at_ns), default=FOREVER_NS)

@@ -111,7 +111,7 @@ class Heating:
         return resting(time_ns, self._attitude, towards[index] + distance[index] * remaining)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         if at_ns < self._edges_ns[1]:
             return int(self._edges_ns[1])
         return FOREVER_NS if at_ns >= self._edges_ns[-1] else at_ns

@@ -122,7 +122,7 @@ class LikeLog:
         return LikeLog, (self.log, self.fields, self.rests)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         if self._moving is not None or self._warming[1] is not None:
             return at_ns
         later = self._starts_ns[self._starts_ns > at_ns]

@@ -79,7 +79,7 @@ class PoseSequence:
         return replace(still, pressure_pa=around.pressure_pa)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         around = self.surroundings
         later = self._turns_ns[self._turns_ns > at_ns]
         turn_ns = min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))

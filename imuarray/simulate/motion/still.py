@@ -53,7 +53,7 @@ class Still:
         return resting(time_ns, self.attitude, self.temperature_degc + self.drift_degc_per_h * hours)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         return FOREVER_NS if self.drift_degc_per_h == 0 or at_ns >= nanoseconds(self.seconds) else at_ns
 
 

@@ -65,7 +65,7 @@ class BetweenRests:
         return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when nothing changes from what is at `at_ns`."""
+        """Return the time up to which nothing changes after `at_ns`, exclusive."""
         _, moving, _ = self.phases
         if at_ns < moving.start_ns:
             return moving.start_ns

@@ -111,7 +111,7 @@ class Tumble:
         )
 
     def unchanged_until_ns(self, at_ns: int) -> int:
-        """Until when it shows what it shows at `at_ns`."""
+        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         face = self._only_face(np.array([at_ns]))
         if face is None:
             return at_ns

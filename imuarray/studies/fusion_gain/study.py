@@ -110,7 +110,7 @@ class RunErrors:
 
 
 def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
-    """Everything about one experiment with one seed; `seconds` instead of its own length."""
+    """Return everything about one experiment with one seed; `seconds` instead of its own length."""
     rows: list[RunErrors] = []
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         for array_name, make in ARRAYS.items():

@@ -52,7 +52,7 @@ _DIGITS = Context(prec=34)
 
 
 def recomputed_rows() -> dict[str, tuple[RecomputedRow, ...]]:
-    """Everything of `TABLES` and `FURTHER` by name; a caller's decimal context does not matter."""
+    """Return all rows of `TABLES` and `FURTHER` by name; a caller's decimal context does not matter."""
     with localcontext(_DIGITS):
         return {name: build() for name, build in (TABLES | FURTHER).items()}
 

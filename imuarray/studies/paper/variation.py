@@ -418,7 +418,9 @@ def plane_ratio(sensor: str, quantity: str) -> Decimal:
 
 
 def planes() -> list[dict[str, Any]]:
-    """Out-of-plane over in-plane ratio of every triad: noise, temperature slope, in-run and turn-on variation."""
+    """Return the out-of-plane over in-plane ratio of every triad: noise, temperature slope, in-run and turn-on
+    variation.
+    """
     sensors = [row["sensor"] for row in table(1)]
     return [
         {"sensor": sensor, "design": design_of(sensor)}

@@ -23,7 +23,7 @@ _STEP_S = 10.0
 
 
 class Curve(NamedTuple):
-    """Something over time: seconds (n,), LSB (n, k)."""
+    """A curve over time: seconds (n,), LSB (n, k)."""
 
     seconds: Floats
     lsb: Floats
@@ -53,7 +53,7 @@ class Noise(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """Everything that is drawn: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the
+    """All curves that are drawn: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the
     sensor.
     """
 

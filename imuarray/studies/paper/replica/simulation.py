@@ -145,9 +145,9 @@ class HighRate(NamedTuple):
 
 @dataclass(frozen=True)
 class ExperimentData:
-    """Everything simulated, by sensor: `faces` seven windows in Table 10's order, `parts` and `runs` fifteen,
-    `heated` the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; how
-    many of `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state. For figures: every reading of the
+    """All simulated data, by sensor: `faces` seven windows in Table 10's order, `parts` and `runs` fifteen, `heated`
+    the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; how many of
+    `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state. For figures: every reading of the
     continuous run (`still`) and of the sensors `WARMED` while heated (`warm`).
     """
 
