@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import Duration, force_option, json_option, print_json
+from imuarray.commands.options import Duration, force_option, json_option, print_json, workers_option
 from imuarray.shipped import find_config
 
 
@@ -28,9 +28,10 @@ from imuarray.shipped import find_config
     help="array time to record, all runs together; at least 5min",
 )
 @click.option("--seed", default=1, show_default=True, help="draws the emulated noise")
+@workers_option
 @force_option
 @json_option
-def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool) -> None:
+def command(output: Path, seconds: float, seed: int, workers: int, force: bool, as_json: bool) -> None:
     """Record the emulated paper array, calibrate it, fuse it, diagnose it, and write report.html.
 
     No hardware is needed: the chips are emulated register by register.
@@ -39,15 +40,11 @@ def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool)
     imuarray demo -o demo
     """
     from imuarray.studies.demo import run_demo
+    from imuarray.studies.emulated_runs import DemoOptions
 
-    result = run_demo(
-        find_config(Path("martin2013")),
-        output,
-        seconds=seconds,
-        seed=seed,
-        force=force,
-        say=lambda step: click.echo(f"imuarray: {step}", err=True),
-    )
+    options = DemoOptions(seconds, seed, force, workers)
+    say = lambda step: click.echo(f"imuarray: {step}", err=True)  # noqa: E731
+    result = run_demo(find_config(Path("martin2013")), output, options, say)
     if as_json:
         print_json(result)
         return

@@ -79,6 +79,7 @@ def technique_names() -> tuple[str, ...]:
 
 
 # What is compared, who follows it and which processes take part are independent of one another, and keyword-only.
+# The options of `compare` are independent of one another, keyword-only and the interface of the package.
 def compare(
     log: Log,
     calibration: Calibration,

@@ -8,16 +8,13 @@ measured. Finally, `gap` compares three sensors at rest with a simulator that kn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imuarray.acquire import record
-from imuarray.array import load_array
-from imuarray.bus import open_bus
 from imuarray.calibrate import Calibration, Tumble, calibrate_noise, calibrate_tumble
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import allan_figure
@@ -31,54 +28,8 @@ from imuarray.log.format import Phase
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
 from imuarray.report.gap_page import write_gap_page
+from imuarray.studies.emulated_runs import RUNS, DemoOptions, Say, record_all
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
-
-RATE_HZ = 48.0
-"""What the paper's full array was logged at: (std/sem)^2 / 900 s of its Table 10."""
-
-RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
-"""The runs, and the share of the recorded time that each of them gets."""
-
-Say = Callable[[str], None]
-
-
-def _world(run: str, seconds: float) -> str:
-    """The parameters of the emulated bus for a run of that length."""
-    face_s = (seconds - 6 * 2.0) / 7
-    return {
-        "tumble": f"world=tumble&face_s={face_s:.3f}&turn_s=2",
-        "static": "world=still",
-        "heating": f"world=heating&scale={seconds / 6600:.6f}",
-        "shaking": f"world=shaking&peak_g=3&peak_dps=200&motion_s={seconds * 0.6:.3f}&still_s={seconds * 0.2:.3f}",
-    }[run]
-
-
-def record_all(config: Path, folder: Path, seconds: float, seed: int, say: Say) -> dict[str, Path]:
-    """Record every run into its own log."""
-    array = load_array(config)
-    logs = {}
-    for run, share in RUNS.items():
-        length = share * seconds
-        say(f"recording {run}: {length:.0f} s of array time")
-        path = folder / f"{run}.h5"
-        with open_bus(f"emulated:?{_world(run, length)}&seed={seed}", array) as bus:
-            start_s = bus.clock.now_ns() * 1e-9
-            phase = "static" if run == "static" else ""
-            phases: Sequence[Phase] = () if phase else getattr(bus, "phases", ())
-            record(
-                array,
-                bus,
-                path,
-                rate_hz=RATE_HZ,
-                seconds=length - start_s,
-                phases=phases,
-                phase=phase,
-                up="+Z" if phase else "",
-                force=True,
-            )
-        logs[run] = path
-    return logs
-
 
 BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")
 
@@ -428,13 +379,12 @@ DIAGNOSED = ("ADXL1", "BMA2", "Gyro1")
 _REPLICATES = 60
 
 
-def run_demo(config: Path, folder: Path, *, seconds: float, seed: int, force: bool, say: Say) -> dict[str, Any]:
-    """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready.
-
-    `seconds` of array time are recorded in all. OutputExistsError before anything is recorded, unless `force`.
+def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Any]:
+    """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready. OutputExistsError before anything is
+    recorded, unless forced.
     """
-    _prepare(folder, force)
-    logs = record_all(config, folder, seconds, seed, say)
+    _prepare(folder, options.force)
+    logs = record_all(config, folder, options, say)
     say("calibrating")
     with open_log(logs["tumble"]) as log:
         tumble = calibrate_tumble(log)
@@ -444,7 +394,7 @@ def run_demo(config: Path, folder: Path, *, seconds: float, seed: int, force: bo
     _fuse_heating(logs["heating"], calibration, folder)
     rows = compare(logs, calibration)
     say("diagnosing")
-    diagnosis = _diagnosed(logs["static"], seed)
+    diagnosis = _diagnosed(logs["static"], options.seed)
     write_gap_page(folder / "gap.html", diagnosis, force=True)
     say("drawing")
     with open_log(logs["static"]) as log:
