@@ -82,7 +82,7 @@ class EmulatedBus:
 
 
 # Keyword-only and independent of one another: what an emulated bus can be asked for, in code or in its URL.
-def open_array(
+def open_array(  # noqa: PLR0913
     array: ArrayLike,
     *,
     clock: str | Clock = "virtual",

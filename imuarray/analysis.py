@@ -132,7 +132,7 @@ def characterise(
 
 
 # The interface of the package, promised by name to its users: keyword-only, those of the command.
-def fuse(
+def fuse(  # noqa: PLR0913
     log: LogLike,
     calibration: str | PathLike[str] | Calibration | None = None,
     technique: str = "mean",
@@ -219,7 +219,7 @@ class Conditions(TypedDict, total=False):
 
 
 # The interface of the package, promised by name to its users: keyword-only, those of the command.
-def simulate(
+def simulate(  # noqa: PLR0913
     source: str | PathLike[str] | ArrayConfig | Log,
     output: str | PathLike[str],
     *,

@@ -74,7 +74,7 @@ class Bma180(Chip):
     """
 
     # The switches are what data sheets leave open or an earlier program left behind; `open_array` sets them by name.
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         address: int,
         element: Element,

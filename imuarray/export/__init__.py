@@ -34,7 +34,7 @@ __all__ = ["TOOLS", "UNITS", "WRITERS", "ExportSummary", "export"]
 
 
 # The interface of the package: keyword-only, those of the command.
-def export(
+def export(  # noqa: PLR0913
     source: Log | str | PathLike[str],
     path: str | PathLike[str],
     *,

@@ -78,9 +78,8 @@ def technique_names() -> tuple[str, ...]:
     return NAMES
 
 
-# What is compared, who follows it and which processes take part are independent of one another, and keyword-only.
 # The options of `compare` are independent of one another, keyword-only and the interface of the package.
-def compare(
+def compare(  # noqa: PLR0913
     log: Log,
     calibration: Calibration,
     techniques: Sequence[str] = (),

@@ -87,7 +87,7 @@ _FIRST_PASS = 0.75
 
 
 # The options are independent of one another, keyword-only and the interface of the package.
-def fuse(
+def fuse(  # noqa: PLR0913
     log: Log,
     calibration: Calibration,
     technique: str | PipelineFactory,

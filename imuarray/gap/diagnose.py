@@ -162,7 +162,7 @@ class Reference:
 
 
 # The interface of the package, promised by name to its users: keyword-only, those of the command.
-def diagnose(
+def diagnose(  # noqa: PLR0913
     logs: LogLike | Iterable[LogLike],
     *,
     model: Model | str | PathLike[str] | None = None,

@@ -82,7 +82,7 @@ class LogWriter:
     """
 
     # Keyword-only and independent of one another: attributes that a file has, and how it is kept.
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         path: str | PathLike[str],
         sensors: Sequence[SensorHeader],
