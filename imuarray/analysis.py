@@ -149,7 +149,7 @@ def fuse(  # noqa: PLR0913
     are used. Biases are those of the states in which sensors came up and follow the log's temperature; noise that the
     calibration lacks is measured where the log stands still; `remarks` of the result say so. `causal`: each frame by
     what was known when it was read. `watch`: whether sensors that fail are found and left out (None: by "optimal").
-    `progress` hears the share that is done. LogError, CalibrationError, FusionError.
+    `progress` is called with the share that is done. LogError, CalibrationError, FusionError.
 
     >>> fused = fuse("run.h5", "cal.toml", "optimal")
     >>> fused.specific_force.shape[1], fused.standard_error("angular_rate").shape[1]

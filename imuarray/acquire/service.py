@@ -1,4 +1,4 @@
-"""A recording as a service: systemd hears when it has begun, that rows still reach the disk, and when it ends.
+"""A recording as a service: systemd is notified when it has begun, that rows still reach the disk, and when it ends.
 
 The protocol is one datagram of `NAME=value` lines to the socket in `NOTIFY_SOCKET` (sd_notify(3)); without that
 variable nothing is sent. The watchdog is fed by rows that are stored, by nothing else: a recording that runs and keeps

@@ -134,7 +134,7 @@ class GravityFit:
 def fit_gravity(
     sensors: Sequence[SensorLog], poses: Sequence[Pose], progress: Callable[[int], None] = lambda done: None
 ) -> GravityFit:
-    """Calibrate accelerometers jointly from static poses; `progress` hears how many poses were left out in turn.
+    """Calibrate accelerometers jointly from static poses; `progress` is called with the number of poses tested.
 
     CalibrationError if there are fewer than nine poses, if they do not spread enough, or if too few are undisturbed.
     """

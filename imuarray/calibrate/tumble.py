@@ -113,7 +113,7 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
     one log or from several of the same array (a log a face, say).
 
     With faces that phases name, or of which they say what was up, by Appendix B; without, from at least nine static
-    poses that are found in the logs. `progress` hears what is being done, and how much of it is done. CalibrationError
+    poses that are found in the logs. `progress` is called with the step and how much of it is done. CalibrationError
     says what is missing or which face does not fit.
     """
     first = logs[0]

@@ -222,7 +222,7 @@ def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> It
 
 @contextmanager
 def _bars() -> Iterator[Callable[[str, int, int], None]]:
-    """One bar after the other: a function that hears what is being done, how much of it is done, and of how much."""
+    """One bar after the other: yields a function of the step, how much of it is done, and of how much."""
     with ExitStack() as stack:
         current: tuple[str, Callable[[int], None]] | None = None
 

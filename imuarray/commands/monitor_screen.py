@@ -17,7 +17,7 @@ _NAP_S = 0.1
 
 
 class Screen:
-    """Standard output; a context manager, which hears when the terminal changes its size."""
+    """Standard output; a context manager, which notices when the terminal changes its size."""
 
     def __init__(self) -> None:
         self.is_terminal = sys.stdout.isatty()

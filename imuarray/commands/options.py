@@ -159,7 +159,7 @@ class Steps:
 
     @contextmanager
     def bar(self, length: int) -> Iterator[Callable[[int], None]]:
-        """Show a bar of so much of it: yields a function that hears how far it is."""
+        """Show a bar of so much of it: yields a function of how far it is."""
         self._done, self._length, self._begin_s = 0, length, time.monotonic()
         with progress(length, "") as move:
 

@@ -102,10 +102,10 @@ def fuse(  # noqa: PLR0913
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
     a pipeline for their axes; FusionError if they can't feed it.
 
-    Biases follow the temperature that the log tells, where the calibration says how; covariances allow for what a
-    calibration at another temperature leaves unknown. `causal`: by what was known when
-    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `notes`
-    hears, after the last block, what the technique has found out about the sensors.
+    Biases follow the temperature of the log where the calibration has slopes; covariances include what a calibration at
+    another temperature leaves unknown. `causal`: each frame is estimated from what was known when it was read, as by
+    `live`; otherwise `optimal` smooths: it estimates every frame from the whole log. `notes` is called after the last
+    block with what the technique has learnt about the sensors.
 
     >>> from imuarray import load_calibration, open_log
     >>> with open_log("run.h5") as log:

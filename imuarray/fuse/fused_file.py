@@ -344,7 +344,7 @@ def write_fused(
 
 
 def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
-    """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` hears how many have come."""
+    """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` is called with their number so far."""
     waiting: list[FusedBlock] = []
     count = total = 0
     for block in blocks:

@@ -119,7 +119,7 @@ class FusionStream(Generic[Out]):
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """`sensors` by quantity; `making` makes their pipeline, once it is known how many seconds lie from frame to
-        frame; `temperatures` of their elements. `tell` hears which sensor is not waited for any more, and
+        frame; `temperatures` of their elements. `tell` is told which sensor is not waited for any more, and
         which one is back. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]

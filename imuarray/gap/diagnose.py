@@ -190,8 +190,8 @@ def diagnose(  # noqa: PLR0913
 
     `seed` keys every draw: the same logs and seed give the same diagnosis, whatever the number of `workers`, which are
     processes (a program that asks for several needs the usual ``if __name__ == "__main__":``). `replicates` of the base
-    model tell chance from a gap; 40 are the fewest that do. `progress` hears the name of each stage; `bar` makes what
-    hears how many of its jobs are done.
+    model separate chance from a gap; at least 40 are needed. `progress` is called with the name of each stage; `bar`
+    makes the function that is called with the number of jobs that are done.
 
     LogError for a log that can't be read, in which nothing can be compared, or that is of another array; ConfigError
     for an effect or a model that isn't known.
