@@ -49,7 +49,7 @@ def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
 
 
 class Clocks:
-    """A reader of the clocks, which gives a row to `keep` every 10 s and a sentence to `tell` when the wall clock steps."""
+    """A reader of the clocks: a row to `keep` every 10 s, and a sentence to `tell` when the wall clock steps."""
 
     def __init__(self, read: Read, epoch_ns: int, keep: Callable[[ClockRow], None], tell: Tell) -> None:
         self._read, self._epoch_ns, self._keep, self._tell = read, epoch_ns, keep, tell

@@ -29,7 +29,7 @@ class Verdict(NamedTuple):
 
 
 def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> Verdict:
-    """Read all of the log at `path`; `progress` is called with the number of rows read. LogError if it can't be opened."""
+    """Read all of the log at `path`; `progress` gets the number of rows read. LogError if it can't be opened."""
     with Log(path, thorough=True) as log:
         problems = list(log.losses)
         done = 0
