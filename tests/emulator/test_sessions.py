@@ -87,7 +87,7 @@ def test_a_fridge_runs_for_a_share_of_its_cycle_and_no_reference_knows():
     )
     assert max(on) == pytest.approx(1e-3 * G, rel=0.01)
     assert max(off) == 0.0
-    assert world.told(S // 3).force_box == pytest.approx((0, 0, G))
+    assert world.commanded(S // 3).force_box == pytest.approx((0, 0, G))
 
 
 def test_what_is_not_known_is_refused_in_a_line():
