@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
-from imuarray.gap.model.signal_delay import NO_DELAY, fit_signal_delays
+from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays
 from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import reference_of
@@ -74,7 +74,7 @@ def test_the_delay_of_filters_is_fitted_in_motion() -> None:
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     headers["G1"] = replace(headers["G1"], bandwidth_hz=12.5)
     simulated = [campaign_of("motion", seed=seed) for seed in (11, 12, 13)]
-    delays = fit_signal_delays(campaign, simulated, headers, (), dict.fromkeys(headers, NO_DELAY))
+    delays = fit_signal_delays(campaign, headers, (), [(dict.fromkeys(headers, NO_DELAY), simulated)])
     difference_s = delays["G1"].filter_s - delays["G2"].filter_s
     own_s = 1 / (math.sqrt(2) * math.pi * 12.5)  # G2 has no filter here
     assert difference_s == pytest.approx(own_s, rel=0.25)
@@ -85,7 +85,7 @@ def test_a_filter_that_delays_nothing_is_none() -> None:
     campaign = campaign_of("motion", seed=2)
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     headers["G1"] = replace(headers["G1"], bandwidth_hz=1e4)
-    delays = fit_signal_delays(campaign, [campaign], headers, (), dict.fromkeys(headers, NO_DELAY))
+    delays = fit_signal_delays(campaign, headers, (), [(dict.fromkeys(headers, NO_DELAY), [campaign])])
     assert {delays[name].filter_s for name in ("G1", "G2")} == {0.0}
 
 
@@ -109,3 +109,11 @@ def test_readings_in_one_attitude_are_averaged() -> None:
     readings = np.array([[[1.0, 0, 0]], [[3.0, 0, np.nan]], [[7.0, 0, 0]]])
     shared = shared_readings([0, 0, 1], readings)
     np.testing.assert_array_equal(shared[:, 0], [[2, 0, 0], [2, 0, 0], [7, 0, 0]])
+
+
+def test_a_fast_motion_shows_more_of_a_delay_than_there_is() -> None:
+    """Twice as much in the first row, as much as expected in the second; in the last nothing was changed."""
+    design = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    before = np.array([0.0, 0.001]), np.array([0.001, 0.002, 0.003])
+    after = np.array([0.002, 0.002]), np.array([0.005, 0.003, 0.004])
+    np.testing.assert_allclose(_slopes(design, before, after), [2.0, 1.0, 1.0])

@@ -20,7 +20,7 @@ from imuarray.gap.inference.localisation import Localisation, located
 from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.replication import Models, ReplicateRequest
-from imuarray.gap.model.signal_delay import NO_DELAY, can_fit_signal_delays, fit_signal_delays
+from imuarray.gap.model.signal_delay import NO_DELAY, DelayTrial, can_fit_signal_delays, fit_signal_delays
 from imuarray.gap.model.vibration import fit_vibrations
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
@@ -188,12 +188,13 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
     train = bench.split.train(campaign).campaign
     if not can_fit_signal_delays(train, bench.base.headers, bench.base.queued):
         return bench
+    trials: list[DelayTrial] = []
     for _ in range(_DELAY_STEPS):
         base = bench.base
         requests = [(bench.models(), number) for number in range(replicates)]
         simulated = [bench.split.train(replicate).campaign for replicate in bench.campaigns(requests, held_out=False)]
-        now = {name: parameters.delay for name, parameters in base.fitted.items()}
-        delays = fit_signal_delays(train, simulated, base.headers, base.queued, now)
+        trials.append(({name: parameters.delay for name, parameters in base.fitted.items()}, simulated))
+        delays = fit_signal_delays(train, base.headers, base.queued, trials)
         fitted = {
             name: replace(parameters, delay=delays.get(name, NO_DELAY)) for name, parameters in base.fitted.items()
         }

@@ -32,6 +32,9 @@ _PRIOR = 1.0
 MOST_RATIO = 1.5
 """Largest ratio of the delay to that of two poles at the configured cutoff: three poles, or a cutoff a third lower."""
 
+_LEAST_CHANGE_S, _SLOPES = 1e-5, (0.5, 5.0)
+"""Change of a delay that tells by how much more of it is seen, and the least and the most that is believed."""
+
 _LEAST_S = 1e-7
 """A shorter delay in the filter is none: times are known to a microsecond at best."""
 
@@ -45,18 +48,21 @@ class SignalDelay(NamedTuple):
 
 NO_DELAY = SignalDelay()
 
+SignalDelays = Mapping[str, SignalDelay]
+"""By sensor."""
+
+DelayTrial = tuple[SignalDelays, Sequence[Campaign]]
+"""Delays, and replicates simulated with them."""
+
 
 def fit_signal_delays(
-    campaign: Campaign,
-    replicates: Sequence[Campaign],
-    headers: Mapping[str, SensorHeader],
-    queued: Collection[str],
-    simulated: Mapping[str, SignalDelay],
+    campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str], trials: Sequence[DelayTrial]
 ) -> dict[str, SignalDelay]:
     """Delays of the sensors by the phases in which the box moves; `queued` sensors have rows from a queue.
 
-    A Gauss-Newton step from the delays that the `replicates` were `simulated` with: least squares of the delays behind
-    the other sensors of the quantity, or the track, less those of the replicates on average. Empty without such phases.
+    A Gauss-Newton step from the last of the `trials`: least squares of the delays behind the other sensors of the
+    quantity, or the track, less those of the replicates on average. A motion that is fast beside the windows shows more
+    of a delay than there is: by how much the last two trials tell. Empty without such phases.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     delays: dict[str, SignalDelay] = {}
@@ -66,15 +72,22 @@ def fit_signal_delays(
         offset_s |= {name: period_s for name, period_s in _tracked(_crosses(campaign)).items() if name in names}
         late = list(offset_s)
         observed = _rows(_crosses(campaign), names, nominal_s, late)
-        seen = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
-        comparable = [delay_s for delay_s in seen if len(delay_s) == len(observed.delay_s)]
-        if not comparable or not len(observed.delay_s):
+        steps = []
+        for simulated, replicates in trials[-2:]:
+            seen = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
+            comparable = [delay_s for delay_s in seen if len(delay_s) == len(observed.delay_s)]
+            ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
+            start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
+            if comparable and len(observed.delay_s):
+                steps.append((start, np.mean(comparable, axis=0)))
+        if not steps:
             continue
-        ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
-        start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
+        start, seen_s = steps[-1]
+        if len(steps) > 1:
+            observed = observed._replace(design=observed.design * _slopes(observed.design, *steps)[:, None])
         most = np.array([MOST_RATIO, *offset_s.values()])
         least = np.array([0.0, *(-most[1:])])
-        ratio, *stamps_s = _solve(observed, np.mean(comparable, axis=0), start, (least, most)).tolist()
+        ratio, *stamps_s = _solve(observed, seen_s, start, (least, most)).tolist()
         own = dict(zip(late, stamps_s, strict=True))
         delays |= {name: SignalDelay(_not_negligible(ratio * nominal_s[name]), own.get(name, 0.0)) for name in names}
     return delays
@@ -139,6 +152,15 @@ def _rows(
             information.append(information_on_delay(cross, name))
             design.append(np.tile(own - (np.mean(rest, axis=0) if others else 0.0), (3, 1)))
     return _Delays(np.concatenate(seen), np.concatenate(information), np.concatenate(design))
+
+
+def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> Floats:
+    """(n,) change of the delays seen between two trials, each parameters (p,) and delays (n,), over the change that the
+    design (n, p) expects; 1 where that is none.
+    """
+    expected_s, change_s = design @ (after[0] - before[0]), after[1] - before[1]
+    slopes = np.divide(change_s, expected_s, out=np.ones(len(design)), where=np.abs(expected_s) > _LEAST_CHANGE_S)
+    return np.clip(np.nan_to_num(slopes, nan=1.0), *_SLOPES)
 
 
 def _solve(observed: _Delays, seen_s: Floats, start: Floats, bounds: tuple[Floats, Floats]) -> Floats:
