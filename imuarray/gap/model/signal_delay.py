@@ -160,7 +160,7 @@ def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, 
     """
     expected_s, change_s = design @ (after[0] - before[0]), after[1] - before[1]
     slopes = np.divide(change_s, expected_s, out=np.ones(len(design)), where=np.abs(expected_s) > _LEAST_CHANGE_S)
-    return np.clip(np.nan_to_num(slopes, nan=1.0), *_SLOPES)
+    return np.asarray(np.clip(np.nan_to_num(slopes, nan=1.0), *_SLOPES))
 
 
 def _solve(observed: _Delays, seen_s: Floats, start: Floats, bounds: tuple[Floats, Floats]) -> Floats:
