@@ -107,14 +107,13 @@ def propagated(
     """Tilt (3,) in rad and velocity (3,) in m/s that errors less their offsets grow to, in the box frame of the first
     frame.
     """
-    from scipy.integrate import cumulative_trapezoid, trapezoid  # their weight is for those who ask
-
     seconds = (errors.time - errors.time[0]) * 1e-9
     attitude = _attitudes(seconds, errors.rate)
     turned = attitude.apply(errors.rate_error - rate_offset)
-    tilt = cumulative_trapezoid(turned, seconds, axis=0, initial=0.0)
+    steps = np.diff(seconds)[:, None] * (turned[1:] + turned[:-1]) / 2
+    tilt = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     pushed = attitude.apply(errors.force_error - force_offset) + np.cross(tilt, attitude.apply(errors.force))
-    return np.asarray(tilt[-1]), np.asarray(trapezoid(pushed, seconds, axis=0))
+    return np.asarray(tilt[-1]), np.asarray(np.trapezoid(pushed, seconds, axis=0))
 
 
 def _attitudes(seconds: Floats, rate: Floats) -> Rotation:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from io import SEEK_END
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -41,7 +42,8 @@ _SLOW_MEANS = 16
 _AT_ONCE = 1 << 15
 """Errors that are read at once."""
 
-_ROW_BYTES = 24
+_ROW_BYTES, _FRAME_BYTES = 24, 104
+"""Of an error, and of a frame: time, error, truth and covariance."""
 
 _MARGIN = 32
 """Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
@@ -359,20 +361,20 @@ class _ErrorFramesSpool:
 
     def frames(self) -> ErrorFrames:
         """Return all of them."""
+        count = self._file.seek(0, SEEK_END) // _FRAME_BYTES
+        time, errors, truth, covariances = (np.empty((count, width)) for width in (1, 3, 3, 6))
         self._file.seek(0)
-        rows = np.frombuffer(self._file.read()).reshape(-1, 13)
-        time = np.ascontiguousarray(rows[:, 0]).view(np.int64)
-        return ErrorFrames(time, *(np.ascontiguousarray(rows[:, part]) for part in (_ERRORS, _TRUTH, _COVARIANCES)))
+        for start in range(0, count, _AT_ONCE):  # so that it is not in memory twice
+            part = slice(start, min(start + _AT_ONCE, count))
+            rows = np.frombuffer(self._file.read((part.stop - start) * _FRAME_BYTES)).reshape(-1, 13)
+            time[part], errors[part], truth[part], covariances[part] = np.split(rows, (1, 4, 7), axis=1)
+        return ErrorFrames(time[:, 0].view(np.int64), errors, truth, covariances)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._file.close()
-
-
-_ERRORS, _TRUTH, _COVARIANCES = slice(1, 4), slice(4, 7), slice(7, 13)
-"""Columns of a row of frames on the disk; the first is the time."""
 
 
 def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
