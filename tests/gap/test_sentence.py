@@ -57,6 +57,18 @@ def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
     assert written("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
 
 
+def test_a_cause_may_have_misled_the_fit_of_a_part() -> None:
+    """An exchange of sensors makes a g-sensitivity up; a scale that is off is the same statement twice."""
+    pulls = [Pull("g-sensitivity", "G1", "xy", 0.1, "dps/g", 0.03, 3.3, "usual")]
+    swapped = written("explained", GAP, [cause("channel_swap")], [where()], [], [], pulls)
+    assert swapped.endswith(
+        "G1 xy: g-sensitivity is 3.3 tolerances off: this part is out of specification (fitted without channel_swap, "
+        "which may explain it)."
+    )
+    same = written("explained", GAP, [cause("g_sensitivity")], [where()], [], [], pulls)
+    assert same.endswith("this part is out of specification.")
+
+
 def test_one_cause() -> None:
     said = written("explained", GAP, [cause()], [where()], [], [])
     assert said == (

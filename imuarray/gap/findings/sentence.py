@@ -12,6 +12,17 @@ from imuarray.gap.findings.verdict import EVEN, Judgement
 from imuarray.gap.model.use import Use
 from imuarray.simulate.effects import EFFECTS
 
+_EFFECT_OF = {
+    "scale factor error": "scale",
+    "misalignment": "misalignment",
+    "g-sensitivity": "g_sensitivity",
+    "bias": "bias",
+    "thermal slope of the bias": "thermal_bias",
+    "cutoff of the filter": "bandwidth",
+    "rate of the data clock": "own_clock",
+}
+"""The effects that say the same of a part as the pull of a quantity does."""
+
 
 def sentence_of(
     judgement: Judgement,
@@ -25,7 +36,7 @@ def sentence_of(
     earlier recordings of a comparison.
     """
     verdict, gap, causes, _ = judgement
-    outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
+    outside = [f"{_out_of_specification(pull, causes)}." for pull in pulls if pull.is_out_of_specification]
     other = ", ".join(against) or "the simulator"
     if verdict == "no gap":
         agreement = f"The recordings agree with {other}: nothing has changed beyond chance." if against else _AGREEMENT
@@ -51,6 +62,17 @@ def sentence_of(
             f"{f' in {remaining.phase}' if remaining.phase else ''}."
         )
     return " ".join([*parts, *outside])
+
+
+def _out_of_specification(pull: Pull, causes: Sequence[Cause]) -> str:
+    """Says that a part is out of specification, and which causes of its sensor may have misled the fit that says so."""
+    others = [
+        cause.effect
+        for cause in causes
+        if pull.sensor in cause.sensors and _EFFECT_OF.get(pull.quantity) != cause.effect and cause.probability >= EVEN
+    ]
+    doubt = f" (fitted without {' and '.join(dict.fromkeys(others))}, which may explain it)" if others else ""
+    return f"{specification_text(pull)}{doubt}"
 
 
 def _unexplained(where: Sequence[Where]) -> str:
