@@ -9,8 +9,8 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
 * **nuisance parameters** nu: what a data sheet leaves to the part, each with a tolerance (`model.populations`). Scale
   error, misalignment, g-sensitivity and tilt of the box are profiled within their tolerances; so are the lag of an
   element behind the temperature of the box (`model.element_temperature`), the delay of a signal in the chip's filter,
-  the offset of the times of rows from a queue (`model.signal_delay`) and faint lines that the room shakes into all
-  accelerometers (`model.vibration`). The phase and rate of the data clock, the scatter of biases from one power-on to
+  the offset of the times of rows from a queue, or of the sensors' clock from a track's (`model.signal_delay`), and faint
+  lines that the room shakes into all accelerometers (`model.vibration`). The phase and rate of the data clock, the scatter of biases from one power-on to
   the next, nonlinearity, the slope of the scale over temperature, and slopes that no temperature tells are drawn anew
   for every replicate. Their estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and are no
   causes;
@@ -19,7 +19,8 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
   (`inference.effects`).
 
 **Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never
-of raw samples; each is such that it scatters nearly normally where nothing is wrong. A statistic that one side lacks
+of raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared
+with the others of its quantity, the only one of its quantity with the track of the log. A statistic that one side lacks
 is missing: it has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
