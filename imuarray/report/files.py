@@ -69,7 +69,7 @@ def _log(path: Path, together: TechniqueSet) -> Sayings:
             (lambda share: together.progress(_NOISE * share)),
             (lambda share: together.progress(_NOISE + (1 - _NOISE) * share)),
         )
-        sections = list(log_sections(log, scales, drawn=together.drawn, progress=noise))
+        sections = list(log_sections(log, scales, drawn=together.drawn, progress=noise, calibration=known))
         if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
             sections.append(residuals)
         verdicts = [recording_verdict(log)]

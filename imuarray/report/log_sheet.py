@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.calibrate import Calibration
 from imuarray.characterise import characterise_log
 from imuarray.characterise.findings import findings
 from imuarray.characterise.plots import allan_figure, spectrum_figure
@@ -16,6 +17,7 @@ from imuarray.errors import ImuArrayError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.report.page import Figure, Section, Table
+from imuarray.report.recording import PERIODS, Recording, recording_of, scripts
 from imuarray.units import READABLE
 
 _EVENTS = 30
@@ -38,12 +40,19 @@ def log_summary(log: Log) -> Iterator[str]:
 
 
 def log_sections(
-    log: Log, scales: Mapping[str, Any], *, drawn: bool, progress: Callable[[float], None] = lambda share: None
+    log: Log,
+    scales: Mapping[str, Any],
+    *,
+    drawn: bool,
+    progress: Callable[[float], None] = lambda share: None,
+    calibration: Calibration | None = None,
 ) -> Iterator[Section]:
-    """Return the sections on what was recorded; noise at rest with figures if they can be `drawn`. `scales`: calibrated
-    counts per unit.
+    """Return the sections on what was recorded, every sensor over time by `calibration` (None: by the data sheets); noise
+    at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit.
     """
     yield _recorded(log)
+    if recording := recording_of(log, calibration or Calibration()):
+        yield _shown(log, recording)
     columns = itertools.count(1)
     total = 3 * sum(sensor.is_triad for sensor in log.sensors.values())
     try:
@@ -85,6 +94,18 @@ def _recorded(log: Log) -> Section:
         more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
         parts.append(Table(["at s", "sensor", "kind", "what"], told_events, f"What happened.{more}", (1, 2, 3)))
     return Section(f"{log.path.name}: what was recorded", words, parts)
+
+
+def _shown(log: Log, recording: Recording) -> Section:
+    noted = [trace.name for trace in recording.traces if trace.note]
+    words = f"Out of bounds at some time: {', '.join(noted)}. " if noted else "No sensor is ever out of bounds. "
+    words += (
+        "Each band reaches from the least to the greatest value of a stretch of readings, so that a single spike is"
+        " seen. Clipped readings stand at the end of the range; readings are missing in a pause of more than"
+        f" {PERIODS:g} periods or where the log flags a loss; a sensor is silent from its last reading to the end."
+    )
+    words += "" if scripts() else " The figures can be zoomed once Bokeh is installed: pip install 'imuarray[monitor]'."
+    return Section(f"{log.path.name}: the recording", words, [recording])
 
 
 def _longest_s(sensor: SensorLog) -> float:
@@ -134,7 +155,8 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
     parts: list[Table | Figure] = [_noise_table(result)]
     if seconds < _ALLAN_S:
         words += (
-            f" {seconds:.0f} s are too short for an Allan curve; a minute at rest shows white noise, hours the drift."
+            f" Allan curve: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. A minute at rest shows"
+            " white noise, hours the drift."
         )
     elif drawn:
         caption = (

@@ -1,4 +1,6 @@
-"""One HTML file that needs nothing else: no script, no font, no image from elsewhere; every name escaped."""
+"""One HTML file that needs nothing else: no script, no font, no image from elsewhere; every name escaped. Only a page
+that shows a recording has scripts, which zoom it, and it is whole without them.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from imuarray.atomic import draw_figure, write_text
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
+from imuarray.report.recording import Recording, scripts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -52,7 +55,7 @@ class Section:
 
     title: str
     text: str
-    parts: Sequence[Table | Figure] = ()
+    parts: Sequence[Table | Figure | Recording] = ()
 
 
 Level = Literal["good", "doubtful", "bad", "neutral"]
@@ -91,7 +94,15 @@ def write_page(
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
     environment.tests["table"] = lambda part: isinstance(part, Table)
-    page = environment.from_string(template).render(title=title, summary=summary, sections=sections, verdict=verdict)
+    environment.tests["recording"] = lambda part: isinstance(part, Recording)
+    has_recording = any(isinstance(part, Recording) for section in sections for part in section.parts)
+    page = environment.from_string(template).render(
+        title=title,
+        summary=summary,
+        sections=sections,
+        verdict=verdict,
+        scripts=scripts() if has_recording else (),
+    )
     write_text(path, page, force=force)
 
 

@@ -18,13 +18,11 @@ from imuarray.log.health import Observations, health_of, is_trouble
 from imuarray.log.missed_frames import frame_timing
 from imuarray.printable import counted
 from imuarray.report.page import Level, Verdict
+from imuarray.report.recording import silent_s
 from imuarray.units import INERTIAL, READABLE, READABLE_SI
 
 _LEVELS: dict[str, Level] = {"green": "good", "amber": "doubtful", "red": "bad"}
 _FIGURES = 5
-_SILENT_S = 1.0
-"""A sensor whose readings end so long before those of the others, or two and a half of its own periods, is silent."""
-_PERIODS = 2.5
 _CLAIMED = 1.5
 """Scatter over the error that a fused result claims, from which on it is worse than it says."""
 
@@ -43,7 +41,7 @@ def recording_verdict(log: Log) -> Verdict:
         sensors=len(sensors),
         frames=max((len(sensor) for sensor in sensors.values()), default=0),
         missed=missed,
-        silent=_silent(log, first_ns, last_ns),
+        silent=_silent(log, (first_ns, last_ns)),
         gaps={name: counts.get("lost_before", 0) for name, counts in flags.items()},
         clipped={name: counts.get("saturated", 0) for name, counts in flags.items()},
         faults=faults,
@@ -69,16 +67,10 @@ def recording_verdict(log: Log) -> Verdict:
     )
 
 
-def _silent(log: Log, first_ns: int, last_ns: int) -> dict[str, float]:
+def _silent(log: Log, ends_ns: tuple[int, int]) -> dict[str, float]:
     """Seconds for which sensors gave nothing at the end of the log, of those that are silent."""
-    silent = {}
-    for name, sensor in log.sensors.items():
-        newest_ns = int(sensor.time[-1]) if len(sensor) else first_ns
-        period_ns = (newest_ns - int(sensor.time[0])) / (len(sensor) - 1) if len(sensor) > 1 else 0.0
-        since_s = (last_ns - newest_ns) * 1e-9
-        if since_s > max(_SILENT_S, _PERIODS * period_ns * 1e-9) or not len(sensor):
-            silent[name] = since_s
-    return silent
+    silent = {name: silent_s(sensor, ends_ns)[1] for name, sensor in log.sensors.items()}
+    return {name: seconds for name, seconds in silent.items() if seconds}
 
 
 def _duration(seconds: float) -> str:
