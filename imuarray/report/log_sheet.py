@@ -47,7 +47,7 @@ def log_sections(
     progress: Callable[[float], None] = lambda share: None,
     calibration: Calibration | None = None,
 ) -> Iterator[Section]:
-    """Return the sections on what was recorded, every sensor over time by `calibration` (None: by the data sheets); noise
+    """Return the sections on what was recorded, every sensor over time by `calibration` (None: by data sheets); noise
     at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit.
     """
     yield _recorded(log)

@@ -45,6 +45,7 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
     titles = re.findall(r'<h2 id="section-\d+">(.*?)</h2>', text)
     assert titles == [
         "tumble.h5: what was recorded",
+        "tumble.h5: the recording",
         "tumble.h5: noise",
         "tumble.h5: residuals of the calibration",
         "tumble.h5: what each technique gains",
@@ -169,6 +170,6 @@ def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> 
         sections = list(log_sections(log, {}, drawn=False))
     assert sections[0].title == "run.h5: what was recorded"
     if frames > 1:
-        noise = sections[1].parts[0]
+        noise = sections[2].parts[0]
         assert isinstance(noise, Table)
         assert [row[-3:] for row in noise.rows] == [["–", "–", "–"]] * 3
