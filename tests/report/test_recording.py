@@ -35,7 +35,9 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     status[5000:5050] = SATURATED
     kept = np.r_[0:8000, 8300:18_000]
     flags = np.where(kept == 8300, np.uint16(LOST_BEFORE), np.uint16(0))
-    with LogWriter(path, [header("A"), header("B", axes="+Y+X-Z")], source="imported", epoch="2026-01-01T00:00:00Z") as writer:
+    with LogWriter(
+        path, [header("A"), header("B", axes="+Y+X-Z")], source="imported", epoch="2026-01-01T00:00:00Z"
+    ) as writer:
         writer.append("A", Block(time, counts, status, None))
         writer.append("B", Block(time[kept], np.tile(np.array([1, 2, 3], np.int16), (len(kept), 1)), flags, None))
     return path
