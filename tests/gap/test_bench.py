@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imuarray.array import parse_array
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, bench_of
 from imuarray.gap.model.replication import SensorModel
@@ -16,14 +17,14 @@ from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.split import split_of
-from imuarray.simulate import Motion, plan_of
+from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still, turn_on_run
-from tests.gap.made import RATE_HZ, phases_of
+from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 from tests.gap.small_bench import array_of, prepared, simulated, static
 
 
@@ -105,6 +106,25 @@ def test_a_lone_sensor_at_rest_is_the_same_in_company() -> None:
     columns, own = bench.columns(["G1"], cross=True), bench.columns(["G1"], cross=False)
     np.testing.assert_array_equal(alone[np.isin(columns, own)], together[own])
     assert np.isnan(alone[~np.isin(columns, own)]).all()
+
+
+def test_two_of_three_sensors_are_compared_with_the_third() -> None:
+    """A pair's statistics are those of the whole array, also where they are a mean over the others of the chip."""
+    third = '[[sensor]]\nname = "G3"\nchip = "l3g4200d"\nchannel = 1\naddress = 0x68\nrange = 250\nrate_hz = 800\n'
+    mux = 'bus = "i2c:/dev/i2c-1"\nmux = { chip = "pca9544a", address = 0x70 }'
+    text = ARRAY.replace('bus = "i2c:/dev/i2c-1"', mux).replace("\naddress", "\nchannel = 0\naddress")
+    motion = Still(seconds=10)
+    plan = plan_of(parse_array(f"{text}{third}bandwidth_hz = 35\n"), RATE_HZ, motion.seconds)
+    plan = replace(plan, sensors={name: line for name, line in plan.sensors.items() if name.startswith("G")})
+    effects = {"G1": BASE["G1"], "G2": BASE["G2"], "G3": BASE["G2"]}
+    split = split_of(["static"], [phases_of(motion)])
+    sources = simulated_sources(Simulation(plan, motion, effects, seed=1))
+    campaign = Campaign((summarise_log("static", sources, split.phases()[0], reference_of(motion)),))
+    bench = bench_of(campaign, split, [Experiment(plan, motion)], fit(split.train(campaign).campaign, [motion]))
+    models = bench.models()
+    pair = bench.replicate({name: models[name] for name in ("G1", "G2")}, 4)
+    together = bench.replicate(models, 4).values
+    np.testing.assert_array_equal(pair.values, together[bench.columns(["G1", "G2"], cross=True)])
 
 
 def test_what_is_added_and_taken_out_is_simulated() -> None:

@@ -141,11 +141,14 @@ class Stage:
         return summaries
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
-        """One replicate of a log: these sensors, and if the box moves all others, which many models share. `alone`:
-        only parts of the log are needed.
+        """One replicate of a log: these sensors; if there are several, also the others of their quantities, with which
+        they are compared; if the box moves all others. Many models share the others. `alone`: only parts of the log are
+        needed.
         """
         plan, motion = self.experiments[log]
-        wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
+        wanted = [
+            name for name in plan.sensors if name in models or (name in effects and self._is_beside(log, name, models))
+        ]
         swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
         array = (
@@ -159,6 +162,13 @@ class Stage:
             else (self._source if name in models else self._cached_source)(log, name, effects[name], seed, alone)
             for name in wanted
         }
+
+    def _is_beside(self, log: int, name: str, models: Models) -> bool:
+        """True if statistics of the sensors with these models depend on this sensor."""
+        if self._moves[log]:
+            return True
+        headers = self.base.headers
+        return len(models) > 1 and headers[name].quantity in {headers[model].quantity for model in models}
 
     @cached_property
     def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
