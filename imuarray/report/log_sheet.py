@@ -20,8 +20,8 @@ from imuarray.report.page import Figure, Section, Table
 from imuarray.report.recording import PERIODS, Recording, recording_of, scripts
 from imuarray.units import READABLE
 
-_EVENTS = 30
-"""Maximum number of events that are listed."""
+_EVENTS = 500
+"""Maximum number of different events that are listed."""
 
 _ALLAN_S = 30.0
 """Least time at rest for an Allan curve: it then has means of several seconds."""
@@ -89,11 +89,23 @@ def _recorded(log: Log) -> Section:
         stretches = [[p.name, p.up or "–", f"{p.start_ns * 1e-9:.1f}", f"{p.end_ns * 1e-9:.1f}"] for p in log.phases]
         parts.append(Table(["phase", "up", "from s", "to s"], stretches, "What the phases say was done.", (1,)))
     if log.events:
-        events = sorted(log.events)
-        told_events = [[f"{e.time_ns * 1e-9:.3f}", e.sensor or "array", e.kind, e.message] for e in events[:_EVENTS]]
-        more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
-        parts.append(Table(["at s", "sensor", "kind", "what"], told_events, f"What happened.{more}", (1, 2, 3)))
+        parts.append(_events(log))
     return Section(f"{log.path.name}: what was recorded", words, parts)
+
+
+def _events(log: Log) -> Table:
+    """Every event; those that repeat stand in one row, with their number and the time of the last one."""
+    repeats: dict[tuple[str, str, str], list[float]] = {}
+    for event in sorted(log.events):
+        repeats.setdefault((event.sensor, event.kind, event.message), []).append(event.time_ns * 1e-9)
+    rows = [
+        [f"{times[0]:.3f}", f"{times[-1]:.3f}" if len(times) > 1 else "–", str(len(times)), sensor or "array", *words]
+        for (sensor, *words), times in list(repeats.items())[:_EVENTS]
+    ]
+    hidden = len(repeats) - len(rows)
+    more = f" {hidden} more are in the log, see imuarray info." if hidden else ""
+    caption = f"What happened; an event that repeats stands in one row.{more}"
+    return Table(["at s", "last at s", "times", "sensor", "kind", "what"], rows, caption, (3, 4, 5))
 
 
 def _shown(log: Log, recording: Recording) -> Section:
