@@ -178,7 +178,7 @@ def test_a_browser_draws_and_zooms_every_sensor_and_prints_the_svg(run: Path, tm
             await page.until("document.querySelectorAll('.live').length === 1")
             for width, dark in ((1366, False), (390, False), (1366, True)):
                 await page.screen(width, 900, dark=dark)
-                assert await page.value("document.documentElement.scrollWidth") <= width
+                await page.until(f"document.documentElement.scrollWidth <= {width}")  # figures follow in time
             assert (await page.value(seen.format("zoom")), await page.value(seen.format("static"))) == (3, 0)
             assert await page.value(f"{figures}.length") == 3
             assert await page.value(f"{figures}[0].y_range.end") > 1
