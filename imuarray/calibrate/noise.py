@@ -13,7 +13,6 @@ what colour that is, and how the bias wanders.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -355,15 +354,6 @@ def _still_stretches(log: Log) -> list[Pose]:
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
     """One sensor's figures; CalibrationError where it has no sound readings."""
     result = [(pose, *pose.rows_of(sensor)) for pose in poses]
-    here, *others = {id(here): here for _, here, _ in result}.values()
-    with nullcontext() if others else here.in_memory():  # it is gone through several times
-        return _noise_in(sensor, result, thermal, false_alarm)
-
-
-def _noise_in(
-    sensor: SensorLog, result: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None, false_alarm: float
-) -> SensorCalibration:
-    """One sensor's figures by its rows at rest in each pose; CalibrationError where none of them is sound."""
     stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]
     scatter = scatter_of(stretches, false_alarm) if stretches else None
     if scatter is None:

@@ -54,11 +54,6 @@ def characterise_log(
     chosen_stretch = choose_stretch(log, None if isinstance(phase, Stretch) else phase)
     if isinstance(phase, Stretch) and chosen_stretch.phase is None:
         chosen_stretch = phase
-    described = []
-    for sensor in chosen:
-        with sensor.in_memory():  # it is gone through several times
-            scale = scales.get(sensor.name)
-            described.append(_sensor(sensor, chosen_stretch, estimator, scale, progress or _nothing))
     result = {
         "log": str(log.path),
         "source": log.source,
@@ -66,7 +61,10 @@ def characterise_log(
         "stretch": _stretch(chosen_stretch),
         "confidence": CONFIDENCE,
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
-        "sensors": described,
+        "sensors": [
+            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _nothing)
+            for sensor in chosen
+        ],
     }
     return {name: json_ready(value) for name, value in result.items()}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
 from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.columns import DATASET, UNREADABLE, Column, LiveGroup, NamedColumn
+from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
 from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
@@ -26,10 +25,6 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
 
 _EDGE_ROWS = 4096
-
-_HELD = ("time", "counts", "status")
-_HELD_BYTES = 1 << 25
-"""Columns that are kept in memory for a while, and how much of it they may take at most."""
 
 
 class OpenLog(Protocol):
@@ -240,23 +235,6 @@ class SensorLog:
     def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
         """Slices that cover the log, `rows` at a time."""
         return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
-
-    @contextmanager
-    def in_memory(self) -> Iterator[None]:
-        """Keep time, counts and status in memory for a while, for those who read them several times: HDF5 decompresses
-        them once. Columns of more than 32 MB, and damaged ones, stay where they are.
-        """
-        before = dict(self._columns)
-        columns = {name: self._column(name) for name in _HELD if self._has(name)}
-        room = sum(column.dtype.itemsize * int(np.prod(column.shape)) for column in columns.values())
-        if room <= _HELD_BYTES:
-            with suppress(LogError):  # who reads the rows that are damaged is told of them
-                held = {name: Column(name, np.asarray(column)) for name, column in columns.items()}
-                self._columns |= {name: NamedColumn(rows, f"{self.where}: {name}") for name, rows in held.items()}
-        try:
-            yield
-        finally:
-            self._columns = before
 
     def flagged(self) -> dict[str, int]:
         """Return how many rows bear each flag of `imuarray.log.format`."""

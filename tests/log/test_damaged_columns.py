@@ -42,27 +42,6 @@ def test_it_is_as_the_dataset(small: Path) -> None:
             ours[99]
 
 
-def test_in_memory_it_is_the_same_and_afterwards_on_the_disk_again(small: Path) -> None:
-    with open_log(small) as log, h5py.File(small) as file:
-        sensor, theirs = log["Acc"], file["sensors/Acc"]
-        with sensor.in_memory():
-            for key in (0, -1, slice(1, 3), slice(None, None, 2), slice(None)):
-                np.testing.assert_array_equal(sensor.counts[key], theirs["counts"][key])
-                np.testing.assert_array_equal(sensor.time[key], theirs["time"][key])
-                np.testing.assert_array_equal(sensor.status[key], theirs["status"][key])
-            sensor.counts[:][0] = 7  # of a copy
-            np.testing.assert_array_equal(sensor.counts[:], theirs["counts"][:])
-            assert sensor.counts.chunks is None
-        assert sensor.counts.chunks == theirs["counts"].chunks
-
-
-def test_damaged_columns_stay_on_the_disk_and_are_named_by_who_reads_them(small: Path) -> None:
-    with open_log(flip_a_bit(small, "sensors/Acc/counts")) as log, log["Acc"].in_memory():
-        assert len(log["Acc"].time[:]) == 5
-        with pytest.raises(LogError, match="counts: rows 1 to 3 are damaged"):
-            log["Acc"].counts[1:4]
-
-
 @pytest.mark.parametrize(
     ("key", "rows"),
     some([(slice(1, 4), "rows 1 to 3 are"), (2, "row 2 is"), (-1, "row 4 is"), (..., "rows 0 to 4 are")], 3),
