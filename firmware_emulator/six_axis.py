@@ -25,13 +25,21 @@ class Grid:
     period_ns: int = 1_000_000
     index: int = -1
 
+    def latest(self, at_ns: int) -> int:
+        """The number of the latest sample at `at_ns`; -1 before the first."""
+        return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+
+    def time_ns(self, index: int) -> int:
+        """The time of the sample with this number."""
+        return self.start_ns + (index + 1) * self.period_ns
+
     def take(self, at_ns: int) -> int | None:
         """The time of the latest sample, if it has not been taken yet."""
-        latest = (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
+        latest = self.latest(at_ns)
         if latest <= self.index:
             return None
         self.index = latest
-        return self.start_ns + (latest + 1) * self.period_ns
+        return self.time_ns(latest)
 
     def set(self, at_ns: int, period_ns: int) -> bool:
         """Take a period, 0 for off; samples begin anew with another, and when it was off: True if it was."""

@@ -13,12 +13,11 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SixAxis, clipped
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register
 
-NEVER_NS = 1 << 62
 RESET_NS = 100_000_000  # INV-25
 CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40
 CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)  # INV-41
@@ -64,19 +63,15 @@ class Mpu6050(SixAxis):
         self._last_byte = 0
         self._count = 0
         self._flags = 0
-        self._start_ns, self._period_ns = NEVER_NS, BASE_PERIOD_NS
-        self._index = self._queued = -1
+        self._grid = Grid(period_ns=BASE_PERIOD_NS)
+        self._queued = -1
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
-    def _latest(self, at_ns: int) -> int:
-        """Number of the latest sample at `at_ns`; -1 before the first."""
-        return (at_ns - self._start_ns) // self._period_ns - 1 if at_ns >= self._start_ns else -1
-
     def _sync(self, at_ns: int) -> None:
         """Take in the samples up to `at_ns`: into the queue, and the latest one into the data registers (INV-30)."""
-        latest = self._latest(at_ns)
-        if latest <= self._index:
+        latest = self._grid.latest(at_ns)
+        if latest <= self._grid.index:
             return
         self._flags |= facts.DATA_READY.mask
         if self._queueing:
@@ -87,7 +82,7 @@ class Mpu6050(SixAxis):
             for index in range(max(self._queued + 1, latest - kept), latest + 1):
                 self._convert(index)
                 self._queue.extend(self._queued_bytes())
-        if self._index != latest:
+        if self._grid.index != latest:
             self._convert(latest)
         self._queued = latest
 
@@ -108,7 +103,7 @@ class Mpu6050(SixAxis):
 
     def _convert(self, index: int) -> None:
         """Sample number `index` into the data registers."""
-        at_ns = self._start_ns + (index + 1) * self._period_ns
+        at_ns = self._grid.time_ns(index)
         page = self.page
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
@@ -122,7 +117,7 @@ class Mpu6050(SixAxis):
         gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
         temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
-        self._index = index
+        self._grid.index = index
 
     def _accel_push(self) -> float:
         """Codes at 8 g that the self-test adds (INV-46)."""
@@ -187,19 +182,15 @@ class Mpu6050(SixAxis):
             self.page[address] &= ~once & 0xFF
         if address in (facts.PWR_MGMT_1.address, facts.SMPLRT_DIV.address, facts.CONFIG.address):
             self._restart(at_ns)
-        self._queued = self._index
+        self._queued = self._grid.index
 
     def _restart(self, at_ns: int) -> None:
         """The grid of samples begins anew with another rate, and when the die wakes (DEC-40)."""
         fast = facts.DLPF.of(self.page[facts.CONFIG.address]) in UNFILTERED
         base_ns = UNFILTERED_PERIOD_NS if fast else BASE_PERIOD_NS
         period_ns = base_ns * (1 + self.page[facts.SMPLRT_DIV.address])
-        asleep = bool(facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address]))
-        if asleep:
-            self._start_ns = NEVER_NS
-        elif self._start_ns == NEVER_NS or period_ns != self._period_ns:
-            self._start_ns, self._index = at_ns, -1
-        self._period_ns = period_ns
+        asleep = facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address])
+        self._grid.set(at_ns, 0 if asleep else period_ns)
 
 
 def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
