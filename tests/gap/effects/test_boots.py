@@ -180,7 +180,7 @@ def test_another_range_for_a_while() -> None:
 
 def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None:
     """2000 dps in the place of 250 in one of three logs, with no offset. A slope over a temperature that is far from
-    the reference is no offset, since all logs are as warm.
+    the reference is no offset, since all logs are as warm; nor is a phase in which the sensor was not read.
     """
     other = RangeReset(2000.0, runs=(1.0,))
     evidence = evidence_of("turn-on", "G1", {"G1": (Bias((5.0, -4.0, 3.0)), other)}, seed=7)
@@ -192,7 +192,11 @@ def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None
         for segments in (part.raw.segments,)
     )
     cold = replace(evidence, seen=seen, fitted=replace(evidence.fitted, slope=(0.5, -0.5, 0.5)))
-    for item in (evidence, cold):
+    first = evidence.still[0]
+    nothing = replace(first.residual.segments, mean=np.full_like(first.raw.segments.mean, np.nan))
+    residual = replace(first.residual, segments=nothing)
+    unread = replace(first, log=2, raw=replace(first.raw, rows=0), residual=residual)
+    for item in (evidence, cold, replace(evidence, seen=(*evidence.seen, unread))):
         (reset,) = (
             effect
             for trial in RANGE_RESET.guesses(item)

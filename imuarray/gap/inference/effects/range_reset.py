@@ -93,9 +93,9 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
     """In these logs and no others: chance may put all of them into one part, of which the other knows nothing. Noise
     has to be another one too, as that of a mere bias is not. Level and noise of the sensor are those of the other logs.
     """
-    others = np.array([phase.log not in logs for phase in evidence.still])
-    level = np.array([np.nanmean(phase.residual.segments.mean, axis=0) for phase in evidence.still])
-    x, y, z = (evidence.fitted.offset + np.median(level[others], axis=0) / evidence.header.sensitivity).tolist()
+    others = [phase.residual for phase in evidence.still if phase.log not in logs and phase.raw.rows]
+    level = np.median([np.nanmean(phase.segments.mean, axis=0) for phase in others], axis=0)
+    x, y, z = (evidence.fitted.offset + level / evidence.header.sensitivity).tolist()
     usual = with_noise(evidence, np.log(states.noise_before / evidence.noise))
     for guess in _cheapest(_guesses(evidence, [states])):
         ratio = _ratios(evidence)[guess.effect.range]
