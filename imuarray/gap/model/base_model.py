@@ -405,7 +405,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
     tolerance, is_flagged = clock_tolerance(header), _is_flagged(rests)
-    tells_missed = any(phase.flags["overrun"] for phase in rests)
+    flags_missed = any(phase.flags["overrun"] for phase in rests)
     for phase in rests:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
@@ -420,7 +420,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         repeated = _repeated_share(phase, is_flagged)
         readings_per_s.append(
             rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows)
-            if is_flagged and tells_missed
+            if is_flagged and flags_missed
             else rows_per_s * _readings_a_row(repeated, phase.intervals.std_s / phase.intervals.mean_s)
         )
         weight.append(phase.rows)

@@ -147,7 +147,9 @@ class Stage:
         """
         plan, motion = self.experiments[log]
         wanted = [
-            name for name in plan.sensors if name in models or (name in effects and self._is_beside(log, name, models))
+            name
+            for name in plan.sensors
+            if name in models or (name in effects and self._is_compared_with(log, name, models))
         ]
         swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
@@ -163,7 +165,7 @@ class Stage:
             for name in wanted
         }
 
-    def _is_beside(self, log: int, name: str, models: Models) -> bool:
+    def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
         """True if statistics of the sensors with these models depend on this sensor."""
         if self._moves[log]:
             return True

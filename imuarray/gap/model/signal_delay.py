@@ -89,11 +89,12 @@ def fit_signal_delays(
         least = np.array([0.0, *(-most[1:])])
         ratio, *stamps_s = _solve(observed, seen_s, start, (least, most)).tolist()
         own = dict(zip(late, stamps_s, strict=True))
-        delays |= {name: SignalDelay(_not_negligible(ratio * nominal_s[name]), own.get(name, 0.0)) for name in names}
+        delays |= {name: SignalDelay(_truncate(ratio * nominal_s[name]), own.get(name, 0.0)) for name in names}
     return delays
 
 
-def _not_negligible(delay_s: float) -> float:
+def _truncate(delay_s: float) -> float:
+    """The delay of a filter, 0 if it is negligible."""
     return delay_s if delay_s > _LEAST_S else 0.0
 
 

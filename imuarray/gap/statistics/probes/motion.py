@@ -62,8 +62,8 @@ def delay(cross: Cross, sensor: str) -> Floats:
 
 
 def quadrature(cross: Cross, sensor: str) -> Floats:
-    """Share of the change of the reference, in seconds, that each axis lacks of the reference along it: the delay, if
-    that is short; of a sine of angular frequency w that is late by d, sin(w d) / w.
+    """Component of each axis in quadrature to the reference along it, in seconds: the projection of r - y on the change
+    of r. It is the delay if that is short, and sin(w d) / w for a sine of angular frequency w that is late by d.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
