@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from firmware_emulator.board import Board, BoardKind, named
 from firmware_emulator.chip import Chip, Target
-from firmware_emulator.chips import CHIPS, HALVES
+from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.six_axis import SixAxis
@@ -147,7 +147,7 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
     given = {**board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
     chip = board.kind(sensor)
     element = board.element(sensor)
-    if sensor.chip == "bmp180":
+    if sensor.chip in BAROMETERS:
         given = {"generator": random.Random(board.generator_key(sensor)), **given}
     try:
         return chip(sensor.address, element, now_ns, **given)

@@ -19,7 +19,7 @@ from zlib import crc32
 import numpy as np
 
 from firmware_emulator.chip import Triple
-from firmware_emulator.chips import HALVES
+from firmware_emulator.chips import BAROMETERS, HALVES
 from firmware_emulator.six_axis import ACCELEROMETER
 from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, Stimulus, World
 
@@ -37,7 +37,7 @@ SENSED: dict[str, tuple[str, float]] = {
         chip: ("force_box", 1 / STANDARD_GRAVITY) if half.name == ACCELEROMETER else ("rate_box", 180 / math.pi)
         for chip, half in HALVES.items()
     },
-    "bmp180": ("force_box", 0.0),  # has no axes
+    **dict.fromkeys(BAROMETERS, ("force_box", 0.0)),
     "hmc5883": ("field_box", 1.0),
     "hmc5883l": ("field_box", 1.0),
 }

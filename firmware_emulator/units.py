@@ -112,11 +112,17 @@ def bmp180(_: float) -> Tolerances:
     )
 
 
+def bmp280(_: float) -> Tolerances:
+    """BMP-124: pressure within 1 hPa, temperature within 0.5 degC, both typical; noise is the chip's (BMP-125)."""
+    return replace(l3g4200d(0.0), pressure_pa=typical(100.0), thermometer_degc=typical(0.5))
+
+
 TOLERANCES: dict[str, Sheet] = {
     "adxl345": adxl345,
     "bma180": bma180,
     "l3g4200d": l3g4200d,
     "bmp180": bmp180,
+    "bmp280": bmp280,
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,
 } | {chip: half.sheet for chip, half in HALVES.items()}

@@ -1,13 +1,15 @@
-"""The BMP180's arithmetic: from its raw words to degrees and pascals, and back. Bosch data sheet v2.8; facts BMP-*.
+"""The arithmetic of the barometers: from raw words to degrees and pascals, and back. Bosch data sheets; facts BMP-*.
 
-Floor division throughout, which reproduces every printed intermediate value (BMP-64). `words` are the eleven
-calibration words of one part, by name.
+Integers as the data sheets have them, with floor division throughout, which reproduces every printed intermediate value
+of the BMP180 (BMP-64) and the BMP280's fine temperature (BMP-121). `words` are the calibration words of one part, by
+name. `BAROMETERS` has the arithmetic of each chip by its name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +34,44 @@ EXAMPLE_WORDS: Words = MappingProxyType(
 )
 """The part of the data sheet's example (BMP-20 ... BMP-30)."""
 
+EXAMPLE_WORDS_BMP280: Words = MappingProxyType(
+    {
+        "T1": 27504,
+        "T2": 26435,
+        "T3": -1000,
+        "P1": 36477,
+        "P2": -10685,
+        "P3": 3024,
+        "P4": 2855,
+        "P5": 140,
+        "P6": -7,
+        "P7": 15500,
+        "P8": -14600,
+        "P9": 6000,
+    }
+)
+"""The part of the data sheet's example (BMP-120)."""
+
 _SIXTEENTHS = 160
 """B5 is the temperature in sixteenths of 0.1 degC (BMP-60)."""
+
+
+class Barometer(NamedTuple):
+    """The arithmetic of one chip, as its driver sets it.
+
+    `words`: the part of the data sheet's example; `noise_pa`: typical rms noise of the pressure; `compensate` and
+    `uncompensated`: from raw words UT and UP (n,) to degC and Pa (n,) by the part's words, and back; `settings`: what
+    the driver notes in a log beside the words.
+    """
+
+    words: Words
+    noise_pa: float
+    compensate: Callable[[Integers, Integers, Words], tuple[Floats, Floats]]
+    uncompensated: Callable[[Floats, Floats, Words], tuple[Integers, Integers]]
+    settings: Mapping[str, int] = MappingProxyType({})
+
+
+# BMP180 ---------------------------------------------------------------------------------------------------------------
 
 
 def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> tuple[Floats, Floats]:
@@ -92,3 +130,83 @@ def _first_reaching(rising: Callable[[Integers], Integers], wanted: Floats, low:
         short = rising(middle) < wanted
         bottom, top = np.where(short, middle + 1, bottom), np.where(short, top, middle)
     return bottom
+
+
+# BMP280 ---------------------------------------------------------------------------------------------------------------
+
+_WORD_BITS = 20
+
+
+def compensate_bmp280(ut: Integers, up: Integers, words: Words) -> tuple[Floats, Floats]:
+    """Temperature (n,) in degC, steps of 0.01, and pressure (n,) in Pa, steps of 1/256, by the 64-bit formula (BMP-121,
+    BMP-122).
+    """
+    fine = fine_temperature_bmp280(ut, words)
+    return (fine * 5 + 128 >> 8) / 100.0, pressure_bmp280(up, fine, words) / 256.0
+
+
+def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
+    """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    bisection: the temperature rises with its word, the pressure falls.
+    """
+    highest = (1 << _WORD_BITS) - 1
+    ut = _first_reaching(lambda word: fine_temperature_bmp280(word, words), temperature_degc * 5120, 0, highest)
+    fine = fine_temperature_bmp280(ut, words)
+    up = _first_reaching(lambda word: -pressure_bmp280(word, fine, words), -pressure_pa * 256, 0, highest)
+    return ut, up
+
+
+def fine_temperature_bmp280(ut: Integers, words: Words) -> Integers:
+    """The temperature (n,) in 5120ths of a degC, which the pressure needs too (BMP-121)."""
+    linear = ((ut >> 3) - (words["T1"] << 1)) * words["T2"] >> 11
+    away = (ut >> 4) - words["T1"]
+    return np.asarray(linear + ((away * away >> 12) * words["T3"] >> 14))
+
+
+def pressure_bmp280(up: Integers, fine: Integers, words: Words) -> Integers:
+    """The pressure (n,) in 256ths of a Pa by the formula for 64 bits, 0 where it would divide by 0 (BMP-122)."""
+    a = np.asarray(fine, np.int64) - 128000
+    b = a * a * words["P6"] + (a * words["P5"] << 17) + (words["P4"] << 35)
+    a = (a * a * words["P3"] >> 8) + (a * words["P2"] << 12)
+    a = ((1 << 47) + a) * words["P1"] >> 33
+    p = (((1048576 - up) << 31) - b) * 3125 // np.where(a == 0, 1, a)
+    c = words["P9"] * (p >> 13) * (p >> 13) >> 25
+    d = words["P8"] * p >> 19
+    return np.where(a == 0, 0, (p + c + d >> 8) + (words["P7"] << 4))
+
+
+def pressure_bmp280_32_bits(up: Integers, fine: Integers, words: Words) -> Integers:
+    """The pressure (n,) in Pa by the formula for 32 bits, which microcontrollers use; off by about 1 Pa rms (BMP-123).
+
+    A log holds what `pressure_bmp280` gives; this is to compare it with what such a program reports.
+    """
+    a = (fine >> 1) - 64000
+    square = (a >> 2) * (a >> 2)
+    b = (square >> 11) * words["P6"] + (a * words["P5"] << 1)
+    b = (b >> 2) + (words["P4"] << 16)
+    a = (words["P3"] * (square >> 13) >> 3) + (words["P2"] * a >> 1) >> 18
+    a = (32768 + a) * words["P1"] >> 15
+    p = ((1048576 - up) - (b >> 12)) * 3125
+    divisor = np.where(a == 0, 1, a)
+    p = np.where(p < 0x80000000, (p << 1) // divisor, p // divisor * 2)
+    c = words["P9"] * ((p >> 3) * (p >> 3) >> 13) >> 12
+    d = (p >> 2) * words["P8"] >> 13
+    return np.where(a == 0, 0, p + (c + d + words["P7"] >> 4))
+
+
+# Each chip ------------------------------------------------------------------------------------------------------------
+
+_OVERSAMPLING_BMP180 = 3  # eight samples, the quietest: BMP-44
+
+BAROMETERS: Mapping[str, Barometer] = MappingProxyType(
+    {
+        "bmp180": Barometer(
+            EXAMPLE_WORDS,
+            3.0,  # BMP-44
+            lambda ut, up, words: compensate(ut, up, words, _OVERSAMPLING_BMP180),
+            lambda degc, pa, words: uncompensated(degc, pa, words, _OVERSAMPLING_BMP180),
+            MappingProxyType({"oversampling": _OVERSAMPLING_BMP180}),
+        ),
+        "bmp280": Barometer(EXAMPLE_WORDS_BMP280, 1.3, compensate_bmp280, uncompensated_bmp280),  # noise: BMP-125
+    }
+)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.facts import adxl345, bma180, bmp180, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050, mpu6500
+from imuarray.facts import adxl345, bma180, bmp180, bmp280, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050, mpu6500
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
@@ -43,10 +43,15 @@ class ChipSpec:
     default_bandwidth_hz: float = 0.0
     has_fifo: bool = False
     thermometer: ChipThermometer | None = None
-    on_demand: bool = False
-    """It converts only when asked; its driver keeps the pace."""
+    conversions_s: tuple[float, ...] = ()
+    """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
     proposed: Mapping[str, Any] = field(default_factory=dict)
     """Settings that a hand-held or driven box can live with."""
+
+    @property
+    def on_demand(self) -> bool:
+        """True if it converts only when asked; its driver keeps the pace."""
+        return bool(self.conversions_s)
 
     @property
     def has_thermometer(self) -> bool:
@@ -269,7 +274,18 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             burst_bytes=0,
             rates_hz=(1.0, 2.0, 4.0, 8.0),  # how often it is asked; it converts only when asked (BMP-51)
             default_rate_hz=4.0,
-            on_demand=True,
+            conversions_s=(0.0045, 0.0255),  # temperature, pressure: BMP-40, BMP-44
+        ),
+        "bmp280": ChipSpec(
+            quantity="pressure",
+            unit="Pa",
+            addresses=bmp280.ADDRESSES,
+            identity=bmp280.CHIP_ID,
+            label="BMP{}",
+            burst_bytes=10,
+            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked (BMP-107)
+            default_rate_hz=4.0,
+            conversions_s=(0.043225,),  # BMP-109
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",

@@ -8,6 +8,7 @@ from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
 from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
+from firmware_emulator.chips.bmp280 import Bmp280
 from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
 from firmware_emulator.six_axis import Die, Half
@@ -36,7 +37,11 @@ CHIPS: dict[str, Callable[..., Chip]] = {
         for suffix, half in die.halves.items()
     },
     "bmp180": Bmp180,
+    "bmp280": Bmp280,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883l,
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
+
+BAROMETERS = ("bmp180", "bmp280")
+"""Chips that have no axes, and draw their noise themselves, from a `generator`."""

@@ -52,7 +52,7 @@ def pressure_function(words: Words, b5: int, oss: int) -> tuple[int, Callable[[i
     return max(0, b3), pressure
 
 
-def nearest(function: Callable[[int], int], low: int, high: int, target: float) -> int:
+def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
     """The argument in low ... high at which a rising function comes closest to `target`, the lower one of equals."""
     bottom, top = low, high
     while bottom < top:

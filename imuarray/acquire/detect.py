@@ -17,7 +17,7 @@ from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.chips import CHIPS, die_of
 from imuarray.drivers import SelfTest
 from imuarray.errors import SensorError
-from imuarray.facts import bmp180, pca9544a
+from imuarray.facts import pca9544a
 from imuarray.facts.registers import Register
 
 
@@ -170,9 +170,14 @@ def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
         if address in owned:  # one that the kernel switches must not be written to: LNX-24
             continue
         with contextlib.suppress(OSError):
-            if not _answers(bus, address, bmp180.CHIP_ID) and _keeps_control(bus, address):
+            if not _is_known(bus, address) and _keeps_control(bus, address):
                 return address
     return None
+
+
+def _is_known(bus: Bus, address: int) -> bool:
+    """Return whether a chip that may have this address, a barometer, answers there."""
+    return any(address in addresses and _answers(bus, address, register) for _, addresses, register in _IDENTITIES)
 
 
 def _keeps_control(bus: OpenBus, address: int) -> bool:

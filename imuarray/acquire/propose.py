@@ -76,7 +76,8 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
     for chip, line in chips:
         spec = CHIPS[chip]
         numbers[spec.label] += 1
-        number = str(numbers[spec.label]) if counts[chip] > 1 or chip != "bmp180" else "180"
+        lone = counts[chip] == 1 and spec.quantity == "pressure"
+        number = chip.removeprefix("bmp") if lone else str(numbers[spec.label])
         text += _sensor(spec.label.format(number), chip, line, spec.proposed)
     return text
 

@@ -1,8 +1,8 @@
 """The transactions of one reading, for a microcontroller that knows no chips.
 
 Most readings are one transaction; which it is is found by letting the driver fetch once from a bus that notes it. A
-barometer is asked three times, with waits in between. What comes back is put together to the burst that the driver's
-`decode` reads.
+barometer is asked two or three times, with waits in between. What comes back is put together to the burst that the
+driver's `decode` reads.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from imuarray.array import SensorConfig
 from imuarray.bus.serial_link import Request
 from imuarray.drivers import DRIVERS
+from imuarray.drivers.forced_barometer import ForcedBarometer
 from imuarray.facts import bmp180
 
 
@@ -56,13 +57,24 @@ def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
     if sensor.fifo:
         raise ValueError(f"sensor {sensor.name}: a queue is drained by its driver")
     if sensor.chip == "bmp180":
-        return _barometer(sensor.address)
+        return _bmp180(sensor.address)
     bus = _NotingBus()
-    DRIVERS[sensor.chip](bus, sensor, _NoClock()).fetch()
+    driver = DRIVERS[sensor.chip](bus, sensor, _NoClock())
+    if isinstance(driver, ForcedBarometer):
+        return _forced_barometer(sensor.address, driver)
+    driver.fetch()
     return (Visit(tuple(bus.asked)),)
 
 
-def _barometer(address: int) -> tuple[Visit, ...]:
+def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...]:
+    """One measurement: started, and read when it is over at the latest."""
+    start = Request(address, bytes([driver.force.register.address, driver.force.value]), 0)
+    look = Request(address, bytes([driver.first.address]), driver.head + driver.burst)
+    (longest_ns,) = driver.conversions_ns
+    return Visit((start,)), Visit((look,), skipped=driver.head, busy=driver.busy, wait_ns=longest_ns)
+
+
+def _bmp180(address: int) -> tuple[Visit, ...]:
     """Temperature, then pressure: started, and read when it is over at the latest (BMP-40, BMP-44, BMP-46)."""
     register = bytes([bmp180.CTRL_MEAS.address])
     start_temperature = Request(address, register + b"\x2e", 0)

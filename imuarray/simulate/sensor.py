@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.axes import Matrix
-from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
+from imuarray.barometer import BAROMETERS
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.active_spans import acting
@@ -34,10 +34,6 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 _WORTH_IT = 1024
 """Fewer rows than that are cut from their whole chunk, which others will be wanted of."""
 
-OVERSAMPLING = 3
-"""Of the barometer: the driver's setting, the quietest (BMP-44)."""
-
-_PRESSURE_RMS_PA = 3.0  # BMP-44
 NO_READY_BIT = ("hmc5883", "hmc5883l")
 """Chips whose ready bit no driver sees: an identical triad is all it knows of."""
 
@@ -267,11 +263,13 @@ class SimulatedSensor:
 
 
 class SimulatedBarometer:
-    """A BMP180: the data sheet's example part, 3 Pa rms (BMP-44), no effects."""
+    """A barometer: the data sheet's example part with the data sheet's noise, no effects; a BMP180 where the chip is
+    none of `imuarray.barometer`.
+    """
 
     def __init__(self, header: SensorHeader, timeline: Timeline, motion: Motion, streams: Streams) -> None:
-        words = {**EXAMPLE_WORDS, "oversampling": OVERSAMPLING}
-        self.header = replace(header, extra=words)
+        self._barometer = BAROMETERS.get(header.chip, BAROMETERS["bmp180"])
+        self.header = replace(header, extra={**self._barometer.words, **self._barometer.settings})
         self.timeline = timeline
         self.effects: tuple[Effect, ...] = ()
         self.rows = timeline.rows
@@ -282,14 +280,11 @@ class SimulatedBarometer:
         """Rows start ... stop - 1."""
         stamps = self.timeline.stamps(start, stop)
         felt = self._motion.felt(stamps)
-        noise = self._noise.normal(start, stop)[:, 0] * _PRESSURE_RMS_PA
-        ut, up = uncompensated(
-            np.asarray(felt.temperature_degc, float),
-            np.asarray(felt.pressure_pa + noise, float),
-            EXAMPLE_WORDS,
-            OVERSAMPLING,
-        )
-        temperature, pressure = compensate(ut, up, EXAMPLE_WORDS, OVERSAMPLING)
+        chip = self._barometer
+        noise = self._noise.normal(start, stop)[:, 0] * chip.noise_pa
+        degc, pa = np.asarray(felt.temperature_degc, float), np.asarray(felt.pressure_pa + noise, float)
+        ut, up = chip.uncompensated(degc, pa, chip.words)
+        temperature, pressure = chip.compensate(ut, up, chip.words)
         counts = np.stack([ut, up], axis=1).astype(np.int32)
         status = np.zeros(len(stamps), np.uint16)
         return Block(stamps, counts, status, None, {"temperature": temperature, "pressure": pressure})

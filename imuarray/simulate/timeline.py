@@ -41,9 +41,6 @@ _HOLE = 1.5
 _TYPICAL = 1024
 """A block of fewer intervals doesn't change what is usual."""
 
-_PRESSURE_S = 0.0255
-"""Longest pressure conversion of the BMP180 (BMP-44)."""
-
 
 class Timeline(Protocol):
     """The rows of one sensor."""
@@ -247,8 +244,9 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
 
 def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
     """How many frames lie between two rows, and in which frame the first one comes."""
-    if sensor.spec.on_demand:  # temperature asked for, pressure asked for, then both are there
-        return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz)), 1 + math.ceil(frame_rate_hz * _PRESSURE_S)
+    if sensor.spec.on_demand:  # each conversion is asked for in the first frame after the one before
+        first = sum(max(1, math.ceil(frame_rate_hz * seconds)) for seconds in sensor.spec.conversions_s)
+        return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz)), first
     return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz - _SOON)), 0
 
 

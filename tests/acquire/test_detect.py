@@ -116,10 +116,11 @@ def test_a_bus_of_which_nobody_has_written_yet() -> None:
     )
 
 
-def test_a_lone_barometer_is_not_taken_for_a_multiplexer() -> None:
-    lone = parse_array('[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77\n')
+@pytest.mark.parametrize(("chip", "address"), [("bmp180", 0x77), ("bmp280", 0x77), ("bmp280", 0x76)])
+def test_a_lone_barometer_is_not_taken_for_a_multiplexer(chip: str, address: int) -> None:
+    lone = parse_array(f'[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = {address}\n')
     with open_bus("emulated:", lone) as bus:
-        assert [(line.place, line.found) for line in explore(bus)] == [("trunk address 0x77", "bmp180")]
+        assert [(line.place, line.found) for line in explore(bus)] == [(f"trunk address {address:#04x}", chip)]
 
 
 def driven(folder: Path, *owned: tuple[str, str]) -> Path:

@@ -226,6 +226,10 @@ def test_every_chip_has_tolerances() -> None:
         -100.0, abs=4.4 * 100 / math.sqrt(300)
     )
     assert all(-400.0 <= unit.pressure_offset_pa <= 200.0 for unit in barometers)  # BMP-70
+    barometers = [unit_of("mine", f"P{index}", "bmp280", 0.0) for index in range(300)]
+    assert fmean(unit.pressure_offset_pa for unit in barometers) == pytest.approx(0.0, abs=4.4 * 50 / math.sqrt(300))
+    assert all(abs(unit.pressure_offset_pa) <= 100.0 for unit in barometers)  # BMP-124
+    assert all(abs(unit.thermometer_offset_degc) <= 0.5 for unit in barometers)
 
 
 def test_noise_is_keyed_and_independent_of_what_is_felt() -> None:

@@ -28,7 +28,19 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "mpu6500", "pca9544a")
+CHIPS = (
+    "adxl345",
+    "bma180",
+    "bmp180",
+    "bmp280",
+    "hmc5883",
+    "icm42688",
+    "l3g4200d",
+    "lsm6dso",
+    "mpu6050",
+    "mpu6500",
+    "pca9544a",
+)
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25

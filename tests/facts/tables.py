@@ -9,15 +9,29 @@ from types import ModuleType
 
 from imuarray.facts.registers import Field, Register
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "mpu6500", "pca9544a")
+CHIPS = (
+    "adxl345",
+    "bma180",
+    "bmp180",
+    "bmp280",
+    "hmc5883",
+    "icm42688",
+    "l3g4200d",
+    "lsm6dso",
+    "mpu6050",
+    "mpu6500",
+    "pca9544a",
+)
 
 # By chip: addresses that can't be written, addresses that are only written, all the others. Column "acc" of the maps:
-# ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, INV-10
-# ... INV-27 (FIFO_COUNT: see SOURCES.md), INV-71, TDK-10, LSM-10, PCA-03. In bank n addresses have 0x100 n added.
+# ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, BMP-102 ... BMP-111, HMC-10 ... HMC-17, L3G-10 ... L3G-25,
+# INV-10 ... INV-27 (FIFO_COUNT: see SOURCES.md), INV-71, TDK-10, LSM-10, PCA-03. In bank n addresses have 0x100 n
+# added.
 READ_ONLY = {
     "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x0D)},
     "bmp180": {0xAA, 0xD0, 0xF6, 0xF7, 0xF8},
+    "bmp280": {0x88, 0xD0, 0xF3, *range(0xF7, 0xFD)},
     "hmc5883": {*range(0x03, 0x0D)},
     "icm42688": {*range(0x1D, 0x2B), 0x2D, 0x75},
     "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
@@ -30,6 +44,7 @@ WRITE_ONLY = {
     "adxl345": set(),
     "bma180": {0x10},
     "bmp180": {0xE0},
+    "bmp280": {0xE0},
     "hmc5883": set(),
     "icm42688": set(),
     "l3g4200d": set(),
@@ -42,6 +57,7 @@ WRITABLE = {
     "adxl345": {*range(0x1D, 0x2B), *range(0x2C, 0x30), 0x31, 0x38},
     "bma180": {0x0D, 0x0E, 0x0F, *range(0x20, 0x3C)},
     "bmp180": {0xF4},
+    "bmp280": {0xF4, 0xF5},
     "hmc5883": {0x00, 0x01, 0x02},
     "icm42688": {
         *(0x11, *range(0x4C, 0x54), 0x60, 0x70, 0x76),
@@ -54,10 +70,11 @@ WRITABLE = {
     "mpu6500": {*range(0x03), *range(0x0D, 0x10), *range(0x19, 0x1E), 0x63, *range(0x6A, 0x6D)},
     "pca9544a": {0x00},
 }
-ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, INV-70, PCA-01
+ADDRESSES = {  # ADX-01, BMA-01, BMP-01, BMP-101, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, INV-70, PCA-01
     "adxl345": {0x53, 0x1D},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
+    "bmp280": {0x76, 0x77},
     "hmc5883": {0x1E},
     "icm42688": {0x68, 0x69},
     "l3g4200d": {0x68, 0x69},
@@ -74,6 +91,7 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
     "adxl345": {0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x01, 0x09), 0x3B},
     "bmp180": {0xAA},
+    "bmp280": {0x88, 0xF3},
     "hmc5883": {0x09},
     "icm42688": {*range(0x15F, 0x162), *range(0x23B, 0x23E)},
     "l3g4200d": {*range(0x26, 0x2E), 0x2F},

@@ -11,7 +11,19 @@ import pytest
 from imuarray import facts
 from imuarray.facts.registers import Register
 
-CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "icm42688", "l3g4200d", "lsm6dso", "mpu6050", "mpu6500", "pca9544a")
+CHIPS = (
+    "adxl345",
+    "bma180",
+    "bmp180",
+    "bmp280",
+    "hmc5883",
+    "icm42688",
+    "l3g4200d",
+    "lsm6dso",
+    "mpu6050",
+    "mpu6500",
+    "pca9544a",
+)
 
 
 def table(**contents: object) -> ModuleType:

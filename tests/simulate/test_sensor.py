@@ -207,18 +207,24 @@ def test_a_loss_at_a_chunks_edge_is_told(constant: Any) -> None:
     np.testing.assert_array_equal((block.status & LOST_BEFORE) != 0, rows % 5 == 1)
 
 
-def test_a_barometer_tells_temperature_and_pressure(constant: Any) -> None:
-    text = '[array]\nname = "a"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77'
+@pytest.mark.parametrize(  # BMP-44 and steps of 1 Pa; BMP-125
+    ("chip", "rms_pa", "step_pa", "step_degc"), [("bmp180", 3.0, 1.0, 0.1), ("bmp280", 1.3, 0.0, 0.01)]
+)
+def test_a_barometer_tells_temperature_and_pressure(
+    constant: Any, chip: str, rms_pa: float, step_pa: float, step_degc: float
+) -> None:
+    text = f'[array]\nname = "a"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = 0x77'
     plan = plan_of(parse_array(text), 50.0, 100.0)
     found = Simulation(plan, constant(temperature_degc=31.4, pressure_pa=98_000.0), {}).sensors["P"]
     assert isinstance(found, SimulatedBarometer)
     block = found.block(0, found.rows)
     assert block.counts.dtype == np.int32
-    np.testing.assert_allclose(block.compensated["temperature"], 31.4, atol=0.11)
+    np.testing.assert_allclose(block.compensated["temperature"], 31.4, atol=1.1 * step_degc)
     pressure = block.compensated["pressure"]
-    # 400 rows of 3 Pa rms (BMP-44) and 1 Pa steps: mean within 5 standard errors, spread within 5 of its own
-    assert abs(pressure.mean() - 98_000.0) < 5 * 3.1 / 20 + 0.5
-    assert abs(pressure.std() - 3.0) < 5 * 3.0 / np.sqrt(800)
+    # 400 rows: mean within 5 standard errors (steps included, of which the first that reaches a value is taken), spread
+    # within 5 of its own
+    assert abs(pressure.mean() - 98_000.0) < 5 * (rms_pa + 0.1) / 20 + 0.5 * step_pa + 0.1
+    assert abs(pressure.std() - rms_pa) < 5 * rms_pa / np.sqrt(800)
 
 
 class _Rest:

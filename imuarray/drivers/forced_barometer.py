@@ -1,0 +1,153 @@
+"""Barometers that measure temperature and pressure once when they are told to ("forced mode"), and sleep otherwise.
+
+Nobody waits for a measurement: each call of `fetch` looks whether the one that was started must be over by now, and
+starts the next when it is due. So every reading is new, and belongs to an instant that the log knows.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Integers
+from imuarray.barometer import BAROMETERS, Words
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
+from imuarray.facts.registers import Register, Setting
+
+_CALLS = 3
+"""Where so many calls in a row came late, calls are that seldom, and nothing was interrupted."""
+
+
+class ForcedBarometer:
+    """What the drivers of such chips have in common; one reading is six bytes, and `words_of` tells UT and UP.
+
+    `first`: the register with which a look at the chip begins; `head` bytes come before the reading; `busy`: bits of
+    the first byte that are set while the chip measures. `force`: the setting that starts a measurement.
+    """
+
+    burst: ClassVar[int] = 6
+    reading: ClassVar[slice] = slice(0, 6)
+    tells_fresh: ClassVar[bool] = True
+    conversions_ns: ClassVar[tuple[int, ...]]
+    lasting_ns: ClassVar[int] = 100_000_000
+    first: ClassVar[Register]
+    head: ClassVar[int]
+    busy: ClassVar[int] = 0
+    force: ClassVar[Setting]
+    limits_pa: ClassVar[tuple[float, float]]
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.period_ns = round(1e9 / sensor.chip_rate_hz)
+        self.watched: tuple[Setting, ...] = ()
+        self.words: Words = {}
+        self.arithmetic = BAROMETERS[sensor.chip]
+        self._due_ns = 0
+        self._done_ns: int | None = None
+        self._called_ns: int | None = None
+        self._intervals_ns: deque[int] = deque(maxlen=_CALLS)
+
+    @property
+    def ready_ns(self) -> int | None:
+        """The end of the measurement in progress; None if there is none."""
+        return self._done_ns
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
+        """Set the chip up; ends with `begin`."""
+        raise NotImplementedError
+
+    def begin(self) -> None:
+        """Forget what is in progress: the next call of `fetch` starts a measurement."""
+        self._due_ns, self._done_ns = self.clock.now_ns(), None
+
+    def is_over(self, head: bytes) -> bool:
+        """Return whether the measurement that was asked for is over, by the bytes before the reading."""
+        raise NotImplementedError
+
+    def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
+        """UT (n,) and UP (n,)."""
+        raise NotImplementedError
+
+    def mark(self, code: int) -> bool:
+        """Do nothing: it has no byte to spare."""
+        return False
+
+    def self_test(self) -> SelfTest:
+        """Replace the self-test that it lacks: one measurement, whose temperature and pressure must lie within the
+        operating range.
+        """
+        self.configure()
+        burst, tries, longest_ns = b"", 0, 0
+        while not burst and tries < 100:
+            asked_ns = self.clock.now_ns()
+            sleep_for(self.clock, 0.005)
+            burst, tries = self.fetch(), tries + 1
+            longest_ns = max(longest_ns, self.clock.now_ns() - asked_ns)
+        if not burst and longest_ns > self.lasting_ns // 2:
+            slow = f"the bus takes {longest_ns * 1e-6:.0f} ms a question"
+            return SelfTest(None, f"no self-test in the chip; {slow}, too long for a measurement to be waited for")
+        if not burst:
+            return SelfTest(False, "no measurement within half a second")
+        values = self.decode(np.frombuffer(burst, np.uint8).reshape(1, self.burst)).compensated
+        temperature_degc, pressure_pa = float(values["temperature"][0]), float(values["pressure"][0])
+        low, high = self.limits_pa
+        passed = -40 <= temperature_degc <= 85 and low <= pressure_pa <= high
+        return SelfTest(passed, f"no self-test in the chip; reads {temperature_degc:.1f} degC, {pressure_pa:.0f} Pa")
+
+    def fetch(self) -> bytes:
+        """Six bytes when a measurement is over; empty otherwise.
+
+        A call that fails with OSError changes nothing and can be repeated, but EIO, where the chip has not done what it
+        was asked to: the next call asks anew.
+        """
+        now_ns = self.clock.now_ns()
+        if self._done_ns is not None and now_ns > self._done_ns + self._lasting_ns(now_ns):
+            self._done_ns = None
+        if self._done_ns is None:
+            if now_ns >= self._due_ns:
+                self.registers.poke(self.force.register, self.force.value)
+                self._done_ns = now_ns + self.conversions_ns[0]
+                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
+            return b""
+        if now_ns < self._done_ns:
+            return b""
+        block = self.registers.peek(self.first, self.head + self.burst)
+        self._done_ns = None
+        if not self.is_over(block[: self.head]):
+            raise OSError(errno.EIO, f"{self.registers.label}: measurement not finished in time, or lost")
+        return block[self.head :]
+
+    def _lasting_ns(self, now_ns: int) -> int:
+        """Return how old a result may be in this call: where calls are rare, as old as the call interval."""
+        seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
+        if self._called_ns is not None:
+            self._intervals_ns.append(now_ns - self._called_ns)
+        self._called_ns = now_ns
+        return max(self.lasting_ns, 2 * seldom_ns)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """UT and UP as counts, temperature in degC and pressure in Pa beside them."""
+        ut, up = self.words_of(bursts)
+        temperature_degc, pressure_pa = self.arithmetic.compensate(ut, up, self.words)
+        return DecodedBursts(
+            np.stack([ut, up], axis=1).astype(np.int32),
+            None,
+            np.zeros(len(bursts), np.uint16),
+            {"temperature": temperature_degc, "pressure": pressure_pa},
+        )
+
+    def header(self) -> Mapping[str, int]:
+        """The calibration words, without which the counts mean nothing."""
+        return {**self.words, **self.arithmetic.settings}
