@@ -40,6 +40,7 @@ SENSED: dict[str, tuple[str, float]] = {
     **dict.fromkeys(BAROMETERS, ("force_box", 0.0)),
     "hmc5883": ("field_box", 1.0),
     "hmc5883l": ("field_box", 1.0),
+    "lis3mdl": ("field_box", 1.0),
 }
 """By chip: the field of `Stimulus` that it measures, and what one of its unit is in g, dps or gauss."""
 

@@ -103,6 +103,20 @@ def hmc5883(range_gauss: float) -> Tolerances:
     )
 
 
+def lis3mdl(_: float) -> Tolerances:
+    """LIS-21; scale and alignment are not specified, and ideal."""
+    return Tolerances(
+        bias=(typical(1.0),) * 3,
+        slope_per_degc=(NONE,) * 3,
+        scale=NONE,
+        cross_axis=NONE,
+        alignment_deg=NONE,
+        noise=(3.2e-3, 3.2e-3, 4.1e-3),
+        noise_full_scale=12.0,
+        noise_bandwidth_hz=77.5,
+    )
+
+
 def bmp180(_: float) -> Tolerances:
     """BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC of the truth, 1.5 at most."""
     return replace(
@@ -125,6 +139,7 @@ TOLERANCES: dict[str, Sheet] = {
     "bmp280": bmp280,
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,
+    "lis3mdl": lis3mdl,
 } | {chip: half.sheet for chip, half in HALVES.items()}
 
 

@@ -12,7 +12,19 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.facts import adxl345, bma180, bmp180, bmp280, hmc5883, icm42688, l3g4200d, lsm6dso, mpu6050, mpu6500
+from imuarray.facts import (
+    adxl345,
+    bma180,
+    bmp180,
+    bmp280,
+    hmc5883,
+    icm42688,
+    l3g4200d,
+    lis3mdl,
+    lsm6dso,
+    mpu6050,
+    mpu6500,
+)
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
 from imuarray.units import Quantity
@@ -330,6 +342,19 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             rates_hz=_HMC5883_RATES_HZ,
             default_rate_hz=15.0,
             proposed={"range": 1.2, "rate_hz": 15},
+        ),
+        "lis3mdl": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=lis3mdl.ADDRESSES,
+            identity=lis3mdl.WHO_AM_I,
+            label="LIS{}",
+            burst_bytes=9,
+            sensitivity={4.0: 6842.0, 8.0: 3421.0, 12.0: 2281.0, 16.0: 1711.0},  # LIS-10
+            rates_hz=(0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 155.0),  # LIS-11
+            default_rate_hz=80.0,
+            thermometer=THERMOMETERS["lis3mdl"],
+            proposed={"range": 4, "rate_hz": 80},
         ),
     }
 )

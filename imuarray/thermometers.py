@@ -23,6 +23,7 @@ THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
         "mpu6500": ChipThermometer(21.0, 333.87, 16),  # INV-76
         "mpu9250": ChipThermometer(21.0, 333.87, 16),
         "icm42688": ChipThermometer(25.0, 132.48, 16),  # TDK-32
+        "lis3mdl": ChipThermometer(25.0, 8.0, 16),  # LIS-20
         "lsm6dso": ChipThermometer(25.0, 256.0, 16),  # LSM-32
     }
 )

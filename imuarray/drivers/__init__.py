@@ -12,6 +12,7 @@ from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandD
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
+from imuarray.drivers.lis3mdl import Lis3mdl
 from imuarray.drivers.lsm6dso import Lsm6dsoAccelerometer, Lsm6dsoGyroscope
 from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
 from imuarray.drivers.mpu6500 import (
@@ -41,6 +42,7 @@ DRIVERS: dict[str, type[Driver]] = {
     "bmp280": Bmp280,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,
+    "lis3mdl": Lis3mdl,
 }
 
 FIFO_DRIVERS: dict[str, type[Driver]] = {"adxl345": Adxl345Fifo, "l3g4200d": L3g4200dFifo}

@@ -32,6 +32,7 @@ ALONE = {
     "bmp180": "address=0x77\n",
     "bmp280": "address=0x76\n",
     "hmc5883l": "address=0x1E\nrange=1.3\n",
+    "lis3mdl": "address=0x1C\nrange=4\n",
 }
 
 

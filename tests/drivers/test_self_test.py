@@ -30,6 +30,7 @@ SENSORS = {
     "bmp280": "address = 0x76\n",
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
+    "lis3mdl": "address = 0x1C\nrange = 4\n",
 }
 DEAD_WITHOUT = {
     "adxl345": (0x31, 0x80),
@@ -43,9 +44,10 @@ DEAD_WITHOUT = {
     "icm42688_gyro": (0x70, 0x07),
     "lsm6dso_acc": (0x14, 0x03),
     "lsm6dso_gyro": (0x14, 0x0C),
+    "lis3mdl": (0x20, 0x01),
 }
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20): without them a
-chip is dead.
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20, LIS-16):
+without them a chip is dead.
 """
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 SOURCES = (ROOT / "imuarray" / "facts" / "SOURCES.md").read_text(encoding="utf-8")
-SERIES = "BMA|ADX|L3G|BMP|HMC|INV|TDK|LSM|PCA|LNX|BUS|PAP|DEC"
+SERIES = "BMA|ADX|L3G|BMP|HMC|INV|TDK|LSM|LIS|MMC|AKM|PCA|LNX|BUS|PAP|DEC"
 
 
 def explained() -> set[str]:

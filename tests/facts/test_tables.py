@@ -19,6 +19,7 @@ CHIPS = (
     "hmc5883",
     "icm42688",
     "l3g4200d",
+    "lis3mdl",
     "lsm6dso",
     "mpu6050",
     "mpu6500",

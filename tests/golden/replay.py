@@ -32,7 +32,7 @@ MS = 1_000_000
 POLL_NS = MS // 2
 ROUNDING_NS = 1  # a clock counts whole nanoseconds
 _PARTS = ("identify", "configure", "fetch", "drain", "select", "chip only")
-_FACT = re.compile(r"\b(BMA|ADX|L3G|BMP|HMC|INV|TDK|LSM|PCA|DEC)-\d{2,3}\b")
+_FACT = re.compile(r"\b(BMA|ADX|L3G|BMP|HMC|INV|TDK|LSM|LIS|MMC|AKM|PCA|DEC)-\d{2,3}\b")
 
 
 class DifferenceError(Exception):

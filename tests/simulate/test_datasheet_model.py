@@ -222,6 +222,13 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             Printed("thermal_scale", "slope", 0.0, 0.0, mean=-1.2 / 1024),  # HMC-57
         ),
     ),
+    "lis3mdl": (
+        4.0,
+        (
+            typical("bias", "offset", 1.0),  # LIS-21
+            typical("nonlinearity", "quadratic", 2 * 0.12 * PERCENT * 12 / 6**2),
+        ),
+    ),
 }
 
 
@@ -340,6 +347,7 @@ def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
         ("hmc5883l", {"range_": 0.88}, (2.1e-3,) * 3),  # HMC-53
         ("hmc5883l", {"range_": 8.1}, (2.8e-3,) * 3),
         ("hmc5883", {"range_": 1.9}, (10e-3,) * 3),
+        ("lis3mdl", {"range_": 16.0}, (3.2e-3, 3.2e-3, 4.1e-3)),  # LIS-21
     ],
 )
 def test_noise_is_the_data_sheets(
@@ -365,10 +373,15 @@ ALSO = {
     "lsm6dso_gyro": {"scale", "bias", "thermal_bias", "thermometer"},
     "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
     "hmc5883": {"misalignment", "scale"},
+    "lis3mdl": {"bias"},
 }
 
 
-UNPRINTED = {"lsm6dso_acc": {"nonlinearity"}, "lsm6dso_gyro": {"nonlinearity"}}
+UNPRINTED = {
+    "lsm6dso_acc": {"nonlinearity"},
+    "lsm6dso_gyro": {"nonlinearity"},
+    "lis3mdl": {"thermal_scale"},
+}
 """What the others print, and these do not."""
 
 

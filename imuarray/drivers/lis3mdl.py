@@ -1,0 +1,150 @@
+"""LIS3MDL magnetometer. ST data sheet DocID024204 Rev 6; facts LIS-*.
+
+Bit 7 of the register address makes it count on (LIS-03). BDU keeps the two bytes of an axis together (LIS-13). It
+averages as many samples as its data rate allows: ultra-high performance (LIS-11). One burst carries status, triad and
+temperature, 0x27 ... 0x2F.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import (
+    Bytes,
+    DecodedBursts,
+    SelfTest,
+    carry_out,
+    compared,
+    flagged,
+    registers_for,
+    saturated,
+)
+from imuarray.facts import lis3mdl as facts
+from imuarray.facts.registers import Register, Setting
+from imuarray.log.format import OVERRUN, STALE
+
+_COUNT_ON = 0x80  # LIS-03
+_CONTINUOUS = 0b00  # LIS-12
+_ULTRA_HIGH = 0b11  # LIS-11
+_FASTEST_HZ = 155.0  # of ultra-high performance, with the fast bit: LIS-11
+_OFFSETS = (
+    *(facts.OFFSET_X_L, facts.OFFSET_X_H, facts.OFFSET_Y_L),
+    *(facts.OFFSET_Y_H, facts.OFFSET_Z_L, facts.OFFSET_Z_H),
+)
+_RANGE_CODES = {4.0: 0, 8.0: 1, 12.0: 2, 16.0: 3}  # LIS-10
+_RELATIVES: Mapping[int, str] = MappingProxyType(
+    {0x3C: "an LSM303DLHC or LSM303DLM", 0x40: "an LIS2MDL or LSM303AGR"}  # LIS-02
+)
+_START_S = 0.020  # LIS-15
+_SELF_TEST_RANGE = 12.0  # LIS-16
+_SELF_TEST_RATE = 0b111  # 80 Hz
+_SELF_TEST_GAUSS = ((1.0, 3.0), (1.0, 3.0), (0.1, 1.0))  # LIS-16
+_SELF_TEST_SETTLE_S = 0.060
+_SELF_TEST_SAMPLES = 8
+_SELF_TEST_STILL = 0.05  # gauss; noise is 4 mG: LIS-21
+
+
+class Lis3mdl:
+    """Driver of one LIS3MDL."""
+
+    burst: ClassVar[int] = 9
+    tells_fresh: ClassVar[bool] = True
+    reading: ClassVar[slice] = slice(1, 7)
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.rate_hz = sensor.chip_rate_hz
+        self.sensitivity = sensor.spec.sensitivity
+        is_fast = self.rate_hz == _FASTEST_HZ
+        rate = 0 if is_fast else sensor.spec.rates_hz.index(self.rate_hz)  # codes count up: LIS-11
+        self.settings: tuple[Setting, ...] = (
+            *(register[7:0](0) for register in _OFFSETS),
+            facts.TEMPERATURE_ON(1)
+            | facts.XY_PERFORMANCE(_ULTRA_HIGH)
+            | facts.DATA_RATE(rate)
+            | facts.FAST_RATE(int(is_fast))
+            | facts.SELF_TEST(0),
+            facts.FULL_SCALE(_RANGE_CODES[sensor.range or 4.0]) | facts.REBOOT(0) | facts.SOFT_RESET(0),
+            facts.Z_PERFORMANCE(_ULTRA_HIGH) | facts.BIG_ENDIAN(0),
+            facts.FAST_READ(0) | facts.BLOCK_UPDATE(1),
+            facts.INT_THS_L[7:0](0),
+            facts.LOW_POWER(0) | facts.SPI_THREE_WIRE(0) | facts.OPERATION(_CONTINUOUS),
+        )
+        self.watched: tuple[Setting, ...] = self.settings[len(_OFFSETS) :]
+
+    def identify(self) -> None:
+        """WHO_AM_I is 0x3D (LIS-02)."""
+        self.registers.expect(facts.WHO_AM_I, relatives=_RELATIVES)
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
+        """Offsets off, every setting, continuous measurement last; then until its first samples are over."""
+        for setting in self.settings:
+            self.registers.set(setting)
+            yield 0.0
+        yield _START_S
+        yield 2 / self.rate_hz
+
+    def mark(self, code: int) -> bool:
+        """Mark the chip in the threshold of the interrupt, which is off (LIS-17)."""
+        marked = facts.INT_THS_L[7:0](code)
+        self.settings = (*self.settings[:-2], marked, self.settings[-1])
+        self.watched = (*self.watched[:-2], marked, self.watched[-1])
+        return True
+
+    def self_test(self) -> SelfTest:
+        """Change of the field with the self-test on, at 12 gauss and 80 Hz (LIS-16)."""
+        self.configure()
+        normal = facts.XY_PERFORMANCE(_ULTRA_HIGH) | facts.DATA_RATE(_SELF_TEST_RATE)
+        self.registers.poke(facts.CTRL_REG2, facts.FULL_SCALE(_RANGE_CODES[_SELF_TEST_RANGE]).value)
+        self.registers.poke(facts.CTRL_REG1, normal.value)
+        before = self._readings_gauss()
+        self.registers.poke(facts.CTRL_REG1, (normal | facts.SELF_TEST(1)).value)
+        during = self._readings_gauss()
+        self.configure()
+        wanted = ", ".join(f"{low:g} to {high:g}" for low, high in _SELF_TEST_GAUSS)
+        text = f"changes by {{change}} gauss; limits {wanted}"
+        return compared(before, during, _SELF_TEST_GAUSS, text, still=_SELF_TEST_STILL)
+
+    def _readings_gauss(self) -> Floats:
+        """Fields (n, 3) in gauss, the first ones left out."""
+        sleep_for(self.clock, _SELF_TEST_SETTLE_S)
+        counts = []
+        for _ in range(_SELF_TEST_SAMPLES):
+            sleep_for(self.clock, 1.1 / 80)
+            counts.append(np.frombuffer(self._read(facts.OUT_X_L, 6), "<i2"))
+        return np.asarray(np.array(counts) / self.sensitivity[_SELF_TEST_RANGE])
+
+    def _read(self, register: Register, count: int) -> bytes:
+        return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
+
+    def fetch(self) -> bytes:
+        """0x27 ... 0x2F with the count-on bit: status, x, y, z, temperature."""
+        return self._read(facts.STATUS_REG, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, low byte first (LIS-14), as the temperature.
+
+        Stale where ZYXDA was clear, overrun where ZYXOR was set (LIS-12).
+        """
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
+        temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2").astype(np.int16)[:, 0]
+        status = saturated(counts, -32768, 32767)
+        status |= flagged(~bursts[:, 0], facts.ZYX_AVAILABLE.mask, STALE)
+        return DecodedBursts(counts, temperature, status | flagged(bursts[:, 0], facts.ZYX_OVERRUN.mask, OVERRUN))
+
+    def header(self) -> Mapping[str, int]:
+        """No attributes of its own."""
+        return {}
