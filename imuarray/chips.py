@@ -299,6 +299,19 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=4.0,
             conversions_s=(0.043225,),  # BMP-109
         ),
+        "lis3mdl": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=lis3mdl.ADDRESSES,
+            identity=lis3mdl.WHO_AM_I,
+            label="LIS{}",
+            burst_bytes=9,
+            sensitivity={4.0: 6842.0, 8.0: 3421.0, 12.0: 2281.0, 16.0: 1711.0},  # LIS-10
+            rates_hz=(0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 155.0),  # LIS-11
+            default_rate_hz=80.0,
+            thermometer=THERMOMETERS["lis3mdl"],
+            proposed={"range": 4, "rate_hz": 80},
+        ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",
             unit="gauss",
@@ -342,19 +355,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             rates_hz=_HMC5883_RATES_HZ,
             default_rate_hz=15.0,
             proposed={"range": 1.2, "rate_hz": 15},
-        ),
-        "lis3mdl": ChipSpec(
-            quantity="magnetic_field",
-            unit="gauss",
-            addresses=lis3mdl.ADDRESSES,
-            identity=lis3mdl.WHO_AM_I,
-            label="LIS{}",
-            burst_bytes=9,
-            sensitivity={4.0: 6842.0, 8.0: 3421.0, 12.0: 2281.0, 16.0: 1711.0},  # LIS-10
-            rates_hz=(0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 155.0),  # LIS-11
-            default_rate_hz=80.0,
-            thermometer=THERMOMETERS["lis3mdl"],
-            proposed={"range": 4, "rate_hz": 80},
         ),
     }
 )
