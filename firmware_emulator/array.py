@@ -20,10 +20,13 @@ from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.six_axis import SixAxis
+from firmware_emulator.spi import DIALECTS, ChipSelect, Port
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
 
 TRUNK = ""
+SPI_DEVICE = "/dev/spidev"
+"""What the bus of a sensor on SPI begins with."""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
@@ -38,7 +41,8 @@ FAULTS = "faults"
 
 
 class EmulatedBus:
-    """The bus of an emulated array. `chips` are its chips by name of the sensor, `wire` is its trunk.
+    """The bus of an emulated array. `chips` are its chips by name of the sensor, `wire` is its trunk, `selects` are the
+    chip selects of those on SPI.
 
     `transfer` is the trunk's (`Wire.transfer`). `phases` and ``truth(at_ns)`` are in times of `clock`: what the world
     calls its stretches, and what the box truly felt.
@@ -53,8 +57,10 @@ class EmulatedBus:
         world: World,
         clock: Clock,
         owned: Callable[[int, str], bool] = lambda address, bus: False,
+        selects: Mapping[str, ChipSelect] = MappingProxyType({}),
     ) -> None:
         self.wires = dict(wires)
+        self.selects = dict(selects)
         self.wire = self.wires[TRUNK]
         self.chips = dict(chips)
         self.clock = clock
@@ -73,6 +79,12 @@ class EmulatedBus:
         if bus == TRUNK or bus not in self.wires:
             raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
         return self.wires[bus]
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> Port:
+        """The chip select of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
+        if path not in self.selects:
+            raise FileNotFoundError(2, "no emulated sensor on this chip select", path)
+        return self.selects[path].port(mode, clock_hz)
 
     def __enter__(self) -> Self:
         return self
@@ -108,8 +120,9 @@ def open_array(  # noqa: PLR0913
     now_ns = time.now_ns()
     begun = DelayedWorld(world or Still(), now_ns) if now_ns else world or Still()
     parts = board(array.name, begun, seed)
-    names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
+    names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus and not on_spi(sensor))]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
+    selects: dict[str, ChipSelect] = {}
     chips: dict[str, Chip] = {}
     dies: dict[tuple[str | int | None, int], Chip] = {}
     branches: dict[int, list[Target]] = {}
@@ -127,7 +140,10 @@ def open_array(  # noqa: PLR0913
             continue
         chips[sensor.name] = dies[place] = powered_chip(parts, sensor, now_ns, switches)
         device = parts.device(sensor, chips[sensor.name])
-        if sensor.channel is None:
+        if on_spi(sensor):
+            wire = parts.wire(time, bit_rate_hz, nack_errno, host_ns)
+            selects[str(sensor.bus)] = ChipSelect(wire, device, named(sensor.chip, DIALECTS, "chip on SPI"))
+        elif sensor.channel is None:
             wires[sensor.bus or TRUNK].connect(device)
         else:
             branches.setdefault(sensor.channel, []).append(device)
@@ -139,7 +155,12 @@ def open_array(  # noqa: PLR0913
     def owned(address: int, bus: str) -> bool:
         return parts.owned(address, bus, time)
 
-    return EmulatedBus(wires, chips, begun, parts.host_clock(time), owned)
+    return EmulatedBus(wires, chips, begun, parts.host_clock(time), owned, selects)
+
+
+def on_spi(sensor: SensorLike) -> bool:
+    """Return whether a sensor is on a chip select of an SPI controller."""
+    return sensor.bus is not None and sensor.bus.startswith(SPI_DEVICE)
 
 
 def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switches = MappingProxyType({})) -> Chip:

@@ -65,12 +65,16 @@ class Wire:
         self._by_routes: dict[tuple[int, ...], Responders] = {}
         self._responders: Responders = {}
         self._router_addresses: set[int] = set()
+        self.host_ns = host_ns
         self._start_ns = host_ns + self._overhead.start_ns
         self._open = False
         self._begun_ns = 0
         self._at_ns = 0  # within a transaction the wire counts for itself; the clock hears of it at STOP
         self._addressed: Responders = {}
         self.interference: Interference | None = None
+
+    def delay(self) -> None:
+        """Let the time pass for which the program is kept waiting before a transaction: none, unless overridden."""
 
     def connect(self, *devices: Target) -> None:
         """Solder devices to the trunk."""

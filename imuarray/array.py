@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from imuarray.axes import Matrix, orientation_of
-from imuarray.chips import CHIPS, HALVES, ChipSpec, die_of, half_of
+from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, die_of, half_of
 from imuarray.errors import ConfigError
 from imuarray.spelling import guess
 from imuarray.toml_files import parse_toml, read_text
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
+SPI_DEVICE = "/dev/spidev"
+"""What the device file of a chip select begins with: /dev/spidev0.1 is controller 0, chip select 1 (LNX-50)."""
 
 
 class MuxConfig(BaseModel):
@@ -38,12 +41,15 @@ class SensorConfig(BaseModel):
     model_config = _STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
     chip: str
-    address: int
+    address: int = 0
+    """Of the chip on its I2C bus; 0 for a chip on SPI, which its chip select tells from others."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
     bus: str | None = None
     range: float | None = None
     rate_hz: float | None = None
     bandwidth_hz: float | None = None
+    spi_clock_hz: Annotated[int, Field(ge=1)] | None = None
+    """Clock of a chip on SPI; the fastest that the chip bears unless told otherwise."""
     fifo: bool = False
     """Drain the chip's own queue, so that every sample arrives however slowly the array is polled."""
     axes: str = "+X+Y+Z"
@@ -61,7 +67,14 @@ class SensorConfig(BaseModel):
     def _possible(self) -> Self:
         """Refuse settings that this chip does not have, all at once."""
         problems = []
-        for check in (self._check_chip, self._check_address, self._check_range, self._check_rates, self._check_place):
+        for check in (
+            self._check_chip,
+            self._check_address,
+            self._check_spi,
+            self._check_range,
+            self._check_rates,
+            self._check_place,
+        ):
             try:
                 check()
             except ValueError as error:
@@ -78,8 +91,25 @@ class SensorConfig(BaseModel):
             raise ValueError(f"chip {self.chip!r}: allowed are {', '.join((*CHIPS, *HALVES))}")
 
     def _check_address(self) -> None:
-        if (spec := CHIPS.get(self.chip)) is not None:
-            _one_of("address", self.address, spec.addresses, "#x")
+        if (spec := CHIPS.get(self.chip)) is not None and not self.on_spi:
+            _one_of("address", self.address or None, spec.addresses, "#x")
+
+    def _check_spi(self) -> None:
+        """Refuse on SPI what only I2C has, and the other way round."""
+        spec = CHIPS.get(self.chip)
+        if not self.on_spi:
+            if self.spi_clock_hz is not None:
+                raise ValueError(f'spi_clock_hz: only for a sensor on SPI, as with bus = "{SPI_DEVICE}0.0"')
+            return
+        if self.address:
+            raise ValueError("address: a chip on SPI has none, leave it out; its chip select is in the name of the bus")
+        if spec is None:
+            return
+        if spec.spi is None:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.spi is not None)
+            raise ValueError(f"bus {self.bus!r}: the {self.chip} has no SPI that is supported; allowed for {chips}")
+        if self.spi_clock_hz is not None and self.spi_clock_hz > spec.spi.clock_hz:
+            raise ValueError(f"spi_clock_hz {self.spi_clock_hz}: the {self.chip} bears up to {spec.spi.clock_hz}")
 
     def _check_range(self) -> None:
         spec = CHIPS.get(self.chip)
@@ -130,8 +160,23 @@ class SensorConfig(BaseModel):
         return self.bandwidth_hz or (default if default in allowed else (*allowed, 0.0)[0])
 
     @property
+    def on_spi(self) -> bool:
+        """True if its bus is a chip select of an SPI controller."""
+        return self.bus is not None and self.bus.startswith(SPI_DEVICE)
+
+    @property
+    def spi_rules(self) -> SpiRules:
+        """How its chip is spoken to over SPI, its clock as configured; only for a sensor on SPI."""
+        rules = self.spec.spi
+        if rules is None:
+            raise ValueError(f"{self.name}: the {self.chip} has no SPI")
+        return replace(rules, clock_hz=self.spi_clock_hz or rules.clock_hz)
+
+    @property
     def place(self) -> str:
         """The location for messages: "channel 1 address 0x40"."""
+        if self.on_spi:
+            return str(self.bus)
         where = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
         return f"{where} address {self.address:#04x}"
 
@@ -246,7 +291,7 @@ def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: l
         raise ConfigError(f"{pair} both sit at {second.place}")
     here.append(second.chip)
     die = die_of(first.chip)
-    for key in ("axes", "position_mm", "chip_rate_hz"):
+    for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "spi_clock_hz"):
         if getattr(first, key) != getattr(second, key):
             raise ConfigError(f"{pair} are one {die}: {key.removeprefix('chip_')} is the same for both")
     numbers = [

@@ -31,6 +31,21 @@ from imuarray.units import Quantity
 
 
 @dataclass(frozen=True)
+class SpiRules:
+    """How a chip is spoken to over SPI: its first byte is a register's address, with bit 7 set to read.
+
+    `clock_hz`: the fastest clock that all its registers bear. `count_on`: the bit that a transfer of several bytes
+    needs (0: none). `address_bits`: those of the first byte that are the address. `mode`: clock polarity and phase, 0
+    to 3.
+    """
+
+    clock_hz: int
+    count_on: int = 0x00
+    address_bits: int = 0x7F
+    mode: int = 3
+
+
+@dataclass(frozen=True)
 class ChipSpec:
     """The settings of one chip that a configuration may name.
 
@@ -57,6 +72,8 @@ class ChipSpec:
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
+    spi: SpiRules | None = None
+    """None: it has no SPI."""
     proposed: Mapping[str, Any] = field(default_factory=dict)
     """Settings that a hand-held or driven box can live with."""
 
@@ -97,6 +114,7 @@ _MPU6500_ACC = ChipSpec(
     bandwidths_hz={0.0: (184.0, 92.0, 41.0, 20.0, 10.0, 5.0)},  # INV-74, by filter code from 1 on
     default_bandwidth_hz=41.0,
     thermometer=THERMOMETERS["mpu6500"],
+    spi=SpiRules(1_000_000),  # INV-95
     proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 41},
 )
 _MPU6500_GYRO = replace(
@@ -131,6 +149,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             rates_hz=_ADXL345_RATES_HZ,
             default_rate_hz=100.0,
             has_fifo=True,
+            spi=SpiRules(5_000_000, count_on=0x40, address_bits=0x3F),  # ADX-80
             proposed={"range": 16, "rate_hz": 400},  # at 1600 Hz and above only even codes come: ADX-47
         ),
         "bma180": ChipSpec(
@@ -146,6 +165,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz={0.0: (10.0, 20.0, 40.0, 75.0, 150.0, 300.0, 600.0, 1200.0)},  # BMA-81 ... BMA-88
             default_bandwidth_hz=150.0,  # BMA-85: the factory's
             thermometer=THERMOMETERS["bma180"],
+            spi=SpiRules(10_000_000),  # BMA-130
             proposed={"range": 4, "bandwidth_hz": 150},
         ),
         "l3g4200d": ChipSpec(
@@ -166,6 +186,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             default_bandwidth_hz=25.0,
             has_fifo=True,
+            spi=SpiRules(10_000_000, count_on=0x40, address_bits=0x3F),  # L3G-80
             thermometer=THERMOMETERS["l3g4200d"],
             proposed={"range": 500, "rate_hz": 400, "bandwidth_hz": 50},
         ),
@@ -216,6 +237,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
             default_bandwidth_hz=100.0,
             thermometer=THERMOMETERS["icm42688"],
+            spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
         "icm42688_gyro": ChipSpec(
@@ -240,6 +262,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
             default_bandwidth_hz=100.0,
             thermometer=THERMOMETERS["icm42688"],
+            spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
         "lsm6dso_acc": ChipSpec(
@@ -254,6 +277,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=208.0,
             bandwidths_hz={rate_hz: (rate_hz / 2,) for rate_hz in _LSM6DSO_BANDWIDTHS_HZ},  # LSM-19
             thermometer=THERMOMETERS["lsm6dso"],
+            spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 4, "rate_hz": 416},
         ),
         "lsm6dso_gyro": ChipSpec(
@@ -275,6 +299,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=208.0,
             bandwidths_hz={rate_hz: (bandwidth_hz,) for rate_hz, bandwidth_hz in _LSM6DSO_BANDWIDTHS_HZ.items()},
             thermometer=THERMOMETERS["lsm6dso"],
+            spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 500, "rate_hz": 416},
         ),
         "bmp180": ChipSpec(

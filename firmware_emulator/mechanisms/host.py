@@ -58,9 +58,13 @@ class LatentWire(Wire):
         super().__init__(clock, bit_rate_hz, nack_errno, host_ns)
         self._waits_ns = waits_ns
 
+    def delay(self) -> None:
+        """Wait as long as is drawn."""
+        self.clock.advance(sum(wait() for wait in self._waits_ns))
+
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """Transfer as `Wire.transfer`, later."""
-        self.clock.advance(sum(wait() for wait in self._waits_ns))
+        self.delay()
         return super().transfer(address, write, read)
 
 

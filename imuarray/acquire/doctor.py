@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from imuarray.array import ArrayConfig, SensorConfig
+from imuarray.array import SPI_DEVICE, ArrayConfig, SensorConfig
 from imuarray.drivers import DRIVERS
 from imuarray.errors import ImuArrayError
 from imuarray.facts import bmp180
@@ -93,7 +93,8 @@ def permission(machine: Machine, device: str) -> Check:
         return Check("permission", True, state)
     if about.st_mode & 0o060 == 0o060 and about.st_gid:
         return Check("permission", False, state, f"sudo adduser $USER {group}, then log in again")
-    advice = 'sudo groupadd --system i2c; a udev rule: KERNEL=="i2c-[0-9]*", GROUP="i2c", MODE="0660"'
+    group, files = ("spi", "spidev*") if device.startswith(SPI_DEVICE) else ("i2c", "i2c-[0-9]*")
+    advice = f'sudo groupadd --system {group}; a udev rule: KERNEL=="{files}", GROUP="{group}", MODE="0660"'
     return Check("permission", False, state, advice)
 
 
@@ -121,7 +122,7 @@ _FASTER = (
 
 def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
     """The device files that an array needs: the root bus of the URL, then the buses that sensors name."""
-    named = [sensor.bus for sensor in array.sensors if sensor.bus] if array else []
+    named = [sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi] if array else []
     return list(dict.fromkeys([path or (named[0] if named else ""), *named]))
 
 
@@ -180,7 +181,8 @@ def abilities(machine: Machine, device: str) -> Iterator[Check]:
 def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
     """Has a driver of the kernel one of our addresses on this bus (LNX-12)?"""
     number = _number(machine, device)
-    ours = {sensor.address: sensor.name for sensor in array.sensors if _is_on(sensor, device, is_root)}
+    on_i2c = [sensor for sensor in array.sensors if not sensor.on_spi]
+    ours = {sensor.address: sensor.name for sensor in on_i2c if _is_on(sensor, device, is_root)}
     if is_root and array.mux is not None:
         ours[array.mux.address] = "the multiplexer"
     for address, name in sorted(ours.items()):
@@ -236,7 +238,26 @@ def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: flo
 def frame_clocks(array: ArrayConfig) -> int:
     """Clocks of a frame that reads every sensor once, without its checks: BUS-02, BUS-04."""
     channels = {sensor.channel for sensor in array.sensors if sensor.channel is not None}
-    return sum(9 * (DRIVERS[sensor.chip].burst + 3) for sensor in array.sensors) + 18 * len(channels)
+    on_i2c = [sensor for sensor in array.sensors if not sensor.on_spi]
+    return sum(9 * (DRIVERS[sensor.chip].burst + 3) for sensor in on_i2c) + 18 * len(channels)
+
+
+def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
+    """Is every chip select that the array names there, and may this user open it?"""
+    named = dict.fromkeys(str(sensor.bus) for sensor in array.sensors if sensor.on_spi) if array else {}
+    checks: list[Check] = []
+    for device in named:
+        if machine.path(device).exists():
+            checks += [Check("chip select", True, device), permission(machine, device)]
+        else:
+            files = sorted(f"/dev/{path.name}" for path in machine.path("/dev").glob("spidev*"))
+            there = f"there are {', '.join(files)}" if files else "there is none"
+            advice = (
+                "enable SPI: on a Raspberry Pi raspi-config, or dtparam=spi=on in config.txt; more chip selects than"
+                " two need an overlay or cs-gpios in the device tree"
+            )
+            checks.append(Check("chip select", False, f"{device}; {there}", advice))
+    return checks
 
 
 def address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
@@ -328,7 +349,11 @@ def examine(
     machine = machine or Machine()
     scheme, _, rest = url.partition(":")
     if scheme == "i2c":
-        checks = i2c_checks(machine, array, buses_of(array, rest), rate_hz)
+        checks = i2c_checks(machine, array, buses_of(array, rest), rate_hz) + spi_checks(machine, array)
+    elif scheme == "spi":
+        others = list(dict.fromkeys(sensor.bus for sensor in array.sensors if sensor.bus)) if array else []
+        others = [bus for bus in others if not bus.startswith(SPI_DEVICE)]
+        checks = (i2c_checks(machine, array, others, rate_hz) if others else []) + spi_checks(machine, array)
     elif scheme == "serial":
         checks = serial_checks(machine, rest.partition("?")[0])
     elif scheme == "replay":

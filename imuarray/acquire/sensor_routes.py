@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
+from imuarray.bus.spi import SpiChip
 from imuarray.chips import die_of
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
 from imuarray.errors import BusUrlError, SensorError
@@ -48,15 +49,26 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
     routes = []
     for sensor in array.sensors:
         segment: Bus = bus
-        if sensor.bus is not None:
+        if sensor.on_spi:
+            segment = _chip_select(bus, sensor)
+        elif sensor.bus is not None:
             segment = _channel_bus(bus, sensor.bus, sensor.name)
         elif mux is not None and sensor.channel is not None:
             segment = mux.channel(sensor.channel)
         drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
         driver = drivers[sensor.chip](segment, sensor, bus.clock)
-        claim = _nobody_asks if ask is None else partial(_claim, ask, sensor)
+        claim = _nobody_asks if ask is None or sensor.on_spi else partial(_claim, ask, sensor)
         routes.append(SensorRoute(sensor, driver, sensor.bus or sensor.channel, claim))
     return routes
+
+
+def _chip_select(bus: OpenBus, sensor: SensorConfig) -> Bus:
+    """The chip select of a sensor on SPI; BusUrlError names the sensor that wants it."""
+    rules = sensor.spi_rules
+    try:
+        return SpiChip(bus.spi_port(str(sensor.bus), rules.mode, rules.clock_hz), rules)
+    except OSError as error:
+        raise BusUrlError(f"{sensor.name}: chip select {sensor.bus}: {error.strerror or error}") from error
 
 
 def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:

@@ -1,6 +1,6 @@
 """Ways to reach a chip: Linux, a microcontroller, a recorded transcript, the emulated array. All of them are a `Bus`.
 
-A bus is named by a URL: ``i2c:/dev/i2c-1``, ``serial:/dev/ttyACM0``, ``replay:T.jsonl``,
+A bus is named by a URL: ``i2c:/dev/i2c-1``, ``spi:``, ``serial:/dev/ttyACM0``, ``replay:T.jsonl``,
 ``emulated:?clock=real&world=tumble``.
 """
 
@@ -40,10 +40,19 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
     """``i2c:/dev/i2c-1``; with no path, the first bus that a sensor names (kernel-driven channels need no root bus)."""
     from imuarray.bus.linux import LinuxBus
 
-    path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus), "")
+    path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi), "")
     if not path:
         raise BusUrlError("bus 'i2c:': name the device, as in i2c:/dev/i2c-1")
     return LinuxBus(path)
+
+
+def _spi(rest: str, array: ArrayConfig) -> OpenBus:
+    """``spi:``; each sensor names its chip select."""
+    from imuarray.bus.spi import SpiBus
+
+    if rest:
+        raise BusUrlError(f'bus \'spi:{rest}\': say "spi:" alone, and bus = "/dev/spidevN.M" of each sensor')
+    return SpiBus()
 
 
 def _serial(rest: str, array: ArrayConfig) -> OpenBus:
@@ -77,9 +86,10 @@ def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
 
 _SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {
     "i2c": _linux,
+    "spi": _spi,
     "serial": _serial,
     "replay": _replay,
     "emulated": _emulated,
 }
 
-_EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "emulated:")
+_EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "spi:", "emulated:")

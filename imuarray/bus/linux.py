@@ -29,7 +29,8 @@ from smbus2 import I2cFunc, SMBus, i2c_msg
 from smbus2.smbus2 import I2C_RDWR, I2C_SLAVE, i2c_rdwr_ioctl_data
 
 from imuarray.bus.identity import DEVICE_FILES, I2C_DEVICES, Entry, adapter_entry, adapters, is_alone, mark_of, search
-from imuarray.bus.protocol import Bus
+from imuarray.bus.protocol import Bus, SpiPort
+from imuarray.bus.spi import SpiPorts
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, SensorError
 
@@ -75,6 +76,7 @@ class LinuxBus:
         self._devices = I2C_DEVICES if devices is None else devices
         self._device_files = DEVICE_FILES if device_files is None else device_files
         self._others: dict[str, LinuxBus] = {}
+        self._spi = SpiPorts()
         self._together = [self]  # with the channels, whose removal the kernel waits for as well
         self._entry: Entry | None = None
         self._alone = True
@@ -221,6 +223,10 @@ class LinuxBus:
         """The adapter at `path`, opened once."""
         return self._other(path)
 
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, opened once; for sensors on SPI beside those on this bus."""
+        return self._spi.port(path, mode, clock_hz)
+
     def _other(self, path: str) -> LinuxBus:
         if os.path.realpath(path) == os.path.realpath(self.path):
             return self
@@ -246,6 +252,7 @@ class LinuxBus:
         for bus in self._others.values():
             bus._adapter.close()
         self._adapter.close()
+        self._spi.close()
 
 
 class _Block(NamedTuple):

@@ -26,15 +26,25 @@ class Bus(Protocol):
         """
 
 
+class SpiPort(Protocol):
+    """One chip select of an SPI controller."""
+
+    def exchange(self, sent: bytes) -> bytes:
+        """Send bytes while the chip is selected; the bytes, as many, that came back meanwhile. OSError as Linux."""
+
+
 class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
     """A bus that was opened from a URL, with the clock that its traffic obeys."""
 
     clock: Clock
     source: str
-    """What a log of it says of its origin: "i2c", "serial" or "emulated"."""
+    """What a log of it says of its origin: "i2c", "spi", "serial" or "emulated"."""
 
     def channel_bus(self, path: str) -> Bus:
         """The bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, clocked so; closed together with this bus. OSError or BusUrlError."""
 
 
 class Pca9544a:

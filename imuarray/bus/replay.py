@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
-from imuarray.bus.protocol import Bus
+from imuarray.bus.protocol import Bus, SpiPort
 from imuarray.bus.transcript import LONGEST_LINE
 from imuarray.clock import Clock
 from imuarray.errors import BusUrlError, SensorError
@@ -112,6 +112,10 @@ class ReplayBus:
         """The replayed traffic of another bus that was recorded into the same transcript."""
         return _ReplayedChannel(self, path)
 
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The replayed traffic of a chip select."""
+        return _ReplayedPort(self, path)
+
     def _play(self, path: str, address: int, write: bytes, read: int) -> bytes:
         asked = _words(path, address, write, read)
         recorded = self._line(asked)
@@ -183,6 +187,16 @@ class _ReplayedChannel:
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         return self._replay._play(self._path, address, write, read)
+
+
+class _ReplayedPort:
+    """A chip select of a replayed bus."""
+
+    def __init__(self, replay: ReplayBus, path: str) -> None:
+        self._replay, self._path = replay, path
+
+    def exchange(self, sent: bytes) -> bytes:
+        return self._replay._play(self._path, 0, sent, len(sent))
 
 
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:

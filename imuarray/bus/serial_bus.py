@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Integers, Times
 from imuarray.bus import serial_link as link
-from imuarray.bus.protocol import Bus
+from imuarray.bus.protocol import Bus, SpiPort
 from imuarray.bus.serial_clock import ClockFit
 from imuarray.bus.serial_link import Capacity, LinkError, PollList
 from imuarray.bus.serial_port import Port, UsualPort, port_of
@@ -119,6 +119,10 @@ class SerialBus:
     def channel_bus(self, path: str) -> Bus:
         """Raise an error: OSError, as for a device file that isn't there."""
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """Raise an error: OSError, as for a device file that isn't there."""
+        raise FileNotFoundError(errno.ENOENT, "a microcontroller has no chip selects of the kernel", path)
 
     def start(self, lists: Sequence[PollList], period_us: int) -> None:
         """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room."""

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
-from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.bus.protocol import Bus, OpenBus, SpiPort
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, OutputExistsError, SensorError
 
@@ -123,6 +123,10 @@ class RecordingBus:
     def channel_bus(self, path: str) -> Bus:
         """The bus at `path`, recorded into the same file."""
         return _RecordedChannel(self, path, self.bus.channel_bus(path))
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, recorded into the same file as transactions with the address 0."""
+        return _RecordedPort(self, path, self.bus.spi_port(path, mode, clock_hz))
 
     def _note(self, path: str, bus: Bus, address: int, write: bytes, read: int) -> bytes:
         line: dict[str, Any] = {"to": f"{address:02x}", "write": write.hex(), "at_ns": self.bus.clock.now_ns()}
@@ -234,3 +238,16 @@ class _RecordedChannel:
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         return self._recording._note(self._path, self._bus, address, write, read)
+
+
+class _RecordedPort:
+    """A chip select of a recorded bus; as a `Bus` it writes and reads at once."""
+
+    def __init__(self, recording: RecordingBus, path: str, port: SpiPort) -> None:
+        self._recording, self._path, self._port = recording, path, port
+
+    def exchange(self, sent: bytes) -> bytes:
+        return self._recording._note(self._path, self, 0, sent, len(sent))
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        return self._port.exchange(write)

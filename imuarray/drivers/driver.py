@@ -14,6 +14,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
+from imuarray.bus.spi import SpiChip
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
@@ -75,6 +76,8 @@ class Registers:
         expected = bytes(register.reset for register in registers)
         if identity != expected:
             what = f", {relatives[identity[0]]}" if identity[0] in relatives else ""
+            if not what and isinstance(self.bus, SpiChip) and set(identity) in ({0x00}, {0xFF}):
+                what = ", which is a line that no chip drives"
             raise SensorError(f"{self.label}: identity {identity.hex(' ')}{what}, expected {expected.hex(' ')}")
 
 

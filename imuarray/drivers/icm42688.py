@@ -29,6 +29,7 @@ _START_S = 0.06  # of the gyroscope, the slower half: TDK-21
 _LOW_NOISE = 0b11  # TDK-11
 _RATE_CODES = {4000.0: 4, 2000.0: 5, 1000.0: 6, 500.0: 15, 200.0: 7, 100.0: 8, 50.0: 9, 25.0: 10, 12.5: 11}  # TDK-15
 _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
+_I2C_OFF = 0b11  # else noise on the lines may pass for I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
 _INVALID = -32768  # TDK-13
@@ -60,8 +61,9 @@ class _Half(SixAxisHalf):
         high, low = divmod(square, 256)
         self.power = facts.PWR_MGMT0[7:0]((facts.GYRO_MODE(_LOW_NOISE) | facts.ACCEL_MODE(_LOW_NOISE)).value)
         self.range_setting = self._range_and_rate(ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.rate_hz])
+        interface = facts.SERIAL_INTERFACE(_I2C_OFF if self.on_spi else 0)
         self.settings = (
-            facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1)).value),
+            facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1) | interface).value),
             facts.ADAPTIVE_RANGE(_ADAPTIVE_RANGE_OFF),
             facts.GYRO_FILTER_ORDER(_SECOND_ORDER),
             facts.GYRO_ACCEL_CONFIG0[7:0](filters.value),

@@ -61,7 +61,7 @@ class _Half(SixAxisHalf):
         self.settings = (
             facts.FUNC_CFG_ACCESS[7:0](0),
             facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
-            facts.CTRL4_C[7:0](0),
+            facts.CTRL4_C[7:0](facts.I2C_OFF(int(self.on_spi)).value),  # LSM-71
             facts.CTRL5_C[7:0](0),
             facts.CTRL6_C[7:0](0),
             facts.CTRL7_G[7:0](0),

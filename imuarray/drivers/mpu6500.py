@@ -48,6 +48,7 @@ class _Half(SixAxisHalf):
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_BEST_CLOCK).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
+        interface = facts.USER_CTRL[7:0](facts.I2C_OFF(int(self.on_spi)).value)  # INV-96
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
@@ -55,7 +56,7 @@ class _Half(SixAxisHalf):
             facts.ACCEL_CONFIG_2[7:0](facts.ACCEL_DLPF(filter_code).value),
             facts.GYRO_UNFILTERED(0),  # the divider has no effect otherwise: INV-72
             self.range_setting,
-            facts.USER_CTRL[7:0](0),
+            interface,
         )
         self.watched = (self.power, *self.settings)
 

@@ -78,6 +78,7 @@ class SixAxisHalf:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
         self.rate_hz = sensor.chip_rate_hz
+        self.on_spi = sensor.on_spi
         self.settings: tuple[Setting, ...] = ()
         self.watched: tuple[Setting, ...] = ()
 

@@ -22,7 +22,7 @@ from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
 from imuarray.units import INERTIAL
 
-_SAME_CLOCK = frozenset({"i2c", "emulated", "replay"})
+_SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
 """Sources whose times are of the clock by which the logger begins its frames: a period is exact on it."""
 _EARLY = 0.25
 """Of a period, by which a row may come too early for its frame: the first row may have taken a little longer."""

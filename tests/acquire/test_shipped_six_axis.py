@@ -70,7 +70,8 @@ def test_what_is_recorded_is_read_back_in_physical_units(name: str, tmp_path: Pa
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_answers_is_proposed_as_it_is(name: str) -> None:
-    array = load_array(CONFIGS / f"{name}.toml")
+    on_i2c = Path(__file__).parents[1] / "data" / f"{name}_i2c.toml"  # on SPI nobody knows where to ask
+    array = load_array(on_i2c if on_i2c.exists() else CONFIGS / f"{name}.toml")
     with open_array(array) as bus:
         proposed = parse_array(propose(explore(bus), "emulated:"))
     places = {(sensor.channel, sensor.address, sensor.chip) for sensor in array.sensors}
@@ -85,7 +86,7 @@ def test_what_answers_is_proposed_as_it_is(name: str) -> None:
         ("lsm6dso_pair", 0x6A, "identity 6a, an LSM6DSL, LSM6DSM or LSM6DS3TR-C, expected 6c"),  # LSM-03: the kernel's
         ("mpu9250x4", 0x70, "identity 70, an MPU-6500, expected 71"),  # INV-70
         ("mpu9250x4", 0x98, "identity 98, a clone sold as MPU-6050 .*, expected 71"),  # INV-03
-        ("icm42688x8", 0x00, "identity 00, expected 47"),
+        ("icm42688x8", 0x00, "identity 00, which is a line that no chip drives, expected 47"),
     ],
 )
 def test_another_chip_is_named_as_what_it_is(name: str, identity: int, said: str) -> None:

@@ -1,0 +1,122 @@
+"""An emulated chip select: the bytes of one transfer, both ways, and how long they take.
+
+A transfer is: select, eight clocks a byte without a gap, release. The first byte tells the chip what is meant: bit 7
+reads, the rest is a register's address, of which some chips take one bit to count on. While that byte is sent the chip
+says nothing, and later nothing while it is written to. Faster than the chip bears, or in a mode that it does not know,
+each byte of an answer comes one bit late, and nothing that is written is understood (DEC-110).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from firmware_emulator.chip import Target
+from firmware_emulator.wire import Wire
+
+READ = 0x80
+SELECT_NS, RELEASE_NS = 50, 150
+"""From the select to the first clock, and from the last clock to the next select: the data sheets ask for less
+(DEC-110)."""
+OPEN_LINE = 0xFF
+"""What is read where no chip drives the line: a pull-up."""
+
+
+class Dialect(NamedTuple):
+    """How a chip takes the first byte, how fast a clock it bears, and in which modes.
+
+    `counts_on`: the bit that makes it go on to the next register (0: it always does); `on_i2c`: the same on I2C.
+    """
+
+    clock_hz: int
+    counts_on: int = 0
+    on_i2c: int = 0
+    modes: tuple[int, ...] = (0, 3)
+
+
+_INVENSENSE = Dialect(1_000_000)  # INV-95
+_ICM42688 = Dialect(24_000_000)  # TDK-70
+_LSM6DSO = Dialect(10_000_000)  # LSM-70
+
+DIALECTS: dict[str, Dialect] = {
+    "adxl345": Dialect(5_000_000, 0x40, modes=(3,)),  # ADX-80
+    "bma180": Dialect(10_000_000, modes=(3,)),  # BMA-130
+    "l3g4200d": Dialect(10_000_000, 0x40, 0x80, modes=(3,)),  # L3G-80
+    **{f"{die}_{half}": _INVENSENSE for die in ("mpu6500", "mpu9250") for half in ("acc", "gyro")},
+    **{f"icm42688_{half}": _ICM42688 for half in ("acc", "gyro")},
+    **{f"lsm6dso_{half}": _LSM6DSO for half in ("acc", "gyro")},
+}
+"""By the name that configurations use."""
+
+
+class ChipSelect:
+    """One chip select of a controller; `wire` has the clock and what goes wrong with the host, `device` is the chip.
+
+    `clocks` and `transfers` count what went over the wires, `busy_ns` how long a chip was selected.
+    """
+
+    def __init__(self, wire: Wire, device: Target, dialect: Dialect) -> None:
+        self.wire = wire
+        self.device = device
+        self._dialect = dialect
+        self.clocks = self.transfers = self.busy_ns = 0
+
+    def port(self, mode: int, clock_hz: int) -> Port:
+        """The chip select, clocked so; ValueError for what no controller can do."""
+        if mode not in range(4) or clock_hz <= 0:
+            raise ValueError(f"SPI mode {mode}, {clock_hz} Hz: allowed are modes 0 to 3 and clocks above 0")
+        return Port(self, clock_hz, mode in self._dialect.modes and clock_hz <= self._dialect.clock_hz)
+
+    def exchange(self, sent: bytes, clock_hz: int, understood: bool) -> bytes:
+        """Send bytes; what came back meanwhile."""
+        if not sent:
+            raise ValueError("an SPI transfer of no bytes")
+        wire = self.wire
+        wire.delay()
+        if wire.interference is not None:
+            wire.interference(wire, (self.device,))
+        begun_ns, byte_ns, count = wire.clock.now_ns() + wire.host_ns, 8e9 / clock_hz, len(sent)
+        first_ns = begun_ns + SELECT_NS + round(byte_ns)
+        answer = self._answer(sent, first_ns, round(byte_ns), understood)
+        lasted_ns = SELECT_NS + round(count * byte_ns) + RELEASE_NS
+        self.device.stop(begun_ns + lasted_ns)
+        self.clocks += 8 * count
+        self.transfers += 1
+        self.busy_ns += lasted_ns
+        wire.clock.advance(wire.host_ns + lasted_ns)
+        return answer
+
+    def _answer(self, sent: bytes, first_ns: int, byte_ns: int, understood: bool) -> bytes:
+        first, data, dialect = sent[0], sent[1:], self._dialect
+        register = first & ~(READ | dialect.counts_on) & 0xFF
+        one = dialect.counts_on and not first & dialect.counts_on
+        start = bytes([register if one else register | dialect.on_i2c])
+        idle = bytes([OPEN_LINE]) * len(sent)
+        if not first & READ:
+            if understood:
+                for value in data if one else ():
+                    self.device.write(start + bytes([value]), first_ns, byte_ns)
+                if not one:
+                    self.device.write(start + data, first_ns, byte_ns)
+            return idle
+        pieces = [1] * len(data) if one else [len(data)]
+        received = b""
+        for count in pieces if data else ():
+            if self.device.write(start, first_ns, byte_ns) < 1:  # nobody there
+                return idle
+            received += self.device.read(count, first_ns, byte_ns)
+        if not understood:
+            received = (int.from_bytes(received, "big") >> 1).to_bytes(len(received), "big")
+        return idle[:1] + received
+
+
+class Port:
+    """A chip select with a clock and a mode; `understood` if the chip bears both."""
+
+    def __init__(self, select: ChipSelect, clock_hz: int, understood: bool) -> None:
+        self._select = select
+        self._clock_hz = clock_hz
+        self._understood = understood
+
+    def exchange(self, sent: bytes) -> bytes:
+        """Send bytes while the chip is selected; as many that came back."""
+        return self._select.exchange(sent, self._clock_hz, self._understood)

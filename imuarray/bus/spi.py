@@ -1,0 +1,201 @@
+"""SPI of Linux: /dev/spidevN.M through SPI_IOC_MESSAGE, one device file for each chip select. Facts LNX-50 ... LNX-53.
+
+`SpiChip` makes a chip select a `Bus`: a register is read and written by the same calls as on I2C, so that drivers do
+not know which of the two they are on. Nobody acknowledges on SPI: a chip that is missing reads 00 or ff, and only its
+identity or its configuration tells. The structure of each message is kept, as those of I2C are
+(`imuarray.bus.linux`): the poll loop repeats the same few for ever.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+from functools import lru_cache
+from types import TracebackType
+from typing import Any, NamedTuple, NoReturn, Self
+
+from imuarray.bus.protocol import Bus, SpiPort
+from imuarray.chips import SpiRules
+from imuarray.clock import Clock, MonotonicClock
+from imuarray.errors import BusUrlError
+
+READ = 0x80
+"""Of the first byte, for every chip here."""
+MAX_MESSAGE = 4096
+"""Bytes of one message, unless spidev was loaded with another bufsiz (LNX-52)."""
+KEPT = 256
+SPI_IOC_WR_MODE = 0x40016B01  # LNX-51
+SPI_IOC_WR_BITS_PER_WORD = 0x40016B03
+SPI_IOC_WR_MAX_SPEED_HZ = 0x40046B04
+SPI_IOC_MESSAGE_1 = 0x40206B00
+"""One transfer of 32 bytes (LNX-51)."""
+
+
+class SpiChip:
+    """The chip behind `port` as a `Bus`; the address of a transfer has no meaning.
+
+    ValueError for what has no counterpart on SPI: reading without the address of one register.
+    """
+
+    def __init__(self, port: SpiPort, rules: SpiRules) -> None:
+        self.port = port
+        self._rules = rules
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """Write a register's address and bytes for it, or read bytes from it on. With neither a register is read and
+        forgotten: there is no acknowledge, only the controller can fail.
+        """
+        if read and len(write) != 1:
+            raise ValueError("SPI: a read begins with the address of one register")
+        if not write:
+            self.port.exchange(bytes([READ, 0]))
+            return b""
+        several = read > 1 or len(write) > 2  # an address and one byte
+        first = write[0] & self._rules.address_bits | (self._rules.count_on if several else 0)
+        if not read:
+            self.port.exchange(bytes([first]) + write[1:])
+            return b""
+        return self.port.exchange(bytes([first | READ]) + bytes(read))[1:]
+
+
+class SpiTransfer(ctypes.Structure):
+    """``struct spi_ioc_transfer`` (LNX-51)."""
+
+    _fields_ = (
+        ("tx_buf", ctypes.c_uint64),
+        ("rx_buf", ctypes.c_uint64),
+        ("len", ctypes.c_uint32),
+        ("speed_hz", ctypes.c_uint32),
+        ("delay_usecs", ctypes.c_uint16),
+        ("bits_per_word", ctypes.c_uint8),
+        ("cs_change", ctypes.c_uint8),
+        ("tx_nbits", ctypes.c_uint8),
+        ("rx_nbits", ctypes.c_uint8),
+        ("word_delay_usecs", ctypes.c_uint8),
+        ("pad", ctypes.c_uint8),
+    )
+
+
+class _Message(NamedTuple):
+    """A kept message; `sent` is held because the structure points to it."""
+
+    structure: SpiTransfer
+    answer: ctypes.Array[ctypes.c_char]
+    sent: ctypes.Array[ctypes.c_char]
+
+    @classmethod
+    def of(cls, sent: bytes) -> _Message:
+        buffer = ctypes.create_string_buffer(sent, len(sent))
+        answer = ctypes.create_string_buffer(len(sent))
+        structure = SpiTransfer(tx_buf=ctypes.addressof(buffer), rx_buf=ctypes.addressof(answer), len=len(sent))
+        return cls(structure, answer, buffer)
+
+
+class LinuxSpiPort:
+    """A chip select of this machine, locked for this object alone; BusUrlError when it can't be had."""
+
+    def __init__(self, path: str, mode: int, clock_hz: int) -> None:
+        self.path = path
+        self._kept = lru_cache(KEPT)(_Message.of)
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except OSError as error:
+            raise BusUrlError(
+                f"spi:{path}: {error.strerror or error}; chip selects are /dev/spidev* (enable SPI, join group spi)"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.ioctl(self._file, SPI_IOC_WR_MODE, bytes([mode]))
+            fcntl.ioctl(self._file, SPI_IOC_WR_BITS_PER_WORD, bytes([8]))
+            fcntl.ioctl(self._file, SPI_IOC_WR_MAX_SPEED_HZ, bytes(ctypes.c_uint32(clock_hz)))
+        except BlockingIOError:
+            self.close()
+            raise BusUrlError(f"spi:{path}: another program has locked this chip select") from None
+        except OSError as error:
+            self.close()
+            raise BusUrlError(
+                f"spi:{path}: refuses mode {mode} or a clock of {clock_hz} Hz: {error.strerror or error}"
+            ) from error
+
+    def exchange(self, sent: bytes) -> bytes:
+        """See `SpiPort.exchange`; ValueError for more than a message carries."""
+        if len(sent) > MAX_MESSAGE:
+            raise ValueError(f"spi:{self.path}: {len(sent)} bytes, a message carries at most {MAX_MESSAGE}")
+        message = self._kept(sent)
+        fcntl.ioctl(self._file, SPI_IOC_MESSAGE_1, message.structure)
+        return message.answer.raw
+
+    def close(self) -> None:
+        """Give the chip select back."""
+        os.close(self._file)
+
+
+class SpiPorts:
+    """The chip selects that were opened, each once."""
+
+    def __init__(self) -> None:
+        self._ports: dict[str, LinuxSpiPort] = {}
+
+    def port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`; BusUrlError."""
+        if path not in self._ports:
+            self._ports[path] = LinuxSpiPort(path, mode, clock_hz)
+        return self._ports[path]
+
+    def close(self) -> None:
+        """Give all of them back."""
+        for port in self._ports.values():
+            port.close()
+        self._ports.clear()
+
+
+class SpiBus:
+    """The bus ``spi:`` of an array whose sensors name their chip selects; other sensors may name an I2C bus."""
+
+    source = "spi"
+
+    def __init__(self, *, clock: Clock | None = None) -> None:
+        self.clock: Clock = MonotonicClock() if clock is None else clock
+        self._ports = SpiPorts()
+        self._others: dict[str, Any] = {}
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """There is no I2C bus at the root: OSError with ENXIO."""
+        _refuse()
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, opened once."""
+        return self._ports.port(path, mode, clock_hz)
+
+    def channel_bus(self, path: str) -> Bus:
+        """The I2C adapter at `path`, opened once."""
+        from imuarray.bus.linux import LinuxBus
+
+        if path not in self._others:
+            self._others[path] = LinuxBus(path, clock=self.clock)
+        bus: Bus = self._others[path]
+        return bus
+
+    def claim(self, address: int, path: str | None = None) -> None:
+        """See `LinuxBus.claim`."""
+        if path is None:
+            return
+        self.channel_bus(path)
+        self._others[path].claim(address)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for bus in self._others.values():
+            bus.__exit__(kind, error, trace)
+        self._ports.close()
+
+
+def _refuse() -> NoReturn:
+    import errno
+
+    raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")
