@@ -1,8 +1,8 @@
-"""One sensor through one heating: a parabola in its lagged temperature and a line in time, under noise that remembers.
+"""One sensor through one heating: a parabola in its lagged temperature and a line in time, in noise that wanders.
 
 Per axis ``counts = offset + slope (T - reference) + quadratic (T - reference)^2 + drift t + noise``, T behind a
 first-order lag that the three axes share. The lag has no closed form: a grid of lags is fitted and each is as heavy as
-its likelihood, so that not knowing it is part of a slope's standard error.
+its likelihood, so that not knowing it is part of a slope's standard error. `imuarray.calibrate.slow_wander` fits.
 
 The curvature is in every fit, significant or not. Without it a ramp that spent most of its time at one end would tell
 the slope at that end, with an error that knows nothing of the rest, and a lag would be taken for the curve.
@@ -19,18 +19,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.correlated import Noise, Regression, likely_noises, products, regress, weights
+from imuarray.calibrate.correlated import weights
 from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
 from imuarray.calibrate.segments import Segments, Thermometer, segment_means, thermometer_of
+from imuarray.calibrate.slow_wander import SlowRegression, cosines
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
@@ -40,7 +41,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LAGS = 16
-_WHITE = Noise(1.0, 1.0)
+_REFINEMENTS = 4
+_FEWEST_INSIDE = 4
+"""Lags of the grid that the interval holds; of fewer the grid is drawn in around them."""
+
 _LONGEST_LAG = 1 / 4
 """Of the time that the log covers: a slower lag is not told from drift."""
 
@@ -49,11 +53,6 @@ _INTERVAL_DROP = 1.92
 
 _CURVED = 1e-3
 """A quadratic term is told if chance alone gave as large a one with less than this probability."""
-
-_FEWEST_FREE = 16.0
-"""Degrees of freedom that a variance is taken to have at least. With 3 intervals of 95 % held the truth in 99 % of
-warmings by one ramp, with none at all (infinitely many) in 87 % where the wander is half of the white noise.
-"""
 
 _STRAIGHT = 1e-6
 """Temperatures the squares of which are a straight line in temperature and time but for this share of their variance
@@ -80,39 +79,29 @@ class AxesFit:
     lag_interval_s: Floats
 
 
-class _UnitSeries(NamedTuple):
-    """The series with unit spread, times from -1 to 1: what keeps normal equations well conditioned."""
-
-    gaps_s: Floats
-    clock: Floats
-    half_s: float
-    warm: Floats
-    """(n, l) lagged temperatures minus the reference."""
-    lags_s: Floats
-    curved: bool
-    """Whether a quadratic term is fitted."""
-
-
 def fit_axes(segments: Segments, thermometer: Thermometer, reference_degc: float) -> AxesFit:
     """Fit the segment means (n, 3) of one sensor; n of 20 at least."""
     span_s = float(segments.time_s[-1] - segments.time_s[0])
-    gaps_s = np.diff(segments.time_s)
-    lags_s = np.concatenate([[0.0], np.geomspace(np.median(gaps_s) / 2, span_s * _LONGEST_LAG, _LAGS)])
-    warm = thermometer.lagged(segments.time_s, lags_s.tolist()) - reference_degc
-    middle_s = float(segments.time_s.mean())
+    shortest_s = float(np.median(np.diff(segments.time_s))) / 2
     half_s = span_s / 2
-    clock = (segments.time_s - middle_s) / half_s
-    series = _UnitSeries(gaps_s, clock, half_s, warm, lags_s, _tells_curvature(clock, warm[:, 0]))
-    axes = [_Axis(series, column) for column in segments.mean.T]
-    # The likely noise depends on the lag, so it is looked for at the lag that white noise makes the likeliest.
-    start = int(np.sum([axis.fit((_WHITE,)).likelihood[0] for axis in axes], axis=0).argmax())
-    for axis in axes:
-        axis.find_noises(start)
-    likelihood = np.sum([axis.likelihood for axis in axes], axis=0)
+    clock = (segments.time_s - segments.time_s.mean()) / half_s
+    lags_s = np.concatenate([[0.0], np.geomspace(shortest_s, span_s * _LONGEST_LAG, _LAGS)])
+    for _ in range(_REFINEMENTS):
+        warm = thermometer.lagged(segments.time_s, lags_s.tolist()) - reference_degc
+        curved = _tells_curvature(clock, warm[:, 0])
+        regressors = [[warm[:, lag], clock, warm[:, lag] ** 2][: 2 + curved] for lag in range(len(lags_s))]
+        designs = [_Design(np.column_stack(columns)) for columns in regressors]
+        axes = [_Axis(column, designs) for column in segments.mean.T]
+        likelihood = np.sum([axis.likelihood for axis in axes], axis=0)
+        inside = lags_s[likelihood >= likelihood.max() - _INTERVAL_DROP]
+        interval_s = np.array([_below(lags_s, inside[0]), _above(lags_s, inside[-1])])
+        if len(inside) >= _FEWEST_INSIDE or inside[0] == 0:
+            break
+        lags_s = np.geomspace(max(interval_s[0], shortest_s / 2), interval_s[1], _LAGS)
     share = weights(likelihood)
-    results = np.array([axis.result(share) for axis in axes])
-    inside = lags_s[likelihood >= likelihood.max() - _INTERVAL_DROP]
-    offset, slope, slope_sem, drift, drift_sem, quadratic, quadratic_sem = results.T
+    offset, slope, slope_sem, drift, drift_sem, quadratic, quadratic_sem = np.array(
+        [axis.result(share) for axis in axes]
+    ).T
     return AxesFit(
         reference_degc,
         offset,
@@ -123,51 +112,53 @@ def fit_axes(segments: Segments, thermometer: Thermometer, reference_degc: float
         quadratic,
         quadratic_sem,
         _peak(lags_s, likelihood),
-        np.array([_below(lags_s, inside[0]), _above(lags_s, inside[-1])]),
+        interval_s,
     )
 
 
+class _Design:
+    """The regressors (n, p) at one lag: their means (p,) and, of unit spread, their cosines (n - 1, p)."""
+
+    def __init__(self, columns: Floats) -> None:
+        self.mean = columns.mean(axis=0)
+        self.spread = np.maximum(columns.std(axis=0), 1e-300)
+        self.cosines = cosines(columns / self.spread)
+
+
 class _Axis:
-    """One axis: its likely noises, and its fits at all lags under all of them."""
+    """One axis: its fits at all lags."""
 
-    def __init__(self, series: _UnitSeries, counts: Floats) -> None:
-        self.series = series
-        self.mean = float(counts.mean())
-        self.scale = float(counts.std()) or 1.0
-        self.counts = (counts - self.mean) / self.scale
+    def __init__(self, counts: Floats, designs: Sequence[_Design]) -> None:
+        self._designs = designs
+        self._mean = float(counts.mean())
+        self._scale = float(counts.std()) or 1.0
+        self._regression = SlowRegression((counts - self._mean) / self._scale, [each.cosines for each in designs])
+        self.likelihood = self._regression.likelihood
 
-    def find_noises(self, lag: int) -> None:
-        """Look for the likely noises at one lag, and fit all lags under them."""
-        shortest_s, longest_s = float(np.median(self.series.gaps_s)) / 2, 2 * self.series.half_s
-        self.noises = likely_noises(lambda noises: self.fit(noises, [lag]).restricted[:, 0], shortest_s, longest_s)
-        self.fits = self.fit(self.noises)
-        self.likelihood: Floats = self.fits.likelihood.max(axis=0)
-
-    def fit(self, noises: Sequence[Noise], lags: Sequence[int] | None = None) -> Regression:
-        """Fits (g, l) under g noises at l lags (all if None): slope, constant, drift, and curvature if it is fitted."""
-        warm = self.series.warm if lags is None else self.series.warm[:, list(lags)]
-        squares = [warm**2] if self.series.curved else []
-        columns = np.column_stack([self.counts, np.ones(len(warm)), self.series.clock, warm, *squares])
-        sums, determinants = zip(*(products(columns, self.series.gaps_s, noise) for noise in noises), strict=True)
-        count = warm.shape[1]
-        chosen = np.array([[0, 3 + lag, 1, 2, 3 + count + lag][: 4 + self.series.curved] for lag in range(count)])
-        picked = np.array(sums)[:, chosen[:, :, None], chosen[:, None, :]]
-        return regress(picked, np.array(determinants)[:, None], len(warm))
-
-    def result(self, lag_share: Floats) -> tuple[float, ...]:
+    def result(self, share: Floats) -> tuple[float, ...]:
         """Offset, slope and its standard error, drift and its standard error, quadratic and its standard error, over
-        noises and lags.
+        lags of these shares (l,).
         """
-        values, variance = _mixed(self.fits, weights(self.fits.restricted, axis=0) * lag_share)
-        sem = self.scale * np.sqrt(variance)
-        slope, constant, drift = (self.scale * values[:3]).tolist()
-        quadratic, quadratic_sem = 0.0, np.nan
-        if self.series.curved:
-            from scipy.special import ndtr  # its weight is for those who ask
+        from scipy.special import ndtri, stdtr, stdtrit  # their weight is for those who ask
 
-            chance = 2 * ndtr(-abs(values[3]) / np.sqrt(max(variance[3], 1e-300)))
-            quadratic, quadratic_sem = self.scale * float(values[3]) * (chance < _CURVED), float(sem[3])
-        return self.mean + constant, slope, float(sem[0]), drift, float(sem[2]), quadratic, quadratic_sem
+        fits = self._regression.fits(share)
+        values = np.array([fit.coefficients / each.spread for fit, each in zip(fits, self._designs, strict=True)])
+        own = np.array([fit.variance / each.spread**2 for fit, each in zip(fits, self._designs, strict=True)])
+        freedom = share @ np.array([fit.freedom for fit in fits])
+        offset = share @ np.array(
+            [-float(value @ each.mean) for value, each in zip(values, self._designs, strict=True)]
+        )
+        mean = share @ values
+        variance = share @ own + share @ (values - mean) ** 2
+        # Enlarged, so that a normal's 95 % quantile makes the interval that Student's makes.
+        sem = self._scale * np.sqrt(variance) * stdtrit(freedom, 0.975) / ndtri(0.975)
+        slope, drift = (self._scale * mean[:2]).tolist()
+        quadratic, quadratic_sem = 0.0, np.nan
+        if len(mean) > 2:
+            chance = 2 * stdtr(freedom[2], -abs(mean[2]) / np.sqrt(max(variance[2], 1e-300)))
+            quadratic, quadratic_sem = self._scale * float(mean[2]) * (chance < _CURVED), float(sem[2])
+        offset = self._mean + self._scale * float(offset)
+        return offset, slope, float(sem[0]), drift, float(sem[1]), quadratic, quadratic_sem
 
 
 def _tells_curvature(clock: Floats, warm: Floats) -> bool:
@@ -176,25 +167,6 @@ def _tells_curvature(clock: Floats, warm: Floats) -> bool:
     design = np.column_stack([np.ones(len(warm)), clock, warm])
     apart = squares - design @ np.linalg.lstsq(design, squares, rcond=None)[0]
     return bool(np.var(apart) > _STRAIGHT * np.var(warm) ** 2)
-
-
-def _mixed(fits: Regression, share: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of each coefficient over fits of these shares: the fits' own variance and what they disagree
-    about.
-
-    The own variance is itself known as well only as the noises are: with the degrees of freedom of a chi-squared that
-    scatters as it does over the fits (Satterthwaite, Biometrics Bulletin 2, 1946) it is enlarged, so that a normal's
-    95 % quantile makes the interval that Student's makes.
-    """
-    values = np.tensordot(share, fits.coefficients, share.ndim)
-    own = np.diagonal(fits.covariance, axis1=-2, axis2=-1)
-    mean = np.tensordot(share, own, share.ndim)
-    scatter = np.tensordot(share, (own - mean) ** 2, share.ndim)
-    freedom = np.maximum(2 * mean**2 / np.maximum(scatter, 1e-12 * mean**2 + 1e-300), _FEWEST_FREE)
-    from scipy.special import ndtri, stdtrit  # their weight is for those who ask
-
-    enlarged = mean * (stdtrit(freedom, 0.975) / ndtri(0.975)) ** 2
-    return values, enlarged + np.tensordot(share, (fits.coefficients - values) ** 2, share.ndim)
 
 
 def _peak(lags_s: Floats, likelihood: Floats) -> float:

@@ -80,6 +80,7 @@ def print_report(report: dict[str, Any]) -> None:
         " is the mean one over them;"
     )
     click.echo("  curvature: half the change of the slope per degree, in brackets if within chance")
+    click.echo("+-: standard error, noise that wanders allowed for; 1.96 of them are a 95 % interval")
     click.echo(
         "lag: delay of the sensor behind the thermometer, with its 95 % interval; of: the quantity with that slope"
     )

@@ -106,6 +106,34 @@ def test_intervals_on_one_curved_ramp_hold_the_slope_in_its_middle() -> None:
     assert np.array(curves)[:, 0] == pytest.approx(np.full(70, 1.5), abs=0.3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("degc", [RAMP, np.interp(RAMP_S, [0, 300, 600, 900, 1200, 2160], [24.0, 24, 42, 33, 50, 27])])
+def test_intervals_hold_the_slope_in_white_noise_and_in_random_walks(degc: Floats) -> None:
+    """One warming, and a hair dryer; means of 10 s with white noise of 1 alone, and with a random walk that ends at
+    0.7, at 2 and at 7 times it. Of 300 intervals of 95 % each in white noise 92.5 % to 99 % hold the slope, in all
+    walks together 91 % at least: a share of 95 to 97 % (93 %) would miss these in less than 3 % of all seeds.
+
+    Walks that end where the noise of some means is are the hardest: no likelihood tells them from white noise.
+    """
+    assert binom.cdf(277, 300, 0.95) < 0.03 and binom.sf(297, 300, 0.97) < 0.02 and binom.cdf(818, 900, 0.93) < 0.01
+    middle = 0.5 * (degc.min() + degc.max())
+    slopes, curvatures = np.array([-3.0, 1.0, 0.0]), np.array([0.05, 0.0, 0.0])
+    rng, thermometer = np.random.default_rng(12), Thermometer("chip", RAMP_S, degc)
+    above = (degc - middle)[:, None]
+
+    def held(end: float) -> float:
+        inside = []
+        for _ in range(100):
+            noise = rng.normal(0, 1.0, (len(RAMP_S), 3))
+            noise += np.cumsum(rng.normal(0, end / np.sqrt(len(RAMP_S)), noise.shape), axis=0)
+            fit = fit_axes(Segments(RAMP_S, 100 + slopes * above + curvatures * above**2 + noise), thermometer, middle)
+            inside.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
+        return float(np.mean(inside))
+
+    assert 0.925 <= held(0.0) <= 0.99
+    assert np.mean([held(0.7), held(2.0), held(7.0)]) >= 0.91
+
+
 def test_the_slope_is_that_of_the_chord(write: Write) -> None:
     """A parabola through a log that was warm most of the time: the change from its coldest to its warmest over the
     degrees between them, with curvature 0.05 about 25 degC and slope 0.25 there.
@@ -342,7 +370,7 @@ def test_opposing_gyroscopes_of_table_8(write: Write) -> None:
     for pair, axis in zip(pairs, "yz", strict=True):
         printed = float(pair_of(f"Gyro1 {axis}", f"Gyro2 {axis}").fused_slope)
         assert abs(pair.half_difference - printed) < 4 * pair.sem
-        assert pair.sem < 0.005
+        assert pair.sem < 0.008
         assert pair.p_cancels < 1e-6 and pair.is_bias
         assert pair.reduction > 5
 
@@ -450,7 +478,7 @@ RECORDING = (
 def test_a_published_curved_ramp(tmp_path: Path) -> None:
     """An MPU-6050 that warmed up from 10.6 to 28.9 degC (freeimu_thermal): the z axis of its accelerometer changes by
     -28.2 LSB per degC by a straight line through all of it, and by -32.9 in the middle of its temperatures by numpy's
-    parabola through means of 5 s, each as heavy as the next. Four standard errors hold that, and the straight line's
+    parabola through means of 5 s, each as heavy as the next. Two standard errors hold that, and the straight line's
     slope lies between those in the middle and at the warm end.
     """
     data = tmp_path / "thermal.csv"
@@ -461,7 +489,7 @@ def test_a_published_curved_ramp(tmp_path: Path) -> None:
     assert thermal is not None and thermal.quadratic_lsb_per_degc2 is not None
     slope, sem = thermal.slope_lsb_per_degc[2], thermal.slope_sem_lsb_per_degc[2]
     assert thermal.reference_degc == pytest.approx(19.75, abs=0.1)
-    assert sem < 2 and abs(slope + 32.9) < 4 * sem
+    assert sem < 3 and abs(slope + 32.9) < 2 * sem
     assert thermal.quadratic_lsb_per_degc2[2] > 0
     assert slope < -28.2 < slope + 2 * thermal.quadratic_lsb_per_degc2[2] * (28.9 - thermal.reference_degc)
 
