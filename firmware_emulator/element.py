@@ -41,6 +41,7 @@ SENSED: dict[str, tuple[str, float]] = {
     "hmc5883": ("field_box", 1.0),
     "hmc5883l": ("field_box", 1.0),
     "lis3mdl": ("field_box", 1.0),
+    "mmc5983": ("field_box", 1.0),
 }
 """By chip: the field of `Stimulus` that it measures, and what one of its unit is in g, dps or gauss."""
 

@@ -65,6 +65,7 @@ LAYOUTS = MappingProxyType(
         **{chip: Layout(half.first.address, -1, 0) for chip, half in HALVES.items()},
         "hmc5883": Layout(0x03, -1, 0),  # HMC-15
         "hmc5883l": Layout(0x03, -1, 0),
+        "mmc5983": Layout(0x00, -1, 0),  # MMC-11
         "lis3mdl": Layout(0x28, 0x27, 0x0F),  # LIS-12, LIS-14
     }
 )

@@ -117,6 +117,20 @@ def lis3mdl(_: float) -> Tolerances:
     )
 
 
+def mmc5983(_: float) -> Tolerances:
+    """MMC-20; where the bridges stand is the chip's own, alignment is left out."""
+    return Tolerances(
+        bias=(NONE,) * 3,
+        slope_per_degc=(NONE,) * 3,
+        scale=typical(0.05),
+        cross_axis=NONE,
+        alignment_deg=NONE,
+        noise=(0.4e-3,) * 3,
+        noise_full_scale=8.0,
+        noise_bandwidth_hz=100.0,
+    )
+
+
 def bmp180(_: float) -> Tolerances:
     """BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC of the truth, 1.5 at most."""
     return replace(
@@ -140,6 +154,7 @@ TOLERANCES: dict[str, Sheet] = {
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,
     "lis3mdl": lis3mdl,
+    "mmc5983": mmc5983,
 } | {chip: half.sheet for chip, half in HALVES.items()}
 
 

@@ -22,6 +22,7 @@ from imuarray.facts import (
     l3g4200d,
     lis3mdl,
     lsm6dso,
+    mmc5983,
     mpu6050,
     mpu6500,
 )
@@ -69,6 +70,8 @@ class ChipSpec:
     bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
     default_bandwidth_hz: float = 0.0
     has_fifo: bool = False
+    count_bits: int = 16
+    """Of each axis in a log; more than 16 are stored in 32."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -336,6 +339,25 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=80.0,
             thermometer=THERMOMETERS["lis3mdl"],
             proposed={"range": 4, "rate_hz": 80},
+        ),
+        "mmc5983": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=mmc5983.ADDRESSES,
+            identity=mmc5983.PRODUCT_ID,
+            label="MMC{}",
+            burst_bytes=7,
+            sensitivity={8.0: 16384.0},  # MMC-11
+            count_bits=18,
+            rates_hz=(1.0, 10.0, 20.0, 50.0, 100.0, 200.0, 1000.0),  # MMC-16
+            default_rate_hz=100.0,
+            bandwidths_hz={  # MMC-13: a measurement takes its time
+                **dict.fromkeys((1.0, 10.0, 20.0, 50.0, 100.0), (100.0, 200.0, 400.0, 800.0)),
+                200.0: (200.0, 400.0, 800.0),
+                1000.0: (800.0,),
+            },
+            default_bandwidth_hz=100.0,
+            proposed={"range": 8, "rate_hz": 100},
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",

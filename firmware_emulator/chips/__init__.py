@@ -12,6 +12,7 @@ from firmware_emulator.chips.bmp280 import Bmp280
 from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
 from firmware_emulator.chips.lis3mdl import Lis3mdl
+from firmware_emulator.chips.mmc5983 import Mmc5983
 from firmware_emulator.six_axis import Die, Half
 
 DIES: dict[str, Die] = {
@@ -42,6 +43,7 @@ CHIPS: dict[str, Callable[..., Chip]] = {
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883l,
     "lis3mdl": Lis3mdl,
+    "mmc5983": Mmc5983,
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
 

@@ -14,6 +14,7 @@ from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lis3mdl import Lis3mdl
 from imuarray.drivers.lsm6dso import Lsm6dsoAccelerometer, Lsm6dsoGyroscope
+from imuarray.drivers.mmc5983 import Mmc5983
 from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
 from imuarray.drivers.mpu6500 import (
     Mpu6500Accelerometer,
@@ -43,6 +44,7 @@ DRIVERS: dict[str, type[Driver]] = {
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,
     "lis3mdl": Lis3mdl,
+    "mmc5983": Mmc5983,
 }
 
 FIFO_DRIVERS: dict[str, type[Driver]] = {"adxl345": Adxl345Fifo, "l3g4200d": L3g4200dFifo}

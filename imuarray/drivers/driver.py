@@ -89,9 +89,9 @@ Limits = tuple[tuple[float, float], ...]
 class DecodedBursts(NamedTuple):
     """The readings of n bursts.
 
-    counts (n, 3) int16 for triads, (n, 2) int32 for the barometer; temperature_counts (n,) int16 where the chip has a
-    thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself tells; `compensated`:
-    further columns in physical units by name, where the chip's own calibration gives them.
+    counts (n, 3) int16 for triads (int32 for chips of more bits), (n, 2) int32 for barometers; temperature_counts (n,)
+    int16 where the chip has a thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself
+    tells; `compensated`: further columns in physical units by name, where the chip's own calibration gives them.
     """
 
     counts: npt.NDArray[np.int16] | npt.NDArray[np.int32]
@@ -179,7 +179,7 @@ class Driver(Protocol):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Pure: what (n, burst) bytes say; the chip is not asked."""
 
-    def header(self) -> Mapping[str, int]:
+    def header(self) -> Mapping[str, int] | Mapping[str, float]:
         """Attributes of the chip itself that its log needs (the barometer's calibration words)."""
 
 

@@ -65,6 +65,9 @@ LONG_NAME: Mapping[str, str] = {
     "temperature": "temperature",
 }
 
+COUNT_BITS = "count_bits"
+"""Attribute of a triad whose counts have more than 16 bits: how many."""
+
 TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 """Quantities that have three axes."""
 
@@ -148,6 +151,12 @@ class SensorHeader:
         if not isinstance(zero_degc, int | float) or not isinstance(lsb_per_degc, int | float) or not lsb_per_degc:
             return None
         return ThermometerScale(float(zero_degc), float(lsb_per_degc))
+
+    @property
+    def count_bits(self) -> int:
+        """The number of bits of a triad's counts, which are stored in 16, or in 32 where there are more."""
+        bits = self.extra.get(COUNT_BITS, 16)
+        return int(bits) if isinstance(bits, int | float) else 16
 
     @property
     def is_triad(self) -> bool:

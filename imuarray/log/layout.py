@@ -105,7 +105,7 @@ STIMULI = ("truth", "reference")
 def sensor_group(header: SensorHeader) -> Group:
     """The columns of `/sensors/<NAME>`."""
     width = (len(header.columns),)
-    counts = "<i2" if header.columns == ("x", "y", "z") else "<i4"
+    counts = "<i2" if header.columns == ("x", "y", "z") and header.count_bits <= 16 else "<i4"
     columns: _Columns = (("time", "<i8", ()), ("counts", counts, width), ("status", "<u2", ()))
     if header.has_temperature:
         columns += (("temperature_counts", "<i2", ()),)

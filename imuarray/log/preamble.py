@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.format import MOST_SENSORS, SensorHeader
+from imuarray.log.format import COUNT_BITS, MOST_SENSORS, SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
@@ -136,5 +136,5 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
         columns=("ut", "up") if barometer else ("x", "y", "z"),
         has_temperature=spec.has_thermometer and not sensor.fifo,
         compensated=("temperature", "pressure") if barometer else (),
-        extra=extra,
+        extra={**extra, COUNT_BITS: spec.count_bits} if spec.count_bits > 16 else extra,
     )

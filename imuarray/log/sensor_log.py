@@ -16,7 +16,7 @@ from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
-from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
+from imuarray.log.format import COUNT_BITS, FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
 if TYPE_CHECKING:
@@ -141,6 +141,11 @@ class SensorLog:
     def is_triad(self) -> bool:
         """True for an inertial or magnetic sensor: three axes."""
         return self.quantity in TRIADS
+
+    @property
+    def count_bits(self) -> int:
+        """The number of bits of a triad's counts: its attribute says so where there are more than 16."""
+        return round(self._number(COUNT_BITS, 16.0))
 
     @property
     def time(self) -> NamedColumn:
@@ -268,6 +273,7 @@ def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
 def recorded_header(sensor: SensorLog) -> SensorHeader:
     """The header with which a log like the one that `sensor` is from would be written."""
     x, y, z = sensor.position_mm.tolist()
+    bits = {COUNT_BITS: sensor.count_bits} if sensor.is_triad and sensor.count_bits > 16 else {}
     columns = {"pressure": ("ut", "up"), "temperature": ("t",)}.get(sensor.quantity, ("x", "y", "z"))
     compensated = {"pressure": ("temperature", "pressure"), "temperature": ("temperature",)}.get(sensor.quantity, ())
     return SensorHeader(
@@ -284,5 +290,5 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
         columns=columns,
         has_temperature=sensor.temperature_counts is not None,
         compensated=compensated,
-        extra={} if sensor.thermometer is None else sensor.thermometer.attributes,
+        extra={**({} if sensor.thermometer is None else sensor.thermometer.attributes), **bits},
     )

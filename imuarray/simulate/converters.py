@@ -87,7 +87,7 @@ def adxl345_bandwidth_hz(rate_hz: float) -> float:
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; 16 bits elsewhere."""
+    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; all its bits elsewhere."""
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)
@@ -98,7 +98,7 @@ def code_span(sensor: SensorHeader) -> CodeSpan:
         return CodeSpan(-2048, 2047, beyond=-4096)
     if die_of(sensor.chip) == "icm42688":
         return CodeSpan(-32767, 32767)
-    return CodeSpan(-32768, 32767)
+    return CodeSpan(-(1 << sensor.count_bits - 1), (1 << sensor.count_bits - 1) - 1)
 
 
 def converted(analog: Analog, span: CodeSpan) -> Counts:

@@ -34,10 +34,14 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 _WORTH_IT = 1024
 """Fewer rows than that are cut from their whole chunk, which others will be wanted of."""
 
-NO_READY_BIT = ("hmc5883", "hmc5883l")
+NO_READY_BIT = ("hmc5883", "hmc5883l", "mmc5983")
 """Chips whose ready bit no driver sees: an identical triad is all it knows of."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
+
+
+Counts = npt.NDArray[np.int16] | npt.NDArray[np.int32]
+"""As a log holds them."""
 
 
 class Chunk(NamedTuple):
@@ -46,7 +50,7 @@ class Chunk(NamedTuple):
     stamp_ns: Integers
     kept: Booleans
     codes: Codes
-    counts: npt.NDArray[np.int16]
+    counts: Counts
     status: npt.NDArray[np.uint16]
 
 
@@ -181,7 +185,8 @@ class SimulatedSensor:
         acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
         instants, codes = self._chain(first, end, acting)
         cut = slice(begin - first, None)
-        counts = codes.counts.astype(np.int16)
+        narrow = self.header.count_bits <= 16
+        counts: Counts = codes.counts.astype(np.int16) if narrow else codes.counts.astype(np.int32)
         status = self._status(counts, codes.fresh)
         for effect, at in acting:
             status = effect.flagged(status, instants, at)
@@ -249,7 +254,7 @@ class SimulatedSensor:
         is_slow = 0 < (1 + AT_ITS_RATE) * analog.rate_hz < rows_per_s
         return held(codes, analog.rate_hz, phase) if is_asked_twice or is_slow else codes
 
-    def _status(self, counts: npt.NDArray[np.int16], fresh: Booleans) -> npt.NDArray[np.uint16]:
+    def _status(self, counts: Counts, fresh: Booleans) -> npt.NDArray[np.uint16]:
         """Flags as the logger would set them: stale, saturated."""
         span = self._span
         if self.header.chip in NO_READY_BIT:

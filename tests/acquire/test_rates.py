@@ -33,6 +33,7 @@ ALONE = {
     "bmp280": "address=0x76\n",
     "hmc5883l": "address=0x1E\nrange=1.3\n",
     "lis3mdl": "address=0x1C\nrange=4\n",
+    "mmc5983": "address=0x30\nrange=8\n",
 }
 
 

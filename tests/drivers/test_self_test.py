@@ -31,6 +31,7 @@ SENSORS = {
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
     "lis3mdl": "address = 0x1C\nrange = 4\n",
+    "mmc5983": "address = 0x30\nrange = 8\n",
 }
 DEAD_WITHOUT = {
     "adxl345": (0x31, 0x80),

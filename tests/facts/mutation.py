@@ -38,6 +38,7 @@ CHIPS = (
     "l3g4200d",
     "lis3mdl",
     "lsm6dso",
+    "mmc5983",
     "mpu6050",
     "mpu6500",
     "pca9544a",

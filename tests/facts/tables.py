@@ -19,6 +19,7 @@ CHIPS = (
     "l3g4200d",
     "lis3mdl",
     "lsm6dso",
+    "mmc5983",
     "mpu6050",
     "mpu6500",
     "pca9544a",
@@ -38,6 +39,7 @@ READ_ONLY = {
     "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
     "lis3mdl": {0x0F, *range(0x27, 0x30)},
     "lsm6dso": {0x0F, 0x1E, *range(0x20, 0x2E)},
+    "mmc5983": {*range(0x08), 0x2F},
     "mpu6050": {*range(0x3A, 0x49), 0x72, 0x73, 0x75},
     "mpu6500": {*range(0x3A, 0x49), 0x75},
     "pca9544a": set(),
@@ -52,6 +54,7 @@ WRITE_ONLY = {
     "l3g4200d": set(),
     "lis3mdl": set(),
     "lsm6dso": set(),
+    "mmc5983": {*range(0x09, 0x0D)},
     "mpu6050": set(),
     "mpu6500": set(),
     "pca9544a": set(),
@@ -70,6 +73,7 @@ WRITABLE = {
     "l3g4200d": {*range(0x20, 0x26), 0x2E, 0x30, *range(0x32, 0x39)},
     "lis3mdl": {*range(0x05, 0x0B), *range(0x20, 0x25), 0x32},
     "lsm6dso": {0x01, 0x07, *range(0x10, 0x18)},
+    "mmc5983": {0x08},
     "mpu6050": {*range(0x0D, 0x11), *range(0x19, 0x1D), 0x23, 0x37, 0x38, 0x63, *range(0x6A, 0x6D), 0x74},
     "mpu6500": {*range(0x03), *range(0x0D, 0x10), *range(0x19, 0x1E), 0x63, *range(0x6A, 0x6D)},
     "pca9544a": {0x00},
@@ -84,6 +88,7 @@ ADDRESSES = {  # ADX-01, BMA-01, BMP-01, BMP-101, HMC-01, TDK-01, L3G-01, LSM-01
     "l3g4200d": {0x68, 0x69},
     "lis3mdl": {0x1C, 0x1E},
     "lsm6dso": {0x6A, 0x6B},
+    "mmc5983": {0x30},
     "mpu6050": {0x68, 0x69},
     "mpu6500": {0x68, 0x69},
     "pca9544a": {0x70, 0x71, 0x72, 0x73, 0x74, 0x75, 0x76, 0x77},
@@ -92,7 +97,7 @@ RESERVED_WITHOUT_FIELDS = {  # by address, in registers of which no field is nam
     "adxl345": {0x2A: 0xF0},
     "l3g4200d": {0x32: 0x80, 0x34: 0x80, 0x36: 0x80},
 }
-UNPRINTED = {  # registers without a reset value in print: measured, computed when read, or different in every part
+UNPRINTED = {  # without a reset value in print: measured, computed when read, never readable, different in every part
     "adxl345": {0x30, *range(0x32, 0x38), 0x39},
     "bma180": {*range(0x01, 0x09), 0x3B},
     "bmp180": {0xAA},
@@ -102,6 +107,7 @@ UNPRINTED = {  # registers without a reset value in print: measured, computed wh
     "l3g4200d": {*range(0x26, 0x2E), 0x2F},
     "lis3mdl": {*range(0x27, 0x30)},
     "lsm6dso": {0x1E, *range(0x20, 0x2E)},
+    "mmc5983": {*range(0x0D)},
     "mpu6500": {*range(0x03), *range(0x0D, 0x10), 0x3A},
     "mpu6050": {*range(0x0D, 0x11), 0x3A, 0x72, 0x73, 0x74},
 }

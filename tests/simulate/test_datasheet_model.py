@@ -229,6 +229,14 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("nonlinearity", "quadratic", 2 * 0.12 * PERCENT * 12 / 6**2),
         ),
     ),
+    "mmc5983": (
+        8.0,
+        (
+            typical("bias", "offset", 0.5),  # MMC-20
+            typical("scale", "error", 5 * PERCENT),
+            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 8),
+        ),
+    ),
 }
 
 
@@ -348,6 +356,8 @@ def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
         ("hmc5883l", {"range_": 8.1}, (2.8e-3,) * 3),
         ("hmc5883", {"range_": 1.9}, (10e-3,) * 3),
         ("lis3mdl", {"range_": 16.0}, (3.2e-3, 3.2e-3, 4.1e-3)),  # LIS-21
+        ("mmc5983", {"bandwidth_hz": 100.0}, (0.4e-3,) * 3),  # MMC-20
+        ("mmc5983", {"bandwidth_hz": 400.0}, (0.8e-3,) * 3),
     ],
 )
 def test_noise_is_the_data_sheets(
@@ -374,6 +384,7 @@ ALSO = {
     "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
     "hmc5883": {"misalignment", "scale"},
     "lis3mdl": {"bias"},
+    "mmc5983": {"bias", "scale"},
 }
 
 
@@ -381,6 +392,7 @@ UNPRINTED = {
     "lsm6dso_acc": {"nonlinearity"},
     "lsm6dso_gyro": {"nonlinearity"},
     "lis3mdl": {"thermal_scale"},
+    "mmc5983": {"thermal_scale"},
 }
 """What the others print, and these do not."""
 

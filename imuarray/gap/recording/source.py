@@ -54,6 +54,7 @@ class RecordedSource:
         self._flags = np.uint16(flags_of_chip(sensor.chip))
         self._columns = (sensor.time, sensor.counts, sensor.status, sensor.temperature_counts)
         self._row_at = lru_cache(maxsize=64)(partial(first_at, sensor.time))
+        self._kind = np.int16 if sensor.count_bits <= 16 else np.int32
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """Rows that the log has there."""
@@ -67,7 +68,7 @@ class RecordedSource:
         """Rows begin ... end - 1, in the same slices."""
         time, counts, status, temperature = self._columns
         for first, stop in _parts(begin, end):
-            rows = np.asarray(counts[max(first - 1, 0) : stop], np.int16)
+            rows = np.asarray(counts[max(first - 1, 0) : stop], self._kind)
             is_new = (rows[1:] != rows[:-1]).any(axis=1)
             if first == 0:
                 is_new = np.append(True, is_new)

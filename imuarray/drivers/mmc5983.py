@@ -1,0 +1,142 @@
+"""MMC5983MA magnetometer. MEMSIC data sheet Rev A (2019); facts MMC-*.
+
+18 bits, unsigned, 131072 at no field (MMC-11). Its control registers can't be read (MMC-12): a setting is never
+verified, and a chip that lost its settings is noticed only by its readings, which then stand still. Instead, the set-up
+takes one reading after a SET and one after a RESET, which must both be done in time; a log's header holds the middle
+between them, at which the bridges stand without a field (MMC-14), in counts. Counts are as they come after a SET.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
+from imuarray.errors import SensorError
+from imuarray.facts import mmc5983 as facts
+from imuarray.facts.registers import Setting
+from imuarray.log.format import SATURATED
+
+_ZERO = 1 << 17  # MMC-11
+_HIGHEST = (1 << 18) - 1
+_RESET_S = 0.010  # MMC-15
+_COIL_S = 0.001  # MMC-14: 500 ns, and what the coil's capacitor needs
+_MEASURED_S = {100.0: 0.008, 200.0: 0.004, 400.0: 0.002, 800.0: 0.0005}  # by bandwidth: MMC-13
+_MARGIN_S = 0.001
+_BANDWIDTHS_HZ = tuple(_MEASURED_S)
+_PERIODIC_SET = 0b011  # after 100 readings: MMC-16
+_FIELD_GAUSS = (0.05, 4.0)
+"""Half the difference between SET and RESET is the field; the earth's is 0.25 to 0.65 gauss, iron nearby adds to it."""
+_BRIDGE_GAUSS = 1.0  # MMC-20: within 0.5 gauss, typically
+
+
+class Mmc5983:
+    """Driver of one MMC5983MA."""
+
+    burst: ClassVar[int] = 7
+    reading: ClassVar[slice] = slice(0, 7)
+    tells_fresh: ClassVar[bool] = False  # the done bit stays set until somebody clears it: MMC-17
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.rate_hz = sensor.chip_rate_hz
+        self.sensitivity = sensor.spec.sensitivity[8.0]
+        bandwidth_hz = sensor.chip_bandwidth_hz
+        self._measured_s = _MEASURED_S[bandwidth_hz] + _MARGIN_S
+        self.watched: tuple[Setting, ...] = ()
+        self._bandwidth = (
+            facts.SOFT_RESET(0) | facts.YZ_OFF(0) | facts.X_OFF(0) | facts.BANDWIDTH(_BANDWIDTHS_HZ.index(bandwidth_hz))
+        )
+        self._continuous = (
+            facts.PERIODIC_SET_ON(1)
+            | facts.PERIODIC_SET(_PERIODIC_SET)
+            | facts.CONTINUOUS(1)
+            | facts.FREQUENCY(1 + sensor.spec.rates_hz.index(self.rate_hz))  # codes count up: MMC-16
+        )
+        self._bridge = self._flipped = np.zeros(3)
+
+    def identify(self) -> None:
+        """The product ID is 0x30 (MMC-02)."""
+        self.registers.expect(facts.PRODUCT_ID)
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
+        """Reset, a reading after a RESET and one after a SET, then continuous readings; SensorError if one of the two
+        is not done in time.
+        """
+        self.registers.poke(facts.CONTROL_1, facts.SOFT_RESET(1).value)
+        yield _RESET_S
+        self._poke(self._bandwidth)
+        self._poke(facts.CONTROL_3[7:0](0))
+        readings = []
+        for coil in (facts.RESET_COIL(1), facts.SET_COIL(1)):
+            self._poke(coil)
+            yield _COIL_S
+            self._poke(facts.TAKE_FIELD(1))
+            yield self._measured_s
+            if not facts.FIELD_DONE.of(self.registers.peek(facts.STATUS)[0]):
+                raise SensorError(
+                    f"{self.registers.label}: a measurement is not done after {self._measured_s * 1e3:g} ms"
+                )
+            readings.append(_counts(np.frombuffer(self.fetch(), np.uint8).reshape(1, -1))[0].astype(float))
+        after_reset, after_set = readings
+        self._bridge, self._flipped = (after_set + after_reset) / 2, (after_set - after_reset) / 2
+        self._poke(facts.AUTO_SET_RESET(1))
+        self._poke(self._continuous)
+        yield 2 / self.rate_hz + self._measured_s
+
+    def _poke(self, setting: Setting) -> None:
+        self.registers.poke(setting.register, setting.value)
+
+    def mark(self, code: int) -> bool:
+        """Do nothing: no register of it can be read back."""
+        return False
+
+    def self_test(self) -> SelfTest:
+        """Whether SET and RESET turn the elements over: half the difference of the readings after them is the field,
+        their middle is where the bridges stand (MMC-14).
+        """
+        self.configure()
+        field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity
+        strength = float(np.linalg.norm(field))
+        text = f"SET and RESET differ by twice {_said(field)} gauss about {_said(middle)} gauss"
+        if np.abs(middle).max() > _BRIDGE_GAUSS or strength > _FIELD_GAUSS[1]:
+            return SelfTest(False, f"{text}; allowed are {_FIELD_GAUSS[1]:g} and {_BRIDGE_GAUSS:g} gauss")
+        if strength < _FIELD_GAUSS[0]:
+            return SelfTest(None, f"{text}: too weak a field, or a coil that does nothing")
+        return SelfTest(True, text)
+
+    def fetch(self) -> bytes:
+        """0x00 ... 0x06: the high sixteen bits of each axis, then the low two of all."""
+        return self.registers.peek(facts.X_OUT_0, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 18 bits, 0 at no field; saturated where a code is the first or the last (MMC-11)."""
+        counts = _counts(bursts)
+        at_end = ((counts <= -_ZERO) | (counts >= _HIGHEST - _ZERO)).any(axis=1)
+        return DecodedBursts(counts, None, np.where(at_end, SATURATED, 0).astype(np.uint16))
+
+    def header(self) -> Mapping[str, float]:
+        """Where the bridges stand without a field, in counts: readings less these are fields."""
+        return dict(zip(("bridge_x", "bridge_y", "bridge_z"), self._bridge.tolist(), strict=True))
+
+
+def _counts(bursts: Bytes) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+    """Signed counts (n, 3): the zero at 131072 taken off (MMC-11)."""
+    wide = bursts.astype(np.int32)
+    high = wide[:, 0:6:2] << 10 | wide[:, 1:6:2] << 2
+    return high + (wide[:, 6:7] >> np.array([6, 4, 2], np.int32) & 0b11) - _ZERO
+
+
+def _said(gauss: Floats) -> str:
+    return ", ".join(f"{value:+.3f}" for value in gauss)
