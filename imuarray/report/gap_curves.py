@@ -30,7 +30,7 @@ def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
     """The `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
     title = "Curves: real, before and after"
     if not overlays:
-        return Section(title, "None were kept.")
+        return Section(title, "The diagnosis kept no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")
     worst = sorted(overlays, key=lambda overlay: -farthest(overlay, overlay.before)[1])
     chosen = sorted(worst[:MOST_OVERLAYS], key=lambda overlay: list(_KINDS).index(overlay.kind))
     words = " ".join(text for kind, text in _KINDS.items() if any(overlay.kind == kind for overlay in chosen))

@@ -138,7 +138,7 @@ def _map(shown: Map, *, drawn: bool) -> Section:
     words = (
         "The largest score of each sensor in each domain, in standard deviations of chance. Chance alone reaches "
         f"{number(shown.limit, 2)} somewhere in one of twenty campaigns; amber cells with bold numbers are beyond it, "
-        "hatched ones have nothing to say."
+        "hatched cells have no statistic."
     )
     if silent:
         words += f" No statistic of: {', '.join(silent)}.".replace("_", " ")
@@ -280,7 +280,7 @@ def _unshown(diagnosis: Diagnosis) -> Section:
     title = "What can't be told"
     if not diagnosis.unshown:
         return Section(title, "These recordings can show all effects of the library.")
-    words = "Effects that may be there all the same: these recordings can't show them, those named on the right would."
+    words = "These effects may be present: the recordings cannot show them. The last column says what would show each."
     return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
 
 
@@ -305,8 +305,8 @@ def _judged(diagnosis: Diagnosis) -> Section:
     placebos = sum(candidate.effect == "" for candidate in judged)
     accepted = [candidate for candidate in judged if candidate.is_accepted]
     words = (
-        f"{len(judged)} candidates, {len(accepted)} of them accepted. {placebos} were placebos, which change nothing "
-        f"that matters: {sum(candidate.effect == '' for candidate in accepted)} of them accepted."
+        f"{len(judged)} candidates, {len(accepted)} of them accepted. {placebos} of them placebos, which change "
+        f"nothing that matters; {sum(candidate.effect == '' for candidate in accepted)} placebos were accepted."
     )
     if len(judged) > tables.MOST_ROWS:
         words += f" The best {tables.MOST_ROWS} are shown."

@@ -147,7 +147,12 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
 
 def missing_table(missing: Sequence[str]) -> Table:
     """Return what is missing, a row each."""
-    return Table(["", "missing"], [[str(place), phrase] for place, phrase in enumerate(missing, 1)], "Missing.", (1,))
+    return Table(
+        ["", "missing"],
+        [[str(place), phrase] for place, phrase in enumerate(missing, 1)],
+        "Statistics that could not be compared.",
+        (1,),
+    )
 
 
 def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
@@ -218,7 +223,9 @@ def origin_table(diagnosis: Diagnosis) -> Table:
 
 def notes_table(notes: Sequence[str]) -> Table:
     """Return the remarks made on the way."""
-    return Table(["", "note"], [[str(place), note] for place, note in enumerate(notes, 1)], "Notes.", (1,))
+    return Table(
+        ["", "note"], [[str(place), note] for place, note in enumerate(notes, 1)], "Remarks of the diagnosis.", (1,)
+    )
 
 
 def marked(text: str) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from imuarray.atomic import draw_figure, write_text
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
+from imuarray.report.colour_scheme import follow_scheme
 from imuarray.report.recording import Recording, scripts
 
 if TYPE_CHECKING:
@@ -43,19 +44,23 @@ class Figure:
 
     @property
     def data_url(self) -> str:
-        """The drawing as SVG inside a URL."""
+        """The drawing as SVG inside a URL, with colours that follow the page's."""
         buffer = io.BytesIO()
         draw_figure(buffer, self.drawing, format="svg", metadata={"Date": None})
-        return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+        drawing = follow_scheme(buffer.getvalue().decode("utf-8"))
+        return "data:image/svg+xml;base64," + base64.b64encode(drawing.encode("utf-8")).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph and what belongs to it."""
+    """A heading, a paragraph and what belongs to it. With a `fold`, which is one line, the parts are hidden behind that
+    line until the reader opens it.
+    """
 
     title: str
     text: str
     parts: Sequence[Table | Figure | Recording] = ()
+    fold: str = ""
 
 
 Level = Literal["good", "doubtful", "bad", "neutral"]

@@ -9,6 +9,9 @@ from typing import Any
 
 from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, format_row, lost_by, transfer_line
 
+_MOST_NAMED = 5
+"""Figures without cases that are named one by one."""
+
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
     """A section of results for a committed page: when, by what command, what was frozen, every figure, what misses, and
@@ -56,7 +59,8 @@ def summary_lines(figures: Figures) -> Iterator[str]:
     if maybe:
         yield f"Missed, but the interval reaches the bar: {'; '.join(maybe)}."
     if bare:
-        yield f"No cases for: {'; '.join(bare)}."
+        few = len(bare) <= _MOST_NAMED
+        yield f"No cases for: {'; '.join(bare)}." if few else f"{len(bare)} figures have no cases."
     for transfer in figures.transfers:
         if transfer.name == HEADLINE:
             yield f"{transfer_line(transfer).capitalize()}."

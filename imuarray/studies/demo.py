@@ -360,10 +360,9 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
         [
             Figure(
                 motion_figure(felt, times, curves, 1.5),
-                "Above: what the box felt; dashed, where the low range ends. Below: errors. The low "
-                "range alone has nothing to say "
-                "while it clips (gaps); the blend is there all the time, at rest quieter than "
-                "either, and makes no step.",
+                "Above: the specific force of the box; the dashed lines are the ends of the low range. Below: errors. "
+                "The low range alone has gaps where it clips; the blend has none, makes no step, and is quieter "
+                "at rest than either range.",
                 "True specific force of a shaken box and the errors of the low range, the high range and their blend",
             )
         ],

@@ -169,3 +169,15 @@ def test_what_steers_a_terminal_is_spelled_out(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.replace("\n", "").isprintable()
     assert all(text in page for text in (r"a\x1b[2J", r"\x9b31m", r"\u202eb", r"\x07", r"\x00", "one\ntwo\\r"))
+
+
+def test_a_fold_hides_parts_behind_a_line(tmp_path: Path) -> None:
+    table = Table(("a",), (("b",),), "c")
+    write_page(tmp_path / "page.html", "t", [], [Section("s", "words", [table], fold="one <row>"), Section("u", "")])
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert Page(page).open_tags == []
+    assert page.count("<details>") == 1
+    before, inside = page.split("<details>")
+    assert "<p>words</p>" in before
+    assert inside.startswith("<summary>one &lt;row&gt;</summary>")
+    assert "<caption>c</caption>" in inside.split("</details>")[0]

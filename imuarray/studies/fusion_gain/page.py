@@ -118,6 +118,7 @@ def _panel(axes: Axes, heading: str, rows: Sequence[Row], techniques: Sequence[s
             [ratio.ratio for ratio in ratios], places, xerr=_reach(ratios), fmt=_MARKERS[number % len(_MARKERS)],
             color=colour, markersize=5, elinewidth=1.2, capsize=2, label=technique,
         )  # fmt: skip
+        _mark_beyond(axes, ratios, places, colour)
     axes.axvline(1, color="black", linewidth=0.8)
     axes.set_xlim(0, _furthest([ratio for row in rows if (ratio := getattr(row, of)) is not None]))
     axes.set_yticks(range(len(experiments)), experiments)
@@ -129,10 +130,27 @@ _BEYOND = 3.0
 """Times the largest ratio: an interval that reaches further is cut there, since few seeds can make one very long."""
 
 
+_MOST_RATIO = 4.0
+"""Largest ratio that is drawn in its place: one that is beyond is an arrow with its number at the edge, since it would
+squeeze all others into the first millimetres of the axis.
+"""
+
+
+def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], colour: str) -> None:
+    """An arrow at the right edge, and the number, for each ratio beyond `_MOST_RATIO`."""
+    for ratio, place in zip(ratios, places, strict=True):
+        if ratio.ratio > _MOST_RATIO:
+            across = axes.get_yaxis_transform()
+            axes.plot([0.985], [place], ">", color=colour, markersize=6, transform=across, clip_on=False)
+            text = f"{ratio.ratio:.3g} ×"
+            axes.text(0.95, place, text, color=colour, fontsize=8, ha="right", va="center", transform=across)
+
+
 def _furthest(ratios: Sequence[Ratio]) -> float:
-    """The right end of an axis that shows all ratios, and their intervals up to `_BEYOND`."""
-    largest = max((ratio.ratio for ratio in ratios if np.isfinite(ratio.ratio)), default=1.0)
-    ends = [min(ratio.high, _BEYOND * largest) for ratio in ratios if np.isfinite(ratio.high)]
+    """The right end of an axis that shows all ratios up to `_MOST_RATIO`, and their intervals up to `_BEYOND`."""
+    drawn = [ratio for ratio in ratios if ratio.ratio <= _MOST_RATIO]
+    largest = max((ratio.ratio for ratio in drawn), default=1.0)
+    ends = [min(ratio.high, _BEYOND * largest, _MOST_RATIO) for ratio in drawn if np.isfinite(ratio.high)]
     return 1.05 * max(1.0, largest, *ends)
 
 
@@ -213,7 +231,8 @@ _SEE = {
     ),
     "coasting.png": (
         "Heading and horizontal velocity after coasting for a minute; mean errors of ten seconds at rest are taken out."
-        "",
+        " An arrow is an error of more than four times the average's. A bar that reaches the edge goes on beyond it:"
+        " few seeds make long intervals.",
         "Ratios of heading and velocity errors to those of the average, by experiment",
     ),
     "heating.png": (
@@ -250,7 +269,7 @@ def study_verdict(study: Study) -> Verdict:
     where = f"{first.experiment}, {first.sensors}, {first.quantity.replace('_', ' ')}"
     sure = bool(first.over_mean.high < 1)
     gain = f"leaves {first.over_mean.ratio:.2f} of the simple average's error ({where})"
-    sentence = f"Fusion gains most by {first.technique}, which at best {gain}."
+    sentence = f"The technique {first.technique} gains most: at best it {gain}."
     if not sure:
         sentence = "No technique is better than the simple average beyond chance."
     figures = tuple((f"{row.over_mean.ratio:.2f} ×", f"{row.technique} at best: {row.experiment}") for row in best[:5])
@@ -283,11 +302,19 @@ def _best_rows(study: Study) -> dict[str, Row]:
 def _section(study: Study, experiment: str) -> Section:
     rows = study.of(experiment=experiment)
     tables = []
-    for calibration in dict.fromkeys(row.calibration for row in rows):
+    calibrations = list(dict.fromkeys(row.calibration for row in rows))
+    for calibration in calibrations:
         lines = [_line(row) for row in rows if row.calibration == calibration and _is_told(row)]
         heading = ["technique", "sensors", "what", "axis", "value", "unit", "over the average", "over the bound"]
         tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
-    return Section(experiment, "Every technique that changes something, axis by axis.", tables)
+    count = sum(len(table.rows) for table in tables)
+    words = "Every technique that changes something, axis by axis."
+    return Section(
+        experiment, words, tables, fold=f"{count} rows, {' and '.join(_CALIBRATED[c] for c in calibrations)}"
+    )
+
+
+_CALIBRATED = {"measured": "with calibrations from simulated logs", "true": "with the true parameters"}
 
 
 def _is_told(row: Row) -> bool:
@@ -298,8 +325,12 @@ def _line(row: Row) -> list[str]:
     factor, unit = READABLE_SI[row.quantity] if row.quantity in INERTIAL else (1.0, _END_UNITS[row.measure])
     over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
     what = f"{row.quantity.replace('_', ' ')} {row.measure}".strip()
-    value = f"{factor * row.value:.4g}"
+    lost = row.measure == "heading" and row.value > _LOST_DEG
+    value = f"{factor * row.value:.4g}" + (" (lost)" if lost else "")
     return [row.technique, row.sensors, what, row.box_axis, value, unit, interval_text(row.over_mean), over_bound]
 
+
+_LOST_DEG = 60.0
+"""Root mean square error of a heading that is as good as unknown: one drawn at random errs by 104 degrees."""
 
 _END_UNITS = {"heading": "deg", "velocity": "m/s"}

@@ -23,19 +23,27 @@ if TYPE_CHECKING:
 
     from imuarray.studies.paper.replica import Curves, Replica, Statistic, Summary
 
-HOW_TO_READ = (
-    "Each row is a number that the paper prints. Recomputed: what follows for it from other numbers that the paper "
-    "prints; unmarked if equal in every digit, ≈ if within the rounding of those numbers, ≠ if beyond. Simulated: the "
-    "same statistic of the simulated array. Difference: simulated less printed. z: the difference over its "
-    "uncertainty, which is what the paper's own tables disagree by where they tell the same thing twice (of the "
-    "logarithm for deviations, ranges and ratios); marked beyond 2. Source:"
-)
+COLUMNS: Mapping[str, str] = {
+    "paper": "the number that the paper prints",
+    "recomputed": (
+        "what follows for it from other numbers that the paper prints: unmarked if equal in every digit, ≈ if within "
+        "the rounding of those numbers, ≠ if beyond"
+    ),
+    "simulated": "the same statistic, measured on the simulated array",
+    "difference": "simulated less printed",
+    "z": (
+        "the difference divided by its uncertainty; of deviations, ranges and ratios the logarithms are compared. The "
+        "uncertainty is that by which the paper's own tables disagree where two of them tell the same thing. Beyond 2 "
+        "it is marked"
+    ),
+}
+"""What stands in the columns of the tables."""
 
 TABLE_WORDS: Mapping[int, tuple[str, str]] = {
     1: (
         "how the sensors lie",
-        "The sensor axis along each axis of the box. Recomputed from Table 10 for accelerometers. Put into the "
-        "simulation, not found by it.",
+        "The sensor axis along each axis of the box. Recomputed from Table 10 for accelerometers. It is an input "
+        "of the simulation.",
     ),
     2: ("one gyroscope at its fastest", "Gyro1 alone at 350 Hz. Columns in dps are the same numbers in another unit."),
     3: (
@@ -294,7 +302,17 @@ def table_sections(
         if number == 8:
             parts.append(_pairs(replica))
         text = f"{words} {more[number]}" if number in more else words
-        yield Section(f"{name}: {title}", text, parts)
+        yield Section(f"{name}: {title}", text, parts, fold=_fold_of(lines, len(parts) - 1 - (number == 8)))
+
+
+def _fold_of(lines: Sequence[Line], drawings: int = 0) -> str:
+    """Return the line behind which a table is hidden: how much there is to see, and how much of it agrees."""
+    count, _, two, _, cells, equal, near, _ = counted(lines)
+    said = [f"{len(lines)} numbers"]
+    said += [f"{drawings} figure{'s' if drawings > 1 else ''}"] if drawings else []
+    said += [f"{two} of {count} simulated agree within two uncertainties"] if count != NOTHING else []
+    said += [f"{int(equal) + int(near)} of {cells} recomputed agree within rounding"] if cells != NOTHING else []
+    return "; ".join(said)
 
 
 def _table(lines: Sequence[Line], caption: str = "") -> Table:
@@ -393,9 +411,13 @@ def others(replica: Replica) -> list[str]:
 
 def elsewhere_section(replica: Replica, recomputed: Recomputed) -> Section:
     """Return the section on the figures and the parts of the appendix."""
-    parts = [_table(compared(name, replica, recomputed), f"{name}: ") for name in others(replica)]
+    lines = [compared(name, replica, recomputed) for name in others(replica)]
+    parts = [_table(own, f"{name}: ") for name, own in zip(others(replica), lines, strict=True)]
     return Section(
-        "What figures and appendix say of the noise", "Yes is 1, no is 0. “Around” is good to a unit.", parts
+        "What figures and appendix say of the noise",
+        "Yes is 1, no is 0. “Around” is good to a unit.",
+        parts,
+        fold=_fold_of([line for own in lines for line in own]),
     )
 
 
@@ -420,12 +442,13 @@ def write_paper_page(
         lines if curves else [*lines, NO_FIGURES],
         [
             _overview(replica, recomputed),
+            _columns(),
+            _conclusions(result),
+            _slips(result),
+            _gaps(replica, recomputed),
             *table_sections(replica, curves, recomputed, result),
             elsewhere_section(replica, recomputed),
             _stated(recomputed),
-            _gaps(replica, recomputed),
-            _conclusions(result),
-            _slips(result),
         ],
         verdict=paper_verdict(replica, result),
         force=force,
@@ -448,7 +471,7 @@ def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
         f" and {held} of its {of} conclusions hold in its own data."
     )
     figures = (
-        (str(whole.count), "statistics measured once more"),
+        (str(whole.count), "statistics of the paper, simulated"),
         (f"{100 * agreeing:.1f} %", "within two uncertainties; normal deviates give 95.4 %"),
         (f"{whole.chi_square:.2f}", "chi-square per degree of freedom"),
         (f"{held} of {of}", "conclusions that hold"),
@@ -462,19 +485,12 @@ def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
     whole = replica.summary
     item, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
     yield (
-        f"Every number of the paper's Tables 2 to 11 was measured once more on a simulated array with the paper's "
-        f"parameters (seed {replica.seed}): of {whole.count} statistics {item} agree within one uncertainty, {two} "
-        f"within two, {three} within three; normal deviates would give 68.3, 95.4 and 99.7 %."
+        f"Of the {whole.count} statistics, simulated with seed {replica.seed}, {item} agree within one uncertainty, "
+        f"{two} within two, {three} within three; normal deviates would give 68.3, 95.4 and 99.7 %."
     )
     axes, thermometers = (_judge_chi_square(replica.kinds[name]) for name in ("axes", "thermometers"))
-    yield f"Chi-square per degree, all statistics that follow from no others: {_judge_chi_square(whole)}."
-    yield f"Of the inertial axes: {axes}. Of the chips' own thermometers: {thermometers}."
+    yield f"Chi-square per degree of freedom: inertial axes {axes}; the chips' own thermometers {thermometers}."
     yield _recomputed_words(result)
-    held = sum(statement["holds"] for statement in result["conclusions"])
-    yield (
-        f"{held} of the paper's {len(result['conclusions'])} conclusions hold by the criteria below; "
-        f"{sum(not slip['holds'] for slip in result['slips'])} slips were found."
-    )
     far = replica.beyond(_FAR)
     odd = sum(" t" in row.channel for row in far)
     yield (
@@ -502,9 +518,9 @@ def _recomputed_words(result: dict[str, Any]) -> str:
     explained = sum(result["within_input_rounding"][name][column][0] for name in tables for column in tables[name])
     said = result["matches"]["stated"]["value"]
     return (
-        f"{total} printed cells follow from other printed numbers: {equal} do in every digit, {explained - equal} more "
-        f"within the rounding of their inputs, {total - explained} do not. Of {said[1]} figures in the text {said[0]} "
-        f"follow from the tables."
+        f"{total} cells of the paper can be computed from other cells: {equal} agree in every digit, "
+        f"{explained - equal} more within the rounding of their inputs, {total - explained} do not. Of {said[1]} "
+        f"figures in the text, {said[0]} follow from the tables."
     )
 
 
@@ -512,9 +528,18 @@ def _overview(replica: Replica, recomputed: Recomputed) -> Section:
     names = (*(f"Table {number}" for number in TABLE_WORDS), *others(replica))
     rows = [[name, *counted(compared(name, replica, recomputed))] for name in names]
     heading = ["", "simulated", "within 1", "2", "3", "recomputed", "equal", "within rounding", "neither"]
-    caption = "Numbers compared, and how many agree; 1, 2, 3 are uncertainties."
+    caption = "How many numbers were compared, and how many agree; 1, 2, 3 are uncertainties."
+    return Section("All tables at a glance", f"The numbers are those of {SOURCE}.", [Table(heading, rows, caption)])
+
+
+def _columns() -> Section:
+    words = "Each row of the tables below is a number that the paper prints. Every section opens with a click."
+    rows = [[name, meaning] for name, meaning in COLUMNS.items()]
     return Section(
-        "How to read it, and all tables at a glance", f"{HOW_TO_READ} {SOURCE}.", [Table(heading, rows, caption)]
+        "How to read the tables",
+        words,
+        [Table(["column", "meaning"], rows, "Columns without a number are left out.", (1,))],
+        fold="What stands in each column",
     )
 
 
@@ -534,9 +559,8 @@ def _stated(recomputed: Recomputed) -> Section:
         )
     words = "Figures in the paper's text that its own tables decide, each to the digits that it has."
     heading = ["of", "where", "text", "recomputed", "from"]
-    return Section(
-        "The text against the tables", words, [Table(heading, rows, "≈ within rounding, ≠ beyond it.", (1, 4))]
-    )
+    parts = [Table(heading, rows, "≈ within rounding, ≠ beyond it.", (1, 4))]
+    return Section("The text against the tables", words, parts, fold=f"{len(rows)} figures of the text")
 
 
 def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
@@ -548,12 +572,13 @@ def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
     ]
     words = (
         "Everything more than three uncertainties off, and what the uncertainty is made of. Chance alone would put "
-        f"about {0.0027 * replica.summary.count:.0f} here. The chips' thermometers: the paper's wandered within a run "
-        "more (the L3G4200D) or less (the BMA180) than the room did; the model has the room's temperature, an offset "
-        "and noise."
+        f"about {0.0027 * replica.summary.count:.0f} here. Within a run, the paper's thermometers changed more "
+        "(L3G4200D) or less (BMA180) than the temperature of the room; the model gives each the room's temperature, "
+        "an offset and noise."
     )
     heading = ["channel", "where", "statistic", "paper", "simulated", "difference", "z", "uncertainty"]
-    return Section("Known gaps", words, [Table(heading, rows, "The farthest off.", (1, 2, 7))])
+    parts = [Table(heading, rows, "Statistics more than three uncertainties off.", (1, 2, 7))]
+    return Section("Known gaps", words, parts, fold=f"{len(rows)} statistics")
 
 
 def _without_recomputed(line: Line) -> list[str]:
@@ -564,13 +589,15 @@ def _without_recomputed(line: Line) -> list[str]:
 
 def _conclusions(result: dict[str, Any]) -> Section:
     words = "Judged from the paper's printed numbers alone; every criterion is stated."
-    return Section("The paper's conclusions", words, [_statements(result["conclusions"], "holds")])
+    claims = result["conclusions"]
+    held = f"{sum(claim['holds'] for claim in claims)} of {len(claims)} conclusions hold"
+    return Section("The paper's conclusions", words, [_statements(claims, "holds")], fold=held)
 
 
 def _slips(result: dict[str, Any]) -> Section:
     words = "Where the text, a formula or a column disagrees with the paper's own tables."
     slips = [slip for slip in result["slips"] if not slip["holds"]]
-    return Section("Slips of the paper", words, [_statements(slips, "holds")])
+    return Section("Slips of the paper", words, [_statements(slips, "holds")], fold=f"{len(slips)} slips")
 
 
 def _statements(statements: Sequence[dict[str, Any]], verdict: str) -> Table:

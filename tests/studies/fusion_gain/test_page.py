@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from imuarray.fuse import Ratio
-from imuarray.studies.fusion_gain.page import ratios_figure, study_verdict
+from imuarray.studies.fusion_gain.page import ratios_figure, study_verdict, write_study_page
 from imuarray.studies.fusion_gain.study import Row, Study
 
 
@@ -24,7 +27,7 @@ def test_the_technique_that_gains_most_is_named() -> None:
     verdict = study_verdict(Study(rows, (1, 2, 3)))
     assert verdict.level == "good"
     assert verdict.sentence == (
-        "Fusion gains most by opposed, which at best leaves 0.40 of the simple average's error"
+        "The technique opposed gains most: at best it leaves 0.40 of the simple average's error"
         " (heating, all, angular rate)."
     )
     assert verdict.figures == (("0.40 ×", "opposed at best: heating"), ("0.80 ×", "planes at best: heating"))
@@ -44,3 +47,17 @@ def test_one_long_interval_does_not_stretch_the_axis() -> None:
     left, right = figure.axes[0].get_xlim()
     assert left == 0
     assert right == pytest.approx(1.05 * 3 * 1.2)
+
+
+def test_an_error_far_beyond_the_others_is_an_arrow_with_its_number() -> None:
+    pytest.importorskip("matplotlib")
+    panel = ratios_figure({"heading": [row("opposed", 77.66, 2e9), row("planes", 1.2, 1.4)]}, "over_mean").axes[0]
+    assert panel.get_xlim()[1] == pytest.approx(1.05 * 1.4)
+    assert [text.get_text() for text in panel.texts] == ["77.7 ×"]
+
+
+def test_a_heading_that_is_lost_is_called_so(tmp_path: Path) -> None:
+    ends = [replace(row("planes", 2.0, 3.0), quantity="", measure="heading", value=value) for value in (59.0, 61.0)]
+    write_study_page(tmp_path / "study.html", Study(tuple(ends), (1, 2)), {})
+    page = (tmp_path / "study.html").read_text(encoding="utf-8")
+    assert "<td>59</td>" in page and "<td>61 (lost)</td>" in page

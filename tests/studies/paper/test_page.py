@@ -149,16 +149,26 @@ def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
 def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
     whole = made.replica.summary
     text = " ".join(page.summary)
-    assert f"of {whole.count} statistics {whole.within[0]} (" in text
-    assert f"{whole.chi_square:.2f}, " in text
+    assert f"Of the {whole.count} statistics, simulated with seed 1, {whole.within[0]} (" in text
+    assert f"inertial axes {made.replica.kinds['axes'].chi_square:.2f}, " in text
+    assert f"<dd>{whole.chi_square:.2f}</dd>" in made.text
     assert f"{len(made.replica.beyond())} statistics are more than three" in text
-    assert "15 of the paper's 18 conclusions hold" in text
+    assert "15 of 18 conclusions hold" in made.text
     result = recompute()
     cells = [count for name, c in result["matches"].items() if name != "stated" for count in c.values()]
-    assert f"{sum(total for _, total in cells)} printed cells follow" in text
+    assert f"{sum(total for _, total in cells)} cells of the paper can be computed" in text
     assert len(page.of("Known gaps")) - 1 == len(made.replica.beyond())
     assert len(page.of("The paper's conclusions")) - 1 == 18
     assert len(page.of("The text against the tables")) - 1 == 35
+
+
+@pytest.mark.slow
+def test_only_the_overview_is_open(made: Made) -> None:
+    """Fourteen tables, and everything that is told of the text, are behind a line each; one table is open."""
+    visible = re.sub(r"<details>.*?</details>", "", made.text, flags=re.DOTALL)
+    assert visible.count("<table") == 1
+    assert visible.count("<img") == 0
+    assert len(re.sub(r"<style>.*?</style>|<[^>]*>", " ", visible, flags=re.DOTALL).split()) < 1200
 
 
 @pytest.mark.slow
