@@ -145,12 +145,18 @@ def bmp280(_: float) -> Tolerances:
     return replace(l3g4200d(0.0), pressure_pa=typical(100.0), thermometer_degc=typical(0.5))
 
 
+def bmp388(_: float) -> Tolerances:
+    """BMP-222: pressure within 0.5 hPa, temperature within 0.5 degC, both typical; noise is the chip's (DEC-221)."""
+    return replace(l3g4200d(0.0), pressure_pa=typical(50.0), thermometer_degc=typical(0.5))
+
+
 TOLERANCES: dict[str, Sheet] = {
     "adxl345": adxl345,
     "bma180": bma180,
     "l3g4200d": l3g4200d,
     "bmp180": bmp180,
     "bmp280": bmp280,
+    "bmp388": bmp388,
     "hmc5883": hmc5883,
     "hmc5883l": hmc5883l,
     "lis3mdl": lis3mdl,

@@ -52,6 +52,26 @@ EXAMPLE_WORDS_BMP280: Words = MappingProxyType(
 )
 """The part of the data sheet's example (BMP-120)."""
 
+EXAMPLE_WORDS_BMP388: Words = MappingProxyType(
+    {
+        "T1": 27427,
+        "T2": 18776,
+        "T3": -10,
+        "P1": -164,
+        "P2": -2866,
+        "P3": 35,
+        "P4": 0,
+        "P5": 25578,
+        "P6": 31086,
+        "P7": -13,
+        "P8": -10,
+        "P9": 17322,
+        "P10": 18,
+        "P11": -60,
+    }
+)
+"""A part that somebody measured with, for the data sheet has no example (BMP-220)."""
+
 _SIXTEENTHS = 160
 """B5 is the temperature in sixteenths of 0.1 degC (BMP-60)."""
 
@@ -194,6 +214,57 @@ def pressure_bmp280_32_bits(up: Integers, fine: Integers, words: Words) -> Integ
     return np.where(a == 0, 0, p + (c + d + words["P7"] >> 4))
 
 
+# BMP388 ---------------------------------------------------------------------------------------------------------------
+
+_RAW_BITS_BMP388 = 24
+
+
+def compensate_bmp388(ut: Integers, up: Integers, words: Words) -> tuple[Floats, Floats]:
+    """Temperature (n,) in degC and pressure (n,) in Pa, both in steps of 0.01, by the integers of the manufacturer's
+    driver (BMP-221).
+    """
+    fine = fine_temperature_bmp388(ut, words)
+    return _quotient(fine * 25, 16384) / 100.0, pressure_bmp388(up, fine, words) / 100.0
+
+
+def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
+    """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    bisection: the temperature rises with its word, the pressure falls.
+    """
+    highest = (1 << _RAW_BITS_BMP388) - 1
+    ut = _first_reaching(lambda word: fine_temperature_bmp388(word, words), temperature_degc * 65536, 0, highest)
+    fine = fine_temperature_bmp388(ut, words)
+    up = _first_reaching(lambda word: -pressure_bmp388(word, fine, words), -pressure_pa * 100, 0, highest)
+    return ut, up
+
+
+def fine_temperature_bmp388(ut: Integers, words: Words) -> Integers:
+    """The temperature (n,) in 65536ths of a degC, which the pressure needs too (BMP-221)."""
+    away = np.asarray(ut, np.int64) - 256 * words["T1"]
+    return _quotient(words["T2"] * away * 262144 + away * away * words["T3"], 1 << 32)
+
+
+def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:
+    """The pressure (n,) in hundredths of a Pa, 0 where it would be negative (BMP-221)."""
+    up = np.asarray(up, np.int64)
+    square = fine * fine
+    cube = _quotient(_quotient(square, 64) * fine, 256)
+    offset = words["P5"] * (1 << 47) + _quotient(words["P8"] * cube, 32)
+    offset += words["P7"] * square * 16 + words["P6"] * fine * (1 << 22)
+    slope = (words["P1"] - 16384) * (1 << 46) + _quotient(words["P4"] * cube, 32)
+    slope += words["P3"] * square * 4 + (words["P2"] - 16384) * fine * (1 << 21)
+    bend = _quotient((words["P10"] * fine + 65536 * words["P9"]) * up, 8192)
+    curve = _quotient(up * _quotient(bend, 10), 512) * 10
+    twist = _quotient(_quotient(words["P11"] * (up * up), 65536) * up, 128)
+    whole = _quotient(offset, 4) + _quotient(slope, 1 << 24) * up + curve + twist
+    return (np.maximum(whole, 0).astype(np.uint64) * np.uint64(25) >> np.uint64(40)).astype(np.int64)
+
+
+def _quotient(numerator: Integers, divisor: int) -> Integers:
+    """Division as C does it, which drops what is behind the point."""
+    return np.where(numerator < 0, -(-numerator // divisor), numerator // divisor)
+
+
 # Each chip ------------------------------------------------------------------------------------------------------------
 
 _OVERSAMPLING_BMP180 = 3  # eight samples, the quietest: BMP-44
@@ -208,5 +279,6 @@ BAROMETERS: Mapping[str, Barometer] = MappingProxyType(
             MappingProxyType({"oversampling": _OVERSAMPLING_BMP180}),
         ),
         "bmp280": Barometer(EXAMPLE_WORDS_BMP280, 1.3, compensate_bmp280, uncompensated_bmp280),  # noise: BMP-125
+        "bmp388": Barometer(EXAMPLE_WORDS_BMP388, 1.3, compensate_bmp388, uncompensated_bmp388),  # noise: BMP-223
     }
 )

@@ -17,6 +17,7 @@ from imuarray.facts import (
     bma180,
     bmp180,
     bmp280,
+    bmp388,
     hmc5883,
     icm42688,
     l3g4200d,
@@ -326,6 +327,17 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked (BMP-107)
             default_rate_hz=4.0,
             conversions_s=(0.043225,),  # BMP-109
+        ),
+        "bmp388": ChipSpec(
+            quantity="pressure",
+            unit="Pa",
+            addresses=bmp388.ADDRESSES,
+            identity=bmp388.CHIP_ID,
+            label="BMP{}",
+            burst_bytes=7,
+            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked (BMP-207)
+            default_rate_hz=4.0,
+            conversions_s=(0.043,),  # BMP-209
         ),
         "lis3mdl": ChipSpec(
             quantity="magnetic_field",

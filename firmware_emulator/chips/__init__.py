@@ -9,6 +9,7 @@ from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
 from firmware_emulator.chips.bmp280 import Bmp280
+from firmware_emulator.chips.bmp388 import Bmp388
 from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
 from firmware_emulator.chips.l3g4200d import L3g4200d
 from firmware_emulator.chips.lis3mdl import Lis3mdl
@@ -40,6 +41,7 @@ CHIPS: dict[str, Callable[..., Chip]] = {
     },
     "bmp180": Bmp180,
     "bmp280": Bmp280,
+    "bmp388": Bmp388,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883l,
     "lis3mdl": Lis3mdl,
@@ -47,5 +49,5 @@ CHIPS: dict[str, Callable[..., Chip]] = {
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
 
-BAROMETERS = ("bmp180", "bmp280")
+BAROMETERS = ("bmp180", "bmp280", "bmp388")
 """Chips that have no axes, and draw their noise themselves, from a `generator`."""

@@ -8,6 +8,7 @@ from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.bmp280 import Bmp280
+from imuarray.drivers.bmp388 import Bmp388
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
@@ -41,6 +42,7 @@ DRIVERS: dict[str, type[Driver]] = {
     "lsm6dso_gyro": Lsm6dsoGyroscope,
     "bmp180": Bmp180,
     "bmp280": Bmp280,
+    "bmp388": Bmp388,
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,
     "lis3mdl": Lis3mdl,

@@ -116,7 +116,7 @@ def test_a_bus_of_which_nobody_has_written_yet() -> None:
     )
 
 
-@pytest.mark.parametrize(("chip", "address"), [("bmp180", 0x77), ("bmp280", 0x77), ("bmp280", 0x76)])
+@pytest.mark.parametrize(("chip", "address"), [("bmp180", 0x77), ("bmp280", 0x77), ("bmp280", 0x76), ("bmp388", 0x76)])
 def test_a_lone_barometer_is_not_taken_for_a_multiplexer(chip: str, address: int) -> None:
     lone = parse_array(f'[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = {address}\n')
     with open_bus("emulated:", lone) as bus:

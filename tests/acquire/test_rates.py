@@ -31,6 +31,7 @@ ALONE = {
     "l3g4200d": "address=0x68\nrange=250\n",
     "bmp180": "address=0x77\n",
     "bmp280": "address=0x76\n",
+    "bmp388": "address=0x76\n",
     "hmc5883l": "address=0x1E\nrange=1.3\n",
     "lis3mdl": "address=0x1C\nrange=4\n",
     "mmc5983": "address=0x30\nrange=8\n",
@@ -52,7 +53,7 @@ def forced_rows(rate_hz: float, seconds: float, chip_rate_hz: float = 4.0) -> fl
     return seconds * min(chip_rate_hz, rate_hz / (2 if 1000 / rate_hz - 43.2 <= 100 else 1))
 
 
-ON_DEMAND = {"bmp180": pressure_rows, "bmp280": forced_rows}
+ON_DEMAND = {"bmp180": pressure_rows, "bmp280": forced_rows, "bmp388": forced_rows}
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)

@@ -10,10 +10,14 @@ import pytest
 
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.chips.bmp280_inverse import Words, fine_of, pascal_of
+from firmware_emulator.chips.bmp388_inverse import Words as Words388
+from firmware_emulator.chips.bmp388_inverse import degc_of
+from firmware_emulator.chips.bmp388_inverse import pascal_of as pascal_388
 from imuarray.array import SensorConfig
 from imuarray.barometer import (
     BAROMETERS,
     compensate_bmp280,
+    compensate_bmp388,
     fine_temperature_bmp280,
     pressure_bmp280,
     pressure_bmp280_32_bits,
@@ -21,6 +25,7 @@ from imuarray.barometer import (
 from imuarray.chips import CHIPS as SPECS
 from imuarray.drivers import DRIVERS
 from imuarray.drivers.bmp280 import calibration_words
+from imuarray.drivers.bmp388 import calibration_words as calibration_words_bmp388
 from imuarray.errors import SensorError
 
 # The bytes and words of the BMP280's worked example: BMP-120.
@@ -39,11 +44,29 @@ WORDS_280 = {
     "P8": -14600,
     "P9": 6000,
 }
-FORCED = ("bmp280",)
-ADDRESSES = {"bmp280": 0x76}
-ASKED = {"bmp280": b"\xf4\x55"}
-LONGEST_S = {"bmp280": 0.043225}  # BMP-109
-RESET = {"bmp280": (0xE0, 0xB6)}
+# Bytes and words of a BMP388 that somebody measured with: BMP-220.
+BLOCK_388 = bytes.fromhex("236b 5849 f6 5cff cef4 23 00 ea63 6e79 f3 f6 aa43 12 c4")
+WORDS_388 = {
+    "T1": 27427,
+    "T2": 18776,
+    "T3": -10,
+    "P1": -164,
+    "P2": -2866,
+    "P3": 35,
+    "P4": 0,
+    "P5": 25578,
+    "P6": 31086,
+    "P7": -13,
+    "P8": -10,
+    "P9": 17322,
+    "P10": 18,
+    "P11": -60,
+}
+FORCED = ("bmp280", "bmp388")
+ADDRESSES = {"bmp280": 0x76, "bmp388": 0x76}
+ASKED = {"bmp280": b"\xf4\x55", "bmp388": b"\x1b\x13"}
+LONGEST_S = {"bmp280": 0.043225, "bmp388": 0.043}  # BMP-109, BMP-209
+RESET = {"bmp280": (0xE0, 0xB6), "bmp388": (0x7E, 0xB6)}
 
 
 def sensor(chip: str, rate_hz: float = 4.0) -> SensorConfig:
@@ -70,6 +93,38 @@ def test_the_worked_example_of_the_bmp280() -> None:
     assert temperature[0] == 25.08
     assert pressure[0] == pytest.approx(100653.27, abs=0.05)
     assert pressure_bmp280_32_bits(up, fine, WORDS_280)[0] == pytest.approx(100653.27, abs=3.0)
+
+
+def test_calibration_words_of_a_bmp388() -> None:
+    assert calibration_words_bmp388(BLOCK_388) == WORDS_388
+    unsigned = {name for name, word in calibration_words_bmp388(b"\xfe\xff" * 10 + b"\xfe").items() if word > 0}
+    assert unsigned == {"T1", "T2", "P5", "P6"}  # BMP-203
+
+
+def test_a_measurement_that_somebody_published_with_his_bmp388() -> None:
+    """BMP-220: bytes 97 9F 6D 73 D8 85 are 30.499314 degC and 100876.0063 Pa in real numbers; integers drop what is
+    below 0.01.
+    """
+    temperature, pressure = compensate_bmp388(np.array([0x85D873]), np.array([0x6D9F97]), WORDS_388)
+    assert temperature[0] == 30.49
+    assert pressure[0] == 100876.0
+
+
+def test_the_integers_of_the_bmp388_follow_the_formulas_in_real_numbers() -> None:
+    """Over -40 to 85 degC and 300 to 1250 hPa, by the data sheet's chapter 9 (BMP-221)."""
+    words, off_degc, off_pascal = Words388(), [], []
+    raw = np.arange(0, 1 << 24, 65537)
+    for ut in raw.tolist():
+        degc = degc_of(words, ut)
+        if not -40 <= degc <= 85:
+            continue
+        temperature, pressure = compensate_bmp388(np.full_like(raw, ut), raw, WORDS_388)
+        off_degc.append(temperature[0] - degc)
+        exact = np.array([pascal_388(words, degc, up) for up in raw])
+        off_pascal.append((pressure - exact)[(exact >= 30_000) & (exact <= 125_000)])
+    assert len(np.concatenate(off_pascal)) > 5000
+    assert np.abs(off_degc).max() < 0.011
+    assert np.abs(np.concatenate(off_pascal)).max() < 0.1
 
 
 def test_the_integers_of_the_bmp280_follow_the_formulas_in_real_numbers() -> None:
@@ -104,10 +159,11 @@ def test_raw_words_come_back(chip: str) -> None:
 
 @pytest.mark.parametrize("chip", FORCED)
 def test_nonsense_does_not_end_a_log(chip: str) -> None:
-    """Every raw word of 20 bits gives some number, whatever the other one is."""
+    """Every raw word gives some number, whatever the other one is."""
     arithmetic = BAROMETERS[chip]
-    raw = np.arange(0, 1 << 20, 997)
-    for other in (0, 1 << 19, (1 << 20) - 1):
+    bits = {"bmp280": 20, "bmp388": 24}[chip]
+    raw = np.arange(0, 1 << bits, (1 << bits) // 1009)
+    for other in (0, 1 << bits - 1, (1 << bits) - 1):
         for ut, up in ((raw, np.full_like(raw, other)), (np.full_like(raw, other), raw)):
             temperature, pressure = arithmetic.compensate(ut, up, arithmetic.words)
             assert np.isfinite(temperature).all()
@@ -223,19 +279,24 @@ def test_an_old_result_is_never_taken_for_a_new_one(ready: Any) -> None:
     assert decoded.compensated["pressure"][0] == pytest.approx(90000, abs=0.5)
 
 
-@pytest.mark.parametrize("word", ["T1", "T2", "P1"])
+@pytest.mark.parametrize(("chip", "word"), [("bmp280", word) for word in ("T1", "T2", "P1")] + [("bmp388", "P5")])
 @pytest.mark.parametrize("value", [0x0000, 0xFFFF])
-def test_no_calibration_word_that_matters_is_0_or_ffff(bench: Callable[..., Any], word: str, value: int) -> None:
-    made = bench(CHIPS["bmp280"], sensor("bmp280"), calibration={word: value})
-    with pytest.raises(SensorError, match=rf"P \(bmp280\) at trunk address 0x76: calibration word {word} reads "):
+def test_no_calibration_word_that_matters_is_0_or_ffff(
+    bench: Callable[..., Any], chip: str, word: str, value: int
+) -> None:
+    made = bench(CHIPS[chip], sensor(chip), calibration={word: value})
+    with pytest.raises(SensorError, match=rf"P \({chip}\) at trunk address 0x76: calibration word {word} reads "):
         made.driver.configure()
 
 
 def test_dirty_state(ready: Any) -> None:
-    """Somebody's filter and three-wire SPI are switched off, his measurements stop."""
-    ready.write((0xF5, 0xFD), (0xF4, 0x27))
+    """Somebody's filter (and three-wire SPI) are switched off, his measurements stop."""
+    filters, measure = {"bmp280": ((0xF5, 0xFD), (0xF4, 0x27)), "bmp388": ((0x1F, 0x0E), (0x1B, 0x33))}[
+        ready.sensor.chip
+    ]
+    ready.write(filters, measure)
     ready.driver.configure()
-    assert ready.register(0xF5) == 0
+    assert ready.register(filters[0]) == 0
     assert reading(ready).compensated["pressure"][0] == pytest.approx(101325, abs=0.5)
 
 
@@ -245,6 +306,7 @@ def test_dirty_state(ready: Any) -> None:
         ("bmp280", 0x55, "identity 55, a BMP180, expected 58"),
         ("bmp280", 0x60, "identity 60, a BME280, expected 58"),  # BMP-102
         ("bmp280", 0x00, "identity 00, expected 58"),
+        ("bmp388", 0x60, "identity 60, a BMP390, expected 50"),  # BMP-202
     ],
 )
 def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: int, said: str) -> None:

@@ -28,6 +28,7 @@ SENSORS = {
     "lsm6dso_gyro": "address = 0x6A\nrange = 500\n",
     "bmp180": "address = 0x77\n",
     "bmp280": "address = 0x76\n",
+    "bmp388": "address = 0x76\n",
     "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
     "lis3mdl": "address = 0x1C\nrange = 4\n",

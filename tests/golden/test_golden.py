@@ -10,7 +10,19 @@ from typing import Any
 import pytest
 
 PATHS = sorted(Path(__file__).parent.glob("*.jsonl"))
-CHIPS = {"adxl345", "bma180", "bmp180", "bmp280", "hmc5883", "hmc5883l", "l3g4200d", "lis3mdl", "mmc5983", "pca9544a"}
+CHIPS = {
+    "adxl345",
+    "bma180",
+    "bmp180",
+    "bmp280",
+    "bmp388",
+    "hmc5883",
+    "hmc5883l",
+    "l3g4200d",
+    "lis3mdl",
+    "mmc5983",
+    "pca9544a",
+}
 DIES = ("mpu6050", "mpu6500", "mpu9250", "icm42688", "lsm6dso")
 CHIPS |= {f"{die}_{half}" for die in DIES for half in ("acc", "gyro")}
 Lines = list[dict[str, Any]]

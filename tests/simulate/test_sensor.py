@@ -207,8 +207,9 @@ def test_a_loss_at_a_chunks_edge_is_told(constant: Any) -> None:
     np.testing.assert_array_equal((block.status & LOST_BEFORE) != 0, rows % 5 == 1)
 
 
-@pytest.mark.parametrize(  # BMP-44 and steps of 1 Pa; BMP-125
-    ("chip", "rms_pa", "step_pa", "step_degc"), [("bmp180", 3.0, 1.0, 0.1), ("bmp280", 1.3, 0.0, 0.01)]
+@pytest.mark.parametrize(  # BMP-44 and steps of 1 Pa; BMP-125, BMP-223
+    ("chip", "rms_pa", "step_pa", "step_degc"),
+    [("bmp180", 3.0, 1.0, 0.1), ("bmp280", 1.3, 0.0, 0.01), ("bmp388", 1.3, 0.0, 0.01)],
 )
 def test_a_barometer_tells_temperature_and_pressure(
     constant: Any, chip: str, rms_pa: float, step_pa: float, step_degc: float
