@@ -257,7 +257,8 @@ def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:
     curve = _quotient(up * _quotient(bend, 10), 512) * 10
     twist = _quotient(_quotient(words["P11"] * (up * up), 65536) * up, 128)
     whole = _quotient(offset, 4) + _quotient(slope, 1 << 24) * up + curve + twist
-    return (np.maximum(whole, 0).astype(np.uint64) * np.uint64(25) >> np.uint64(40)).astype(np.int64)
+    hundredths = np.maximum(whole, 0).astype(np.uint64) * np.uint64(25) >> np.uint64(40)
+    return np.asarray(hundredths, np.int64)
 
 
 def _quotient(numerator: Integers, divisor: int) -> Integers:

@@ -1,7 +1,7 @@
 """BMP388 barometer: Bosch data sheet BST-BMP388-DS001 rev. 1.0, memory map.
 
-Facts BMP-201 ... BMP-212. A BMP390 has the same registers and another identity. The calibration words are per part, one or two bytes each, least significant first. The
-queue, interrupts and the sensor's clock are left out.
+Facts BMP-201 ... BMP-212. A BMP390 has the same registers and another identity. The calibration words are per part, one
+or two bytes each, least significant first. The queue, interrupts and the sensor's clock are left out.
 """
 
 from imuarray.facts.registers import Register
