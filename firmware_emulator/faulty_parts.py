@@ -143,7 +143,7 @@ class FaultyDevice:
         self._device.stop(at_ns)
 
     def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
-        """What happened to the chip while nobody looked."""
+        """Apply to the chip what happened since the last transaction."""
         plugged_in = fault.action == "unplugged"
         number = fault.times.ended(since_ns) if plugged_in else fault.times.begun(since_ns)
         if number <= fault.done or fault.action not in ("unplugged", "reset", "torn"):

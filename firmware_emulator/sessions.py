@@ -173,7 +173,7 @@ class Course:
     phases: tuple[Phase, ...] = ()
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """What the box feels."""
+        """Return what the box feels at `at_ns`."""
         at_s = max(at_ns, 0) * 1e-9
         return self.shaken(at_s, self.commanded(at_ns))
 
@@ -276,7 +276,7 @@ class ReferenceWorld:
     course: Course
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """Without what nobody ordered."""
+        """Return the commanded stimulus, without the vibration of the table."""
         return self.course.commanded(at_ns)
 
 

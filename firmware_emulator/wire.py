@@ -184,14 +184,14 @@ class Wire:
         return received
 
     def _resume(self, address: int, begun_ns: int, at_ns: int) -> None:
-        """As if a transaction begun at `begun_ns` had come by messages, up to the address answered at `at_ns`."""
+        """Continue a transaction begun at `begun_ns` by messages, after the address answered at `at_ns`."""
         self._open = True
         self._begun_ns, self._at_ns = begun_ns, at_ns
         self._addressed[address] = self._responders[address]
         self.scl_clocks += 9
 
     def _interfere(self, address: int) -> None:
-        """What is wrong with the wires shows before a transaction begins."""
+        """Let faults of the wires act before a transaction begins."""
         if self.interference is not None and not self._open:
             self.interference(self, self._responders.get(address, ()))
 

@@ -62,7 +62,7 @@ class PhasedWorld(Protocol):
         """The phases in order of time, not overlapping."""
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """What the box feels at `at_ns`."""
+        """Return what the box feels at `at_ns`."""
 
 
 def positive(**durations: float) -> None:
@@ -322,7 +322,7 @@ class DelayedWorld:
         return tuple(Phase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """What the world shows at `at_ns` of the clock."""
+        """Return what the world shows at `at_ns` of the clock."""
         return self.world(at_ns - self.start_ns)
 
 

@@ -307,7 +307,7 @@ def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: l
 
 
 def _check_against_trunk(array: ArrayConfig, sensor: SensorConfig, where: str) -> None:
-    """What sits upstream of the mux, the mux included, answers on every channel too (PCA-10, PCA-11)."""
+    """Refuse addresses of chips upstream of the mux, which answer on every channel too (PCA-10, PCA-11)."""
     if array.mux is None or sensor.bus is not None:
         return
     if sensor.address == array.mux.address:

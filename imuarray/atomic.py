@@ -85,6 +85,6 @@ def draw_figure(target: str | PathLike[str] | BytesIO, figure: Figure, **options
 
 
 def _sync(path: Path) -> None:
-    """What was written is on the disk when this returns: a power cut leaves the old file or the new one. OSError."""
+    """Write the file to the disk before returning: a power cut leaves the old file or the new one. OSError."""
     with path.open("rb") as file:
         os.fsync(file.fileno())

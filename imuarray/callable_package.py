@@ -19,7 +19,7 @@ class CallablePackage(ModuleType):
     """A package `imuarray.NAME` whose call is that of `imuarray.analysis.NAME`, which is loaded by the first one."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
-        """What the function gives."""
+        """Call the function of the package's name and return its result."""
         return self._function()(*arguments, **options)
 
     @property

@@ -50,7 +50,7 @@ def trims_of(page: bytes | bytearray) -> Trims:
 
 
 def settings_of(page: bytes | bytearray) -> Settings:
-    """All that a register page says about converting."""
+    """Return the settings of a conversion that the register page holds."""
     testing = bool(facts.SELF_TEST_0.of(page[_CONTROL]))
     return Settings(
         range_code=facts.RANGE.of(page[0x35]),
@@ -247,7 +247,7 @@ class Bma180(Chip):
         self._catch_up(at_ns)
 
     def _soft_reset(self, value: int, at_ns: int) -> None:
-        """As after power-on, but that the image keeps its contents until the download ends (BMA-56, DEC-10)."""
+        """Reset as after power-on, but keep the image's contents until the download ends (BMA-56, DEC-10)."""
         if value != SOFT_RESET:
             return
         self.page[_STATUS : _CONTROL + 3] = bytes(_CONTROL + 3 - _STATUS)

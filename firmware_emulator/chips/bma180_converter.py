@@ -78,7 +78,7 @@ TRIM_DEGC = 25.0
 
 
 class Settings(NamedTuple):
-    """All that changes a conversion."""
+    """The settings that change a conversion."""
 
     range_code: int
     bandwidth_code: int

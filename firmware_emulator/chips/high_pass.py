@@ -21,7 +21,7 @@ class HighPass:
         self._removed: Triple = (0.0, 0.0, 0.0)
 
     def __call__(self, value: Triple, at_ns: int) -> Triple:
-        """What is left of `value`, the input at `at_ns`, which is never earlier than in the call before."""
+        """Filter `value`, the input at `at_ns`, which is never earlier than in the call before."""
         earlier = value if self._input is None else self._input
         kept = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
         x, y, z = (old + (new - old) * kept for new, old in zip(self._removed, earlier, strict=True))

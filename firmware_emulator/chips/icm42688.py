@@ -112,7 +112,7 @@ class Icm42688(SixAxis):
         return self._codes(force, CODES_PER_G[code], code, pushed)
 
     def _gyroscope(self, at_ns: int) -> list[int] | None:
-        """None while the adaptive range holds the reading (TDK-18)."""
+        """Return the codes of a reading; None while the adaptive range holds the reading (TDK-18)."""
         code = facts.GYRO_RANGE.of(self.page[facts.GYRO_CONFIG0.address])
         filter_code = facts.GYRO_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
         bandwidth_hz = self._bandwidth_hz(self._halves[GYROSCOPE], filter_code)

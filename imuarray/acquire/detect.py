@@ -22,14 +22,14 @@ from imuarray.facts.registers import Register
 
 
 def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
-    """What an address may hold, and how it is told: the identity register and the value that proves it. Chips that say
-    the same of themselves are one entry.
+    """Return the chips that an address may hold, with the identity register and the value that proves them. Chips that
+    identify themselves alike share an entry.
     """
     names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
     for chip, spec in CHIPS.items():
-        alike = names.setdefault((spec.addresses, spec.identity), [])
-        if die_of(chip) not in alike:
-            alike.append(die_of(chip))
+        dies = names.setdefault((spec.addresses, spec.identity), [])
+        if die_of(chip) not in dies:
+            dies.append(die_of(chip))
     return tuple((" or ".join(sorted(chips)), addresses, identity) for (addresses, identity), chips in names.items())
 
 

@@ -26,7 +26,7 @@ _CALLS = 3
 
 
 class ForcedBarometer:
-    """What the drivers of such chips have in common; one reading is six bytes, and `words_of` tells UT and UP.
+    """The common part of the drivers of such chips; one reading is six bytes, and `words_of` tells UT and UP.
 
     `first`: the register with which a look at the chip begins; `head` bytes come before the reading; `busy`: bits of
     the first byte that are set while the chip measures. `force`: the setting that starts a measurement.

@@ -37,7 +37,7 @@ _SELF_TEST_SETTLE_S = 0.2  # TDK-42
 
 
 class _Half(SixAxisHalf):
-    """What both halves of the die have in common."""
+    """The common part of both halves of the die."""
 
     first: ClassVar[Register] = facts.TEMP_DATA1
     identity: ClassVar[Register] = facts.WHO_AM_I
@@ -103,7 +103,7 @@ class _Half(SixAxisHalf):
         yield 2 / self.rate_hz
 
     def _is_set(self) -> bool:
-        """Whether the die measures with everything set that both halves share."""
+        """Return whether the die measures with everything set that both halves share."""
         if not all(self._holds(setting) for setting in (self.power, *self.settings)):
             return False
         different = [setting for setting in self._filters_by_bank() if not self._holds(setting)]

@@ -37,7 +37,7 @@ _RELATIVES: Mapping[int, str] = MappingProxyType(
 
 
 class _Half(SixAxisHalf):
-    """What both halves of the die have in common."""
+    """The common part of both halves of the die."""
 
     first: ClassVar[Register] = facts.OUT_TEMP_L
     identity: ClassVar[Register] = facts.WHO_AM_I

@@ -29,7 +29,7 @@ _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
 
 
 class _Half(SixAxisHalf):
-    """What both halves of the die have in common."""
+    """The common part of both halves of the die."""
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
     identity: ClassVar[Register] = facts.WHO_AM_I

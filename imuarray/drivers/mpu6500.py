@@ -29,7 +29,7 @@ _SELF_TEST_SETTLE_S = 0.2  # the filter's
 
 
 class _Half(SixAxisHalf):
-    """What both halves of the die have in common."""
+    """The common part of both halves of the die."""
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
     identity: ClassVar[Register] = facts.WHO_AM_I

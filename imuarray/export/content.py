@@ -63,8 +63,8 @@ def _content(log: Log, request: ExportRequest, units: str) -> Content:
         "software": log.software,
         "frame_rate_hz": log.frame_rate_hz,
     }
-    beside = [] if request.sensors else list(_tracks(log))
-    return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events, uncalibrated)
+    tracks = [] if request.sensors else list(_tracks(log))
+    return Content(units, log.epoch, head, (*tables, *tracks), log.phases, log.events, uncalibrated)
 
 
 def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
@@ -104,7 +104,7 @@ def _time(column: Any) -> Column:
 
 
 def _cells(sensor: SensorLog) -> tuple[str, ...]:
-    """What the columns of counts are called."""
+    """Return the names of the columns of counts."""
     count = int(sensor.counts.shape[1])
     if sensor.is_triad:
         return ("x", "y", "z")
@@ -136,7 +136,7 @@ def _plain(value: Any) -> int | float | str | None:
 
 
 def _tracks(log: Log) -> Iterator[Table]:
-    """What stands beside the sensors: truth, reference, clocks."""
+    """Yield the tables beside those of the sensors: truth, reference, clocks."""
     for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
         if track is None:
             continue

@@ -45,7 +45,7 @@ def _column(column: NamedColumn, name: str) -> Column:
 
 
 def _cells(column: NamedColumn) -> tuple[str, ...]:
-    """What a row holds: x, y, z, the entries of a covariance, or a flag for each sensor."""
+    """Return the names of the cells of a row: x, y, z, the entries of a covariance, or a flag for each sensor."""
     if len(column.shape) == 1:
         return ()
     count = column.shape[1]

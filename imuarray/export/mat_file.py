@@ -53,7 +53,7 @@ def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:
 
 
 def _head(content: Content, names: list[str]) -> dict[str, Any]:
-    """What is said of the file: plain fields for people, all of it as JSON for programs."""
+    """Return the description of the file: plain fields for people, all of it as JSON for programs."""
     columns = zip(*content.phases, strict=True) if content.phases else [[]] * 4
     start, end, phase, up = (list(column) for column in columns)
     columns = zip(*content.events, strict=True) if content.events else [[]] * 4

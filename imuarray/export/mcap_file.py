@@ -154,7 +154,7 @@ def epoch_ns(epoch: str, path: Path) -> int:
 
 
 def _say(container: Container, content: Content) -> None:
-    """What is known of the whole: its head as metadata, the array's configuration as the file that it was."""
+    """Write the log's head as metadata and the array's configuration as an attachment."""
     container.metadata("imuarray", {name: str(value) for name, value in content.head.items() if name != "config"})
     if config := content.head.get("config"):
         container.attachment("array.toml", "application/toml", str(config).encode())

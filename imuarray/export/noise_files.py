@@ -72,7 +72,7 @@ def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], d
 
 
 def _stored(request: ExportRequest) -> Mapping[str, Any]:
-    """What `characterise` wrote, of the requested sensors."""
+    """Return what `characterise` wrote of the requested sensors."""
     if request.calibration is not None:
         raise ExportError(f"{request.source}: was made with its calibration; give `characterise` another")
     try:
@@ -144,7 +144,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
 
 
 def _moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
-    """Whether each frame (n,) is in a second of motion: of readings that scatter more than those of a box at rest, or
+    """Return which frames (n,) are in a second of motion: of readings that scatter more than those of a box at rest, or
     whose mean differs from that of the second before or after.
     """
     second = (time - time[:1]) // 1_000_000_000

@@ -103,10 +103,10 @@ def compare(  # noqa: PLR0913
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
     scores, coasts = [], {}
     with ErrorFramesOnDisk(log) as errors, ExitStack() as stack:
-        beside = {}
+        processes = {}
         for technique in wanted:
             if executor is not None and technique not in each_alone:
-                beside[technique] = stack.enter_context(_OtherProcess(executor, log, calibration, technique, only))
+                processes[technique] = stack.enter_context(_OtherProcess(executor, log, calibration, technique, only))
         together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
         for blocks in together:
             errors.add(blocks)
@@ -114,8 +114,8 @@ def compare(  # noqa: PLR0913
         for technique in techniques or technique_names():
             if technique not in errors:
                 heard(technique)
-                if technique in beside:
-                    errors.take(technique, beside[technique].files(parts.next()))
+                if technique in processes:
+                    errors.take(technique, processes[technique].files(parts.next()))
                 else:
                     for block in fuse(log, calibration, technique, only=only, progress=parts.next()):
                         errors.add({technique: block})

@@ -282,7 +282,7 @@ _QUIET_S = 5.0
 def _observations(
     source: Source, views: Sequence[SensorView], missed: int, quiet_s: float, disk: Disk | None
 ) -> Observations:
-    """What counts for the health of the log."""
+    """Return the observations that count for the health of the log."""
     stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
     if source.state == WRITTEN and quiet_s >= _QUIET_S:
         stopped = f"no reading for {quiet_s:.0f} s"
@@ -318,10 +318,10 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
     """
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
 
-    def alike(view: SensorView) -> list[SensorView]:
+    def of_same_rate(view: SensorView) -> list[SensorView]:
         return [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
 
-    return max((alike(view) for view in inertial), key=len, default=[])
+    return max((of_same_rate(view) for view in inertial), key=len, default=[])
 
 
 def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:

@@ -178,7 +178,7 @@ def write_report(
 
 
 def _moved(progress: Callable[[float], None], files: int, of: int, share: float) -> None:
-    """So many files are done, and a share of the next."""
+    """Report progress: `files` of `of` are done, and a `share` of the next."""
     progress((files + share) / of)
 
 

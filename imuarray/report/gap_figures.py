@@ -134,7 +134,7 @@ def place_of(overlay: Overlay) -> str:
 
 
 def _drawable(values: Floats, logarithmic: str) -> Floats:
-    """Without what a logarithmic scale has no place for."""
+    """Return the values with nan for those that a logarithmic scale cannot show."""
     return np.where((values > 0) | ("y" not in logarithmic), values, np.nan)
 
 

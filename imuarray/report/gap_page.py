@@ -52,7 +52,7 @@ def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bo
 
 
 def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
-    """All that the page says below its summary; figures only if they can be `drawn`."""
+    """Return the sections of the page below its summary, with figures only if they can be `drawn`."""
     return (
         _map(diagnosis.map, drawn=drawn),
         _causes(diagnosis),

@@ -101,7 +101,7 @@ class Recording:
 
     @property
     def data(self) -> dict[str, Any]:
-        """What `recording.js` draws, ready for JSON; numbers are the base64 text of little-endian float32."""
+        """Return what `recording.js` draws, ready for JSON; numbers are the base64 text of little-endian float32."""
         unit = self.time_unit
         return {
             "start": self.start_s / unit.seconds,

@@ -53,7 +53,7 @@ def calibrated(model: Model, calibration: Calibration, headers: Iterable[SensorH
 
 
 def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
-    """What was measured of one sensor, over what the model says of it."""
+    """Return the model of a sensor with what was measured of it in place of the model's own figures."""
     _check_fit(unit, header)
     before = model.parts(header)
     effects: dict[str, tuple[Recipe, ...]] = {}

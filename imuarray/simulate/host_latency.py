@@ -165,7 +165,7 @@ def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_HostDelays]:
 
 
 def _pairs(rows: _Rows, count: int) -> _Pairs:
-    """By the first rows of so many sensors."""
+    """Return the intervals between the rows of each pair of the first `count` sensors."""
     usual, idle = np.full((2, count, count), np.nan)
     intervals = np.diff(rows.time_ns)
     for first in range(count):

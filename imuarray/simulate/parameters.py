@@ -92,7 +92,7 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def _complaint(value: object, item: Field[Any]) -> str:
-    """What is required in the place of `value`, "" if it will do."""
+    """Return what is required in the place of `value`, "" if it is valid."""
     if isinstance(item.default, str):
         return "" if isinstance(value, str) else "a text in quotes"
     if not isinstance(item.default, tuple):

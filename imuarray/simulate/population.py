@@ -136,7 +136,7 @@ def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -
 
 
 def _draw(parameter: Field[Any], effect: str, sensor: SensorHeader, streams: Streams) -> Callable[[int, Spread], float]:
-    """What a sensor draws for each (index, population) of a parameter."""
+    """Return the function that draws a sensor's value of each (index, population) of a parameter."""
 
     @cache
     def normal(whose: str) -> Floats:

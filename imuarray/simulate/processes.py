@@ -105,7 +105,7 @@ class SlowProcess:
         return np.concatenate([start[None], inside[:-1]])
 
     def _edges(self, chunk: int) -> tuple[Floats, Floats]:
-        """What a chunk begins and ends with. The steps of all chunks before it count, as far back as they are felt."""
+        """Return the first and last value of a chunk; earlier chunks' steps count as far back as they are felt."""
         felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
         earliest = max(0, chunk - felt)
         steps = self._ends.normal(earliest, chunk + 2).astype(float)

@@ -46,7 +46,7 @@ class FaultEvent:
         return f"{self.time_ns * 1e-9:.2f} s: {self.sensor}{axes} {self._words()}"
 
     def _words(self) -> str:
-        """What is the matter, and what is done."""
+        """Return the sentence that names the fault and what is done about it."""
         if self.state == "readmitted":
             return "agrees with the others again: back in use"
         if self.state == "back":
@@ -61,7 +61,7 @@ class FaultEvent:
         return f"{self._fault()} ({self.significance:.0f} sigma): left out"
 
     def _fault(self) -> str:
-        """What is the matter."""
+        """Return the words that name the fault."""
         factor, unit = READABLE_SI[self.quantity]
         size = f"{factor * self.size_si:.3g} {unit}"
         span = f"{self.range or 0:g} {UNIT[self.quantity]}"

@@ -112,7 +112,7 @@ class Spaces:
         self._last: Parity | None = None
 
     def __call__(self, weights: Floats) -> Parity | None:
-        """As `parity`."""
+        """Return `parity` of the rows with these weights; the last result is kept."""
         if (key := weights.tobytes()) != self._key:
             self._key, self._last = key, parity(self._rows, weights)
         return self._last

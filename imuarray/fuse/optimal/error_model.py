@@ -205,8 +205,8 @@ def error_model(
 
 
 def _of_design(wander: float, slope: float, is_known: bool) -> DesignErrors:
-    """What nobody measured: a design is taken to wander in common as far as its units do singly. What was measured of a
-    unit has all in it, and nothing is added.
+    """Return the common errors of a design, which nobody measured: it is taken to wander in common as far as its units
+    do singly. What was measured of a unit includes them, and nothing is added.
     """
     if is_known:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)

@@ -247,7 +247,7 @@ class ArrayFilter:
         return solution
 
     def _begun(self, part: Readings, warmer_degc: Floats) -> SegmentView:
-        """What is believed as a segment begins."""
+        """Return the state that is believed as a segment begins."""
         since = int(part.time[0]) if self._since is None else self._since
         decay, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
         self._step = (self.belief, decay, added)

@@ -289,7 +289,7 @@ def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: So
 def _clipped_readings(
     view: SegmentView, bounds: Bounds, valid: Booleans, axes: Indices, terms: Floats, gains: Floats
 ) -> ClippedReadings:
-    """What the clipped `axes` say in the frames of `bounds`, whose gains and terms these are."""
+    """Return the readings of the clipped `axes` in the frames of `bounds`, whose gains and terms these are."""
     slow = view.slow(terms)
     return ClippedReadings(
         rows=view.rows[axes],

@@ -281,7 +281,7 @@ def _of_candidate(
 
 
 def _needed_record(candidate: Candidate, quantity: str, done: Collection[str], met: Collection[Need]) -> str:
-    """What to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
+    """Return what to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
     special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
     needs = special.get(candidate.effect, _NEEDS.get(candidate.effect, ()))
     if not needs:

@@ -101,7 +101,7 @@ def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
 
 
 def _sampled(phase: Phase, motion: LikeLog) -> Felt:
-    """What the box feels at moments evenly spread over a phase."""
+    """Return what the box feels at moments evenly spread over a phase."""
     return motion.felt(np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64))
 
 

@@ -52,7 +52,7 @@ say anything.
 
 
 class Reference(NamedTuple):
-    """What a log says beside its sensors: the `temperature`, and the motion by the `track` of an instrument, if any."""
+    """The references beside the sensors of a log: `temperature`, and motion by the `track` of an instrument."""
 
     temperature: Temperature
     track: Motion | None = None

@@ -112,7 +112,7 @@ def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
 
 
 def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:
-    """Which rows hold the zeros of a chip that has made no reading since its reset."""
+    """Return which rows hold the zeros of a chip that has made no reading since its reset."""
     stale = (np.asarray(sensor.status[begin : begin + len(inside)]) & STALE) != 0
     return np.asarray(stale & (inside == 0).all(axis=1))
 

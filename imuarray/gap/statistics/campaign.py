@@ -159,13 +159,13 @@ def _summarise_jointly(
     ]
     for name, grid in ((name, layout.grids[name]) for name in replicates[0]):
         new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].cache]
-        for some in _simultaneous([one[name] for one in blocks], new):
+        for some in _simultaneous([block[name] for block in blocks], new):
             header = replicates[0][name].header
             tallied = _summaries(header, phase, grid, [blocks[at][name] for at in some], reference, recorded)
             for at, summary in zip(some, tallied, strict=True):
                 replicates[at][name].cache[phase, grid] = summary
     crosses: dict[int, Cross | None] = {}
-    for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
+    for some in _simultaneous([list(chain(*block.values())) for block in blocks], range(len(replicates))):
         crosses.update(
             zip(
                 some,
@@ -232,7 +232,7 @@ def _crosses(
     if cross is None:
         return [None] * len(blocks)
     waiting = {
-        name: list(zip(*(one[name] for one in blocks), strict=True)) for name in sources if name in cross.sensors
+        name: list(zip(*(block[name] for block in blocks), strict=True)) for name in sources if name in cross.sensors
     }
     for name, several in _interleaved({name: iter(own) for name, own in waiting.items()}, phase):
         cross.accept(name, several)

@@ -31,7 +31,7 @@ class Line(NamedTuple):
 
 
 def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -> Iterator[Line]:
-    """So many at most, the highest first, those beside `known` bins left out; none of a sensor that gave one code."""
+    """Yield at most `count` lines, highest first, except near `known` bins; none where all codes are equal."""
     density = spectrum.density
     if not density.max() > 0:
         return

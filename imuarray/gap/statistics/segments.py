@@ -102,7 +102,7 @@ class SegmentTally:
             np.asarray(temperature(at_ns), float),
             (ends_degc[1:] - ends_degc[:-1]) / widths_s,
         )
-        mean, variance, third, fourth = (split_replicates(one, replicates) for one in self._moments(origin, rows))
+        mean, variance, third, fourth = (split_replicates(moment, replicates) for moment in self._moments(origin, rows))
         degc, noise = self._thermometer_moments(rows)
         return [
             Segments(*times, mean[at], variance[at], third[at], fourth[at], degc[at], noise[at])

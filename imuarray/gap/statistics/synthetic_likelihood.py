@@ -84,11 +84,11 @@ class SyntheticLikelihood:
 
     @property
     def is_silent(self) -> Booleans:
-        """Which statistics (n,) the fit makes equal in all replicates."""
+        """Return which statistics (n,) the fit makes equal in all replicates."""
         return np.asarray(self.scale < _SAME * (1 + np.abs(self.location)))
 
     def _is_silent(self, values: Floats) -> Booleans:
-        """Which statistics (n,) are equal in the recording too."""
+        """Return which statistics (n,) are equal in the recording too."""
         return np.asarray(self.is_silent & (np.abs(values - self.location) < 10 * _SAME * (1 + np.abs(self.location))))
 
 

@@ -123,7 +123,7 @@ class RangeReset(Effect):
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
-        """Of this run, in ns: since when rows are doubted, and from when to when readings are others."""
+        """Yield the known stretches of this run: since when rows are doubted, begin and end of the other range (ns)."""
         known = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
         for run, moment_s, length_s, doubt_s in known:
             if run == at.streams.boot:

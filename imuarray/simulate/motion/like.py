@@ -114,7 +114,7 @@ class LikeLog:
 
     @cached_property
     def _stretches(self) -> dict[tuple[int, int, int], Felt]:
-        """By number, first and last of the instants; the ones that were asked for last at the end."""
+        """A cache of stretches by number, first and last of their instants; the most recently used stand last."""
         return {}
 
     def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
@@ -130,7 +130,7 @@ class LikeLog:
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], Felt]:
-        """What is felt at times that are given as bytes."""
+        """A cache of what is felt at times that are given as bytes."""
         return lru_cache(maxsize=_KEPT)(lambda times: self._felt(np.frombuffer(times, np.int64)))
 
     def _felt(self, time_ns: Integers) -> Felt:
@@ -215,7 +215,7 @@ class LikeLog:
 
     @cached_property
     def _warming(self) -> tuple[TemperatureSource, SplineColumns | None]:
-        """What tells the temperature, and the temperature."""
+        """The source of the temperature, and the temperature itself."""
         tracks: tuple[tuple[TemperatureSource, Track | None], ...]
         tracks = ("truth", self.log.truth), ("reference", self.log.reference)
         for name, track in tracks:

@@ -167,7 +167,7 @@ class SplineColumns:
 
     @cached_property
     def _blocks(self) -> dict[int, _Block]:
-        """Those in memory, the one that was asked for last at the end."""
+        """The blocks in memory, the most recently used last."""
         return {}
 
     def _block(self, number: int) -> _Block:

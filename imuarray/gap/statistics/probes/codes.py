@@ -28,8 +28,8 @@ def second_bit(summary: Summary) -> Floats:
 
 def absent(summary: Summary) -> Floats:
     """arcsine of the share of codes in the middle nine tenths that never came."""
-    found = _middles(summary)
-    return arcsine([missing for missing, _ in found], [codes for _, codes in found])
+    middles = _middles(summary)
+    return arcsine([missing for missing, _ in middles], [codes for _, codes in middles])
 
 
 def at_ends(summary: Summary) -> Floats:
