@@ -256,13 +256,16 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(
 
 @pytest.mark.parametrize(
     ("phase", "said"),
-    [
-        ("zup", "did you mean z_up?"),
-        ("statik", "did you mean static?"),
-        ("z_up", ""),
-        ("run 3", ""),
-        ("z_up_check", ""),
-    ],
+    some(
+        [
+            ("zup", "did you mean z_up?"),
+            ("statik", "did you mean static?"),
+            ("z_up", ""),
+            ("z_up_check", ""),
+            ("run 3", ""),
+        ],
+        2,
+    ),
 )
 def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path, phase: str, said: str) -> None:
     """Other names are allowed: they are recorded as they are."""

@@ -32,6 +32,7 @@ def test_from_a_log_to_numbers(tmp_path: Path) -> None:
     assert (tmp_path / "calibration.toml").exists()
 
 
+@pytest.mark.slow
 def test_the_simulators_missing_tone_is_diagnosed(tmp_path: Path) -> None:
     """The script adds a tone of 0.6 dps at 11 Hz to Gyro2, which its simulator does not know."""
     assert len((EXAMPLES / "sim_to_real.py").read_text().splitlines()) < 50

@@ -93,6 +93,7 @@ def test_a_reset_chip_is_seen_within_a_second_and_nothing_it_said_stands_as_good
                 assert not (np.asarray(other.status) & SUSPECT).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([10.0, 200.0], 1))
 def test_other_rates_keep_the_promise_of_a_second(tmp_path: Path, rate_hz: float) -> None:
     path, reset_ns = _recorded(tmp_path, "BMA4", rate_hz=rate_hz)

@@ -147,13 +147,13 @@ MOMENTARY = ("reset", "torn", "mux_reset")
     [
         (None, 600),
         pytest.param(5.3, 600, marks=pytest.mark.slow),
-        pytest.param(1.7, 600, marks=pytest.mark.slow),
-        pytest.param(37.0, 600, marks=pytest.mark.slow),
-        pytest.param(None, 3600, marks=pytest.mark.slow),
-        pytest.param(5.3, 3600, marks=pytest.mark.slow),
+        pytest.param(1.7, 600, marks=pytest.mark.campaign),
+        pytest.param(37.0, 600, marks=pytest.mark.campaign),
+        pytest.param(None, 3600, marks=pytest.mark.campaign),
+        pytest.param(5.3, 3600, marks=pytest.mark.campaign),
     ],
 )
-@pytest.mark.parametrize("kind", some(FAULTS, 4))
+@pytest.mark.parametrize("kind", some(FAULTS, 2))
 def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seconds: int) -> None:
     """A fault of every kind for the whole recording, or again and again: few events, and the last of them is an end."""
     table = {"at_s": 20.0, **TABLES[kind]}

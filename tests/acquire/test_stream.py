@@ -342,7 +342,7 @@ def test_no_room_for_so_many_lists(
     assert not (tmp_path / "r.h5").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_until_both_counters_have_wrapped_by_themselves(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0)
     bench = Bench(array, drift=5e-4)

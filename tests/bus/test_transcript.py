@@ -350,6 +350,7 @@ def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
     return live, again, array
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hurried", some([False, True], 1))
 def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) -> None:
     live_summary, again_summary, array = faulty_night(tmp_path, hurried)

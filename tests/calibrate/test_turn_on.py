@@ -96,6 +96,7 @@ DATASETS = 1000
 FALSE_ALARMS = 0.01 + 3 * np.sqrt(0.01 * 0.99 / DATASETS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tails", some(["normal", "student 3", "laplace"], 1))
 def test_one_state_is_rarely_called_two(tails: str) -> None:
     """1000 series of correlated axes: no more false alarms than 1 % and three binomial standard errors (1.9 %)."""
@@ -277,6 +278,7 @@ def run(paths: Sequence[Path], **options: object) -> tuple[Calibration, dict[str
     return calibration, {result.runs.sensor: result for result in results}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("together", some([False, True], 1))
 def test_a_turn_on_bias_and_its_absence(write: Write, together: bool) -> None:
     """12 runs. A changes by 2 counts rms, S not at all: noise of 3 counts makes 3 / sqrt(1200) = 0.087 of a mean."""

@@ -76,6 +76,7 @@ def test_noise_is_identified(noise: Noise, exponent: float) -> None:
     assert sum(identify_noise(_power_law(rng, exponent, 1000)) == noise for _ in range(200)) >= 198
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "exponent"), some([("white", 0.0), ("flicker", 1.0), ("random walk", 2.0)], 1))
 def test_noise_is_identified_in_averages(noise: Noise, exponent: float) -> None:
     """In 100 series of 500 averages over 16: averaging moves the correlations, and the next type is three standard

@@ -52,9 +52,16 @@ def write_run(path: Path) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def run_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return write_run(tmp_path_factory.mktemp("run") / "run.h5").read_bytes()
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    return write_run(tmp_path / "run.h5")
+def run(tmp_path: Path, run_bytes: bytes) -> Path:
+    path = tmp_path / "run.h5"
+    path.write_bytes(run_bytes)
+    return path
 
 
 def write_fused_run(path: Path) -> Path:
@@ -70,9 +77,16 @@ def write_fused_run(path: Path) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def fused_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return write_fused_run(tmp_path_factory.mktemp("fused") / "fused.h5").read_bytes()
+
+
 @pytest.fixture
-def fused(tmp_path: Path) -> Path:
-    return write_fused_run(tmp_path / "fused.h5")
+def fused(tmp_path: Path, fused_bytes: bytes) -> Path:
+    path = tmp_path / "fused.h5"
+    path.write_bytes(fused_bytes)
+    return path
 
 
 def back(source: Path) -> Path:

@@ -23,7 +23,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from tests.export.conftest import ACC, BARO, EPOCH, EPOCH_NS, GYRO, MESSAGE, MS
-from tests.selection import some
+from tests.selection import examples, some
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -223,7 +223,7 @@ COUNTS = st.lists(st.lists(st.integers(-(2**15), 2**15 - 1), min_size=3, max_siz
 PRESSURES = st.lists(st.floats(1.0, 2e5), min_size=1, max_size=4)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(force=COUNTS, rate=COUNTS, pressures=PRESSURES)
 def test_any_counts_come_back(
     tmp_path: Path, force: list[list[int]], rate: list[list[int]], pressures: list[float]

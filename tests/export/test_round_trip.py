@@ -20,7 +20,7 @@ from imuarray.importers.exported import importer_of
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from tests.export.conftest import EPOCH, back, write_fused_run, write_run
-from tests.selection import some
+from tests.selection import examples, some
 
 FORMATS = ("npz", "csv", "parquet")
 
@@ -125,7 +125,7 @@ def _rows(draw: Any, header: SensorHeader, times: list[int]) -> Block:
     return Block(np.array(times, np.int64), counts, status, degrees if header.has_temperature else None, made)
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(write=logs())
 def test_any_log_comes_back(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     run = write(tmp_path / "any.h5")

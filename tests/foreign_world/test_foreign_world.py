@@ -124,6 +124,7 @@ def test_nothing_but_numpy_h5py_and_the_standard_library_is_imported() -> None:
             assert not (isinstance(node, ast.Name) and node.id in ("__import__", "exec", "eval")), path.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", some(range(4), 1))
 def test_logs_open(tmp_path: Path, index: int) -> None:
     case = draw_case("development", 0, "control", index)
@@ -207,6 +208,7 @@ def test_faces_show_gravity_within_the_scale_tolerance() -> None:
     assert seen > 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("chip", "range_", "rate", "bandwidth", "density", "codes"),
     [

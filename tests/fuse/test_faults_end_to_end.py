@@ -200,7 +200,7 @@ def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: P
             (SMOOTHED, "BMA4", "stuck"),
             (CAUSAL, "BMA2", "biased"),
         ],
-        2,
+        1,
     ),
     ids=["mean", "planes", "optimal", "causal"],
 )

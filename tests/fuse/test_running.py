@@ -98,6 +98,7 @@ def test_values_that_are_none_do_not_count() -> None:
     assert np.isnan(fed(SECONDS, np.full(len(SECONDS), np.nan), [10.0]).at(np.array([5.0]), 0)).all()
 
 
+@pytest.mark.slow
 def test_it_keeps_no_more_than_it_needs() -> None:
     thermometer = CausalThermometer([10.0])
     for start in range(0, 40_000, 50):

@@ -124,6 +124,7 @@ def test_where_nothing_else_deviates_the_held_out_part_chooses() -> None:
     assert deviating(pairs, before, before, np.zeros(4, bool)).keys == (keys[1],)
 
 
+@pytest.mark.slow
 def test_the_interval_covers() -> None:
     """40 blocks of 3 scores that hang together, of standard deviation 10 before and sqrt(10.9) after: of the excess 99
     9.9 is left, 90 % closed. In 150 campaigns a 95 % bootstrap interval of 40 blocks holds it in 0.85 or more of all;
@@ -143,6 +144,7 @@ def test_the_interval_covers() -> None:
     assert covered >= 115
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [1, 2, 3, 6])
 def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
     """Three scores each, off by 10 or so before and, the same way, by a share of that after; chance adds one standard

@@ -86,7 +86,7 @@ def test_false_alarms(nothing: Comparison) -> None:
     assert alarms <= 14
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_false_alarms_are_as_rare_as_promised() -> None:
     """60 campaigns, 40 replicates each: p <= 0.05 has a probability of 2/41 each; at most 8 of 60 come with one of
     0.998 (binomial).

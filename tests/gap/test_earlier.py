@@ -106,7 +106,7 @@ def test_less_noise_than_before(tmp_path: Path) -> None:
     assert np.allclose(found.causes[0].parameters["rms_dps"], 0.05, rtol=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_earlier_recording_of_another_kind_and_length_tells_what_it_can(tmp_path: Path) -> None:
     """Six faces of ten seconds, then a minute on one: the same array with its line, and afterwards another bias."""
     before = written(tmp_path / "before.h5", (LINE,), 0, Tumble(10.0, 1.0))

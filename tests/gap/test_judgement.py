@@ -159,6 +159,7 @@ def test_a_little_that_is_left_is_explained_in_part() -> None:
     assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, has_remainder=True).verdict == "no gap"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("times", "is_left", "is_unlikely"),
     some([(0.8, False, False), (1.2, True, False), (1.4, True, False), (1.8, True, True)], 3),

@@ -97,6 +97,7 @@ def test_what_shows_beside_others_waits(
     assert [name for (name,) in _deferred(replace(found, bench=bench), came)] == waiting
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_there", some([True, False], 1))
 def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     """The line drowns in the noise of G2, of which nobody can say that it isn't there; where G2 is as quiet as G1, and

@@ -170,6 +170,7 @@ def wandering(rng: np.random.Generator, kind: str) -> np.ndarray:
     return np.asarray(noise + rng.normal(0, 20) * np.exp(-np.arange(64) / 10))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(["walk", "drift", "warming up"], 1))
 @pytest.mark.parametrize("groups", some([2, 4], 1))
 def test_slow_errors_pass_for_a_stimulus_no_more_often_than_said(kind: str, groups: int) -> None:

@@ -133,6 +133,7 @@ def test_copies_count_once(copies: int, independent: int) -> None:
     assert independent_share(scores) == pytest.approx(1 / copies, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", some([0.0, 0.3, 0.7, 0.95], 1))
 def test_what_is_correlated_counts_in_part(rho: float) -> None:
     """Blocks of 4 of which any two have correlation rho: each one's squares sum to 1 + 3 rho^2. 5000 replicates."""

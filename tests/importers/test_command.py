@@ -18,6 +18,7 @@ EXTRACT = ROOT / "tests" / "data" / "mimu4444" / "exp_1_extract.bin"
 EXAMPLE = ROOT / "configs" / "import_example.toml"
 
 
+@pytest.mark.slow
 def test_a_format_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.h5"
     assert main(["import", str(EXTRACT), "--format", "mimu4444", "-o", str(out), "--json"]) == 0

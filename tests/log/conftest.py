@@ -51,14 +51,17 @@ def write_small(path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    return write_small(tmp_path / "small.h5")
-
-
 @pytest.fixture(scope="session")
 def small_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return write_small(tmp_path_factory.mktemp("small") / "small.h5").read_bytes()
+
+
+@pytest.fixture
+def small(tmp_path: Path, small_bytes: bytes) -> Path:
+    """A copy of its own for every test: many spoil it."""
+    path = tmp_path / "small.h5"
+    path.write_bytes(small_bytes)
+    return path
 
 
 @pytest.fixture

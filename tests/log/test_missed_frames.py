@@ -176,6 +176,7 @@ def test_files_are_made_in_no_time_of_the_recording(tmp_path: Path, monkeypatch:
         assert frame_timing(log) == (0, 4.0)
 
 
+@pytest.mark.slow
 def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
     array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1", "BMA1"))
     left = {225: 0.145, 234: 0.145, 252: 0.145, 261: 0.145, 700: 0.205}  # the second part begins with frame 250

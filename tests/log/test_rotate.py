@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from imuarray.errors import DiskFullError, OutputExistsError
 from imuarray.log import Block, LogWriter, RotatingWriter, Stimulus, open_log
 from imuarray.log.format import Event, Phase, SensorHeader
+from tests.selection import examples
 
 HEADERS = tuple(SensorHeader(name, "l3g4200d", "angular_rate", "dps", 250.0, 114.3) for name in ("A", "B"))
 SECOND = 1_000_000_000
@@ -66,7 +67,7 @@ def test_parts(tmp_path: Path) -> None:
             assert {int(event.message) // 10 for event in part.events} <= {number, number - 1}  # late ones go on
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lengths=st.lists(st.integers(1, 30), min_size=1, max_size=6), every_s=st.sampled_from([0.3, 1.0, 2.5]))
 def test_no_row_is_lost_whatever_the_blocks(tmp_path: Path, lengths: list[int], every_s: float) -> None:
     """Also where one sensor falls silent: then its parts do not wait for it for ever."""

@@ -333,6 +333,7 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
     assert (finished.state, dict(finished.events or {})) == ("finished", {"recovered": 1})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", some(["night_fused.h5", "night_00{part}_fused.h5", "elsewhere.h5", "elsewhere_00{part}.h5"], 1)
 )

@@ -120,6 +120,7 @@ def test_files_may_not_be_longer(tmp_path: Path) -> None:
     check(logged(folder, limit, watermark=0), folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", some([0, 3000, 30_000, 300_000, 1_100_000], 1))
 def test_a_short_limit_on_files_is_one_line(tmp_path: Path, limit: int) -> None:
     """Wherever it is met: in the draft, the reserve, the journal, the file."""

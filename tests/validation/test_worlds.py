@@ -63,6 +63,7 @@ def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
         assert all(vibration["peak_g"] <= 5e-4 for vibration in world.room["vibrations"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [1_000_000, 2_120_000])
 def test_a_short_run_has_something_of_everything(first: int) -> None:
     """Of 40 seeds in a row, wherever they begin, each stratum has its share of 400 to within 0.15."""

@@ -81,6 +81,7 @@ def test_units_stay_and_noise_goes_from_log_to_log(tmp_path):
         assert [phase.name for log in (static, first, second) for phase in log.phases] == ["static", "run 1", "run 2"]
 
 
+@pytest.mark.slow
 def test_the_truth_tells_everything(tmp_path):
     _, truth = written(tmp_path, "a", ("package_tilt", 2.0, ("BMA3",)), ("mux_hang", 20.0, ()), seed=9)
     assert truth["seed"] == 9

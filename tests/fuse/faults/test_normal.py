@@ -65,6 +65,7 @@ def test_the_colour_of_noise_is_found() -> None:
     assert learnt(noise).colour.mean() == pytest.approx(4.155 - 0.735, rel=0.15)
 
 
+@pytest.mark.slow
 def test_white_noise_has_none() -> None:
     noise = np.random.default_rng(4).normal(0, 0.02, (10000, 9))
     assert learnt(noise).colour.mean() < 1.3

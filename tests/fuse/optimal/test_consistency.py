@@ -79,6 +79,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", some(CASES, 1))
 def test_it_is_never_worse_than_a_single_technique(case: str) -> None:
     """20 s of 20 logs each: the mean squared error of all frames. Of what is the same in all, noise and draws, the
@@ -142,6 +143,7 @@ def wander(rng: np.random.Generator, count: int, time_constant_s: float) -> Floa
     return np.interp(np.arange(count) / 16, np.arange(len(found)), found)
 
 
+@pytest.mark.slow
 def test_errors_are_within_a_twentieth_of_the_bound() -> None:
     """Root mean square over 600 logs of a frame at which everything is learned that can be: 1800 squares tell it to
     1.7 % (one sigma; fixed seed). The bound is least squares of all readings so far.

@@ -49,7 +49,7 @@ def test_an_axis_within_the_population_has_no_part_in_it() -> None:
     assert found.error[1:] == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(("kind", "sensor", "within"), [("tumble", "A1", 0.1), ("motion", "G1", 0.5)])
+@pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.1), ("motion", "G1", 0.5)], 1))
 def test_misalignment(kind: str, sensor: str, within: float) -> None:
     angles = (4.0, 0.0, 0.0, 0.0, 0.0, -3.0)
     (trial,) = misalignment.guesses(evidence_of(kind, sensor, {sensor: (Misalignment(angles),)}))

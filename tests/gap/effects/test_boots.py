@@ -114,6 +114,7 @@ def test_boots_are_alike() -> None:
         assert list(candidate.guesses(evidence)) == []
 
 
+@pytest.mark.slow
 def test_a_step_that_stays() -> None:
     """From the fifth of eight boots on; single boots scatter by less than a hundredth of that."""
     evidence = evidence_of("turn-on", "A1", {"A1": (Bias((0.05, 0.0, -0.02), 4),)}, seed=7)

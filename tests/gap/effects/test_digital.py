@@ -36,6 +36,7 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
     assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "sensor", "step"), some([("static", "A1", 2.0), ("static", "A1", 4.0), ("tumble", "G1", 16.0)], 1)
 )

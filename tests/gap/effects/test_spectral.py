@@ -137,6 +137,7 @@ def test_nothing_is_shaped() -> None:
         assert list(candidate.guesses(evidence)) == []
 
 
+@pytest.mark.slow
 def test_noise_of_a_sensor_that_was_never_at_rest() -> None:
     """In 20 s of motion; what others, as noisy, don't explain: sqrt(2) of the noise at most."""
     seen = evidence_of("motion", "A1", seed=5)
@@ -192,6 +193,7 @@ def test_a_filter_of_a_spell_takes_noise_away() -> None:
     assert (always.action, always.free) == ("replace", ("cutoff_hz",))
 
 
+@pytest.mark.slow
 def test_noise_that_grows_at_a_moment_and_stays() -> None:
     """0.05 dps and, from 30 s of the first log on, 0.1 dps more on one axis, as in the log after it."""
     grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 30.0, math.inf), (1, 0.0, math.inf))))

@@ -67,6 +67,7 @@ def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
         assert effect.slope == pytest.approx((0.0, 0.0, 1e-3), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_scale_that_is_off_in_warmth() -> None:
     """All faces at 45 degC, 20 above the reference: 1e-3 per degC makes 2 %, which an error of the scale makes too."""
     put_in = {"A1": (ThermalScale((1e-3, 1e-3, 1e-3)),)}

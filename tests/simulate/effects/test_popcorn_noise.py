@@ -36,6 +36,7 @@ def test_autocovariance_of_a_random_telegraph(place: MakePlace, analog: MakeAnal
     assert np.abs(signs.mean(axis=0)).max() < 5 / 30
 
 
+@pytest.mark.slow
 def test_a_level_that_is_seldom(place: MakePlace, analog: MakeAnalog) -> None:
     """A fifth of the time at the upper level: mean 0, variance 4 x 0.2 x 0.8 = 0.64, exp(-0.4 t / 0.32) from one
     reading to another, wherever; times at a level of 2 x 0.2 / 0.4 = 1 s and 4 s.

@@ -36,6 +36,7 @@ def test_gauss_markov_of_the_given_rms_and_time_constant(
         assert furthest(runs[:, :, axis], correlation * rms[axis] ** 2) < 5
 
 
+@pytest.mark.slow
 def test_random_walk_of_the_given_density(place: MakePlace, analog: MakeAnalog) -> None:
     density, rows = np.array([0.01, 0.02, 0.05]), np.array([1, 100, 400])
     effect = RandomWalk((0.01, 0.02, 0.05))
