@@ -15,14 +15,17 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from firmware_emulator.board import Board, BoardKind, named
+from firmware_emulator.bypass import BehindBypass
 from firmware_emulator.chip import Chip, Target
-from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES
+from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
+from firmware_emulator.chips.mpu6500 import Mpu6500
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.six_axis import SixAxis
 from firmware_emulator.spi import DIALECTS, ChipSelect, Port
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
+from imuarray.facts import mpu6500
 
 TRUNK = ""
 SPI_DEVICE = "/dev/spidev"
@@ -126,6 +129,7 @@ def open_array(  # noqa: PLR0913
     chips: dict[str, Chip] = {}
     dies: dict[tuple[str | int | None, int], Chip] = {}
     branches: dict[int, list[Target]] = {}
+    bypassed: dict[tuple[str | None, int | None], BehindBypass] = {}
     for sensor in array.sensors:
         place = sensor.bus or sensor.channel, sensor.address
         die = dies.get(place)
@@ -140,6 +144,8 @@ def open_array(  # noqa: PLR0913
             continue
         chips[sensor.name] = dies[place] = powered_chip(parts, sensor, now_ns, switches)
         device = parts.device(sensor, chips[sensor.name])
+        if sensor.chip in ON_AUXILIARY_BUS:
+            device = bypassed[sensor.bus, sensor.channel] = BehindBypass(device)
         if on_spi(sensor):
             wire = parts.wire(time, bit_rate_hz, nack_errno, host_ns)
             selects[str(sensor.bus)] = ChipSelect(wire, device, named(sensor.chip, DIALECTS, "chip on SPI"))
@@ -147,6 +153,12 @@ def open_array(  # noqa: PLR0913
             wires[sensor.bus or TRUNK].connect(device)
         else:
             branches.setdefault(sensor.channel, []).append(device)
+    for (own_bus, channel), behind in bypassed.items():
+        hosts = [dies.get((own_bus or channel, address)) for address in mpu6500.ADDRESSES]
+        behind.host = next((host for host in hosts if isinstance(host, Mpu6500)), None)
+        if behind.host is not None:
+            behind.host.on_bypass = wires[own_bus or TRUNK].reroute
+            behind.host.on_bypass()
     if array.mux is not None:
         wires[TRUNK].connect_router(parts.router(array.mux.chip, array.mux.address, branches, now_ns))
     elif branches:

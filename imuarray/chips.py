@@ -14,6 +14,7 @@ from typing import Any
 
 from imuarray.facts import (
     adxl345,
+    ak8963,
     bma180,
     bmp180,
     bmp280,
@@ -370,6 +371,18 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             },
             default_bandwidth_hz=100.0,
             proposed={"range": 8, "rate_hz": 100},
+        ),
+        "ak8963": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=ak8963.ADDRESSES,
+            identity=ak8963.WIA,
+            label="AK{}",
+            burst_bytes=8,
+            sensitivity={49.12: 1 / 0.0015},  # AKM-11
+            rates_hz=(8.0, 100.0),  # AKM-13
+            default_rate_hz=100.0,
+            proposed={"range": 49.12, "rate_hz": 100},
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",

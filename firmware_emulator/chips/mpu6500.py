@@ -1,13 +1,14 @@
 """MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4; INV-70 ... INV-78,
 DEC-80 and -81.
 
-The die is awake after power-on; samples fall on its own grid from then on. Not modelled: queue, auxiliary bus and the
-magnetometer behind it, motion detection, low-power cycle, the settling of the zero-rate level.
+The die is awake after power-on; samples fall on its own grid from then on. Not modelled: queue, auxiliary bus but for
+its bypass, motion detection, low-power cycle, the settling of the zero-rate level.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from struct import Struct
 from types import ModuleType
@@ -41,6 +42,8 @@ class Mpu6500(SixAxis):
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
+    on_bypass: Callable[[], None] | None = None
+    """What is told that the bypass has been opened or closed."""
 
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
@@ -55,6 +58,12 @@ class Mpu6500(SixAxis):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._grid = Grid()
         self._restart(at_ns)
+
+    @property
+    def bypass_open(self) -> bool:
+        """True while the auxiliary bus is connected to the array's (INV-97)."""
+        master = facts.MASTER_ON.of(self.page[facts.USER_CTRL.address])
+        return bool(facts.BYPASS.of(self.page[facts.INT_PIN_CFG.address])) and not master
 
     def _sync(self, at_ns: int) -> None:
         """The latest sample into the data registers."""
@@ -103,8 +112,13 @@ class Mpu6500(SixAxis):
         """A byte written to a register: what was sampled before stays as it was."""
         self.end_reset(at_ns)
         self._sync(at_ns)
-        if self.begin_reset(address, value, at_ns):
-            return
+        was_open = self.bypass_open
+        if not self.begin_reset(address, value, at_ns):
+            self._keep(address, value, at_ns)
+        if self.on_bypass is not None and was_open != self.bypass_open:
+            self.on_bypass()
+
+    def _keep(self, address: int, value: int, at_ns: int) -> None:
         super().store(address, value, at_ns)
         if address == facts.USER_CTRL.address:
             once = facts.FIFO_RESET.mask | facts.MASTER_RESET.mask | facts.SIGNAL_RESET.mask

@@ -5,6 +5,7 @@ line below; docs/how_to/extend.md says what else.
 from __future__ import annotations
 
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
+from imuarray.drivers.ak8963 import Ak8963
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.bmp280 import Bmp280
@@ -47,6 +48,7 @@ DRIVERS: dict[str, type[Driver]] = {
     "hmc5883l": Hmc5883,
     "lis3mdl": Lis3mdl,
     "mmc5983": Mmc5983,
+    "ak8963": Ak8963,
 }
 
 FIFO_DRIVERS: dict[str, type[Driver]] = {"adxl345": Adxl345Fifo, "l3g4200d": L3g4200dFifo}

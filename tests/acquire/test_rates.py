@@ -35,6 +35,7 @@ ALONE = {
     "hmc5883l": "address=0x1E\nrange=1.3\n",
     "lis3mdl": "address=0x1C\nrange=4\n",
     "mmc5983": "address=0x30\nrange=8\n",
+    "ak8963": "address=0x0C\nrange=49.12\n",
 }
 
 

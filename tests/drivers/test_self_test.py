@@ -33,6 +33,7 @@ SENSORS = {
     "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
     "lis3mdl": "address = 0x1C\nrange = 4\n",
     "mmc5983": "address = 0x30\nrange = 8\n",
+    "ak8963": "address = 0x0C\nrange = 49.12\n",
 }
 DEAD_WITHOUT = {
     "adxl345": (0x31, 0x80),
@@ -47,9 +48,10 @@ DEAD_WITHOUT = {
     "lsm6dso_acc": (0x14, 0x03),
     "lsm6dso_gyro": (0x14, 0x0C),
     "lis3mdl": (0x20, 0x01),
+    "ak8963": (0x0C, 0x40),
 }
-"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20, LIS-16):
-without them a chip is dead.
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20, LIS-16,
+AKM-15): without them a chip is dead.
 """
 
 

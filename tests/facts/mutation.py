@@ -30,6 +30,7 @@ if __name__ == "__main__":
 
 CHIPS = (
     "adxl345",
+    "ak8963",
     "bma180",
     "bmp180",
     "bmp280",

@@ -13,6 +13,7 @@ from imuarray.facts.registers import Register
 
 CHIPS = (
     "adxl345",
+    "ak8963",
     "bma180",
     "bmp180",
     "bmp280",

@@ -12,6 +12,7 @@ import pytest
 PATHS = sorted(Path(__file__).parent.glob("*.jsonl"))
 CHIPS = {
     "adxl345",
+    "ak8963",
     "bma180",
     "bmp180",
     "bmp280",

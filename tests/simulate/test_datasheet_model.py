@@ -229,6 +229,13 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("nonlinearity", "quadratic", 2 * 0.12 * PERCENT * 12 / 6**2),
         ),
     ),
+    "ak8963": (
+        49.12,
+        (
+            typical("bias", "offset", 0.75),  # AKM-17
+            typical("scale", "error", 5 * PERCENT),
+        ),
+    ),
     "mmc5983": (
         8.0,
         (
@@ -385,6 +392,7 @@ ALSO = {
     "hmc5883": {"misalignment", "scale"},
     "lis3mdl": {"bias"},
     "mmc5983": {"bias", "scale"},
+    "ak8963": {"bias", "scale"},
 }
 
 
@@ -393,6 +401,7 @@ UNPRINTED = {
     "lsm6dso_gyro": {"nonlinearity"},
     "lis3mdl": {"thermal_scale"},
     "mmc5983": {"thermal_scale"},
+    "ak8963": {"thermal_scale", "nonlinearity", "white_noise"},
 }
 """What the others print, and these do not."""
 

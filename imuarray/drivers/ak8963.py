@@ -1,0 +1,148 @@
+"""AK8963 magnetometer, as it is in the MPU-9250. AKM data sheet MS1356-E-02 (2013); facts AKM-*.
+
+It is on the MPU-9250's auxiliary bus, and answers on the array's while that chip's bypass is open (INV-97): this driver
+opens it. One burst is ST1, x, y, z low byte first, and ST2, which must be read last: it lets the next measurement in
+(AKM-12). The factory's adjustment of the sensitivity, a byte for each axis, is in the header of a log; counts are as
+they come. Its x lies along the y of the MPU-9250, its y along x, its z against z (AKM-03).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.arrays import Floats
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import (
+    Bytes,
+    DecodedBursts,
+    Registers,
+    SelfTest,
+    carry_out,
+    flagged,
+    registers_for,
+    within,
+)
+from imuarray.errors import SensorError
+from imuarray.facts import ak8963 as facts
+from imuarray.facts import mpu6500
+from imuarray.facts.registers import Setting
+from imuarray.log.format import OVERRUN, SATURATED, STALE
+
+_MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
+_POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
+_MODE_CHANGE_S = 0.001  # 100 us: AKM-13
+_MEASURED_S = 0.010  # 9 ms at the most: AKM-14
+_HOSTS = (0x71, 0x73)  # MPU-9250, MPU-9255: INV-03
+_SELF_TEST = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, 16 bits, adjusted
+
+
+class Ak8963:
+    """Driver of one AK8963."""
+
+    burst: ClassVar[int] = 8
+    tells_fresh: ClassVar[bool] = True
+    reading: ClassVar[slice] = slice(1, 7)
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.rate_hz = sensor.chip_rate_hz
+        self.mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
+        self.watched: tuple[Setting, ...] = (self.mode, facts.SELF_TEST(0))
+        self.adjustment = bytes(3)
+
+    def open_bypass(self) -> None:
+        """Open the bypass of the MPU-9250 on this bus, if there is one; SensorError where there are two, whose
+        magnetometers have one address.
+        """
+        hosts = []
+        for address in mpu6500.ADDRESSES:
+            host = Registers(self.registers.bus, address, self.registers.label)
+            try:
+                if host.peek(mpu6500.WHO_AM_I)[0] in _HOSTS:
+                    hosts.append(host)
+            except OSError:
+                continue
+        if len(hosts) > 1:
+            raise SensorError(
+                f"{self.registers.label}: two MPU-9250 are on this bus, and their magnetometers have one address:"
+                " connect them to two channels"
+            )
+        for host in hosts:
+            host.change(mpu6500.BYPASS(1))
+
+    def identify(self) -> None:
+        """WIA is 0x48, once the bypass is open (AKM-02)."""
+        self.open_bypass()
+        self.registers.expect(facts.WIA)
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
+        """Open the bypass, read the fuse ROM, then measure continuously; SensorError if the ROM holds no adjustment."""
+        self.open_bypass()
+        yield from self._set_mode(_POWER_DOWN)
+        self.registers.set(facts.SELF_TEST(0))
+        yield from self._set_mode(_FUSE_ROM)
+        self.adjustment = self.registers.peek(facts.ASAX, 3)
+        if not all(self.adjustment):
+            raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: no AK8963")
+        yield from self._set_mode(_POWER_DOWN)
+        self.registers.set(self.mode)
+        yield 2 / self.rate_hz
+
+    def _set_mode(self, mode: int) -> Iterator[float]:
+        """A mode is set through power-down (AKM-13)."""
+        self.registers.poke(facts.CNTL1, (facts.SIXTEEN_BITS(1) | facts.MODE(mode)).value)
+        yield _MODE_CHANGE_S
+
+    def mark(self, code: int) -> bool:
+        """Do nothing: it has no byte to spare."""
+        return False
+
+    @property
+    def factors(self) -> Floats:
+        """By what counts (3,) are to be multiplied: (ASA + 128) / 256 (AKM-16)."""
+        return (np.frombuffer(self.adjustment, np.uint8).astype(float) + 128) / 256
+
+    def self_test(self) -> SelfTest:
+        """Answer to the chip's own field, adjusted (AKM-15)."""
+        self.configure()
+        carry_out(self.clock, self._set_mode(_POWER_DOWN))
+        self.registers.poke(facts.ASTC, facts.SELF_TEST(1).value)
+        carry_out(self.clock, self._set_mode(_SELF_TEST_MODE))
+        sleep_for(self.clock, _MEASURED_S)
+        burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, -1)
+        decoded = self.decode(burst)
+        self.registers.poke(facts.ASTC, 0)
+        answer = decoded.counts[0] * self.factors
+        self.configure()
+        wanted = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in _SELF_TEST)
+        said = ", ".join(f"{value:+.0f}" for value in answer)
+        if decoded.status[0] & STALE:
+            return SelfTest(False, "no answer to the self-test in 10 ms")
+        return SelfTest(within(answer, _SELF_TEST), f"answers {said} counts; limits {wanted}")
+
+    def fetch(self) -> bytes:
+        """0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
+        return self.registers.peek(facts.ST1, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, low byte first; stale where ST1 said that nothing was ready, overrun where it said that
+        data were skipped, saturated where ST2 said that the sensor overflowed (AKM-11, AKM-12).
+        """
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
+        status = flagged(~bursts[:, 0], facts.DATA_READY.mask, STALE)
+        status |= flagged(bursts[:, 0], facts.DATA_OVERRUN.mask, OVERRUN)
+        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], facts.OVERFLOW.mask, SATURATED))
+
+    def header(self) -> Mapping[str, int]:
+        """The adjustment of the sensitivity: a field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
+        return dict(zip(("asa_x", "asa_y", "asa_z"), self.adjustment, strict=True))
