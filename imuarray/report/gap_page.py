@@ -78,8 +78,8 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     names = ", ".join(effects[:_NAMED]) + (f" and {len(effects) - _NAMED} more" if len(effects) > _NAMED else "")
     levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
     sentence = {
-        "no gap": "The simulator is good enough for what these recordings show: they look like what it makes.",
-        "explained": f"The simulator is not good enough as it is; with {names} in it, it is.",
+        "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
+        "explained": f"The simulator is not good enough as it is. With {names} added it is good enough.",
         "partly explained": f"The simulator is not good enough; {names or 'no cause'} explains only a part of it."
         if len(effects) < 2
         else f"The simulator is not good enough; {names} explain only a part of it.",

@@ -143,7 +143,7 @@ def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], c
             across = axes.get_yaxis_transform()
             axes.plot([0.985], [place], ">", color=colour, markersize=6, transform=across, clip_on=False)
             text = f"{ratio.ratio:.3g} ×"
-            axes.text(0.95, place, text, color=colour, fontsize=8, ha="right", va="center", transform=across)
+            axes.text(0.95, place, text, color=colour, fontsize=8, ha="right", va="bottom", transform=across)
 
 
 def _furthest(ratios: Sequence[Ratio]) -> float:
@@ -302,19 +302,13 @@ def _best_rows(study: Study) -> dict[str, Row]:
 def _section(study: Study, experiment: str) -> Section:
     rows = study.of(experiment=experiment)
     tables = []
-    calibrations = list(dict.fromkeys(row.calibration for row in rows))
-    for calibration in calibrations:
+    for calibration in dict.fromkeys(row.calibration for row in rows):
         lines = [_line(row) for row in rows if row.calibration == calibration and _is_told(row)]
         heading = ["technique", "sensors", "what", "axis", "value", "unit", "over the average", "over the bound"]
         tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
     count = sum(len(table.rows) for table in tables)
     words = "Every technique that changes something, axis by axis."
-    return Section(
-        experiment, words, tables, fold=f"{count} rows, {' and '.join(_CALIBRATED[c] for c in calibrations)}"
-    )
-
-
-_CALIBRATED = {"measured": "with calibrations from simulated logs", "true": "with the true parameters"}
+    return Section(experiment, words, tables, fold=f"{count} rows in {len(tables)} tables")
 
 
 def _is_told(row: Row) -> bool:
