@@ -37,6 +37,43 @@ UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
 first of each.
 """
 
+_SPELLINGS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "specific_force": {
+            "g": ("G", "gee"),
+            "mg": ("mG", "milli-g", "millig"),
+            "m/s2": (
+                "m/s^2", "m/s\u00b2", "m/s**2", "m/s/s", "m/sec2", "m/sec^2", "mps2",
+                "ms-2", "m.s-2", "m s-2", "m s^-2",
+            ),
+        },
+        "angular_rate": {
+            "dps": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "deg s-1", "\u00b0/s", "\u00ba/s", "\u00b0/sec"),
+            "mdps": ("mdeg/s", "m\u00b0/s"),
+            "rad/s": ("rad/sec", "rads/s", "radps", "rad s-1", "rad s^-1", "rad.s-1"),
+            "mrad/s": ("mrad/sec",),
+        },
+        "magnetic_field": {
+            "gauss": ("Gauss", "G", "Gs"),
+            "mgauss": ("mGauss", "mG", "milligauss"),
+            "T": ("Tesla", "tesla"),
+            "uT": ("\u00b5T", "\u03bcT", "ut", "microtesla"),
+        },
+    }
+)  # fmt: skip
+
+
+def standard_unit(unit: str, quantity: str) -> str:
+    """Return the spelling in `UNITS_OF` of a unit of a quantity, or `unit` itself if it is no spelling of one.
+
+    >>> standard_unit("m/s^2", "specific_force"), standard_unit("G", "magnetic_field"), standard_unit("N", "pressure")
+    ('m/s2', 'gauss', 'N')
+    """
+    spellings = _SPELLINGS.get(quantity, {})
+    text = unit.strip()
+    return next((known for known, others in spellings.items() if text in others), text)
+
+
 SI_NAME: Mapping[str, str] = MappingProxyType(
     {"g": "m s-2", "dps": "rad s-1", "gauss": "T", "Pa": "Pa", "degC": "degC"}
 )

@@ -1,4 +1,4 @@
-"""Arrays as columns: NumPy's .npz, and MATLAB's .mat of versions 5 and 7.3 (HDF5).
+"""Arrays as columns: NumPy's .npz and .npy, and MATLAB's .mat of versions 5 and 7.3 (HDF5).
 
 A one-dimensional array is a column of its name; the columns of an array `acc` are `acc[0]`, `acc[1]`, ...; fields of
 structs are `imu.acc`. The columns of a file with a single table can also be selected by index. Nothing is unpickled.
@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -39,6 +39,9 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
     try:
         if first.startswith(b"PK"):
             arrays = dict(_of_npz(path))
+        elif first.startswith(npy.MAGIC_PREFIX):
+            with path.open("rb") as file:
+                arrays = dict(_of_npy(path.stem, file))
         elif first.startswith((b"\x89HDF", _MATLAB73)):
             arrays = dict(_of_hdf5(path))
         else:
@@ -133,14 +136,21 @@ def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
         members = archive.infolist()
         if sum(member.file_size for member in members) > MOST_BYTES:
             raise ValueError(f"more than {MOST_BYTES} bytes")
-        for member in members:
-            name = member.filename.removesuffix(".npy")
+        arrays = [member for member in members if member.filename.endswith(".npy")]
+        if not arrays:
+            raise ValueError("a zip file without arrays of NumPy; unpack it, or save a spreadsheet as CSV")
+        for member in arrays:
             with archive.open(member) as file:
-                array: Array = npy.read_array(file, allow_pickle=False)
-            if array.dtype.names:
-                yield from ((f"{name}.{part}", array[part]) for part in array.dtype.names if _is_column(array[part]))
-            elif _is_column(array):
-                yield name, array
+                yield from _of_npy(member.filename.removesuffix(".npy"), file)
+
+
+def _of_npy(name: str, file: IO[bytes]) -> Iterator[tuple[str, Array]]:
+    """Yield an array of numbers, or every field of a structured one."""
+    array: Array = npy.read_array(file, allow_pickle=False)
+    if array.dtype.names:
+        yield from ((f"{name}.{part}", array[part]) for part in array.dtype.names if _is_column(array[part]))
+    elif _is_column(array):
+        yield name, array
 
 
 def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:

@@ -1,7 +1,7 @@
 """A text table, read in blocks of rows and converted to integers; errors name line, column and text.
 
 Damage by recorders and power cuts that cannot be a reading is left out and counted (`Table.remarks`): lines with NUL
-bytes, a repeated header, an incomplete last line, a separator at the end of a line.
+bytes, a repeated header, lines of text, an incomplete last line, a separator at the end of a line.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -29,6 +30,9 @@ from imuarray.printable import counted
 ROWS = 4096
 """Rows per block."""
 
+_HEADER_WITHIN = 50
+"""Rows within which a header is looked for that is not the first row."""
+
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
 
@@ -39,6 +43,7 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 """Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""
 
 _LAST_NS = 2**62
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -94,10 +99,11 @@ class Table:
         self._text = io.TextIOWrapper(file, encoding=_encoding(file), errors="replace")
         self._layout = layout
         self._reader = csv.reader(self._lines(), delimiter=layout.delimiter, skipinitialspace=True)
-        self._damaged = self._is_last = False
+        self._is_damaged = self._is_last = False
         self.source = source
         self.line = 0
         self.left_out: Counter[str] = Counter()
+        self.width = 0
         self._comment = ""
         self._first_row: list[str] = []
         self.header: list[str] = self._names() if named else []
@@ -115,6 +121,7 @@ class Table:
                     f"{self.source}: line {self.line}: longer than {LINE_CHARACTERS} characters; is this a table?"
                 )
             self._is_last = not line.endswith("\n")
+            self._is_damaged = "\0" in line
             line = line.rstrip("\0 \r\n").lstrip(" ")
             if "\0" in line:
                 self.left_out["nul"] += 1
@@ -122,6 +129,11 @@ class Table:
             if comment and line.startswith(comment):
                 self._comment = line.removeprefix(comment)
             elif self.line > self._layout.skip_rows and line:
+                if not self.width and _is_binary(line):
+                    raise SourceError(
+                        f"{self.source}: line {self.line} is no text; allowed are tables of text (also .gz), .npz,"
+                        " .npy, .mat, .parquet and ROS bags"
+                    )
                 yield line
 
     def _read_line(self) -> str:
@@ -168,8 +180,11 @@ class Table:
             elif len(row) == self.width - 1 and self._blank_end:
                 row = [*row, ""]
             if len(row) != self.width:
-                if self._is_last and len(row) < self.width:
-                    self.left_out["cut"] += 1
+                if len(row) < self.width and (self._is_last or self._is_damaged):
+                    self.left_out["nul" if self._is_damaged else "cut"] += 1
+                    continue
+                if row[0].strip()[:1].isalpha() and not any(map(_is_number, row)):
+                    self.left_out["text"] += 1
                     continue
                 raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
             yield self.line, row
@@ -181,8 +196,22 @@ class Table:
         if self.names.count(column) != 1:
             problem = "several columns are called" if column in self.names else "no column"
             header = _shortened(", ".join(self.names), 200)
-            raise SourceError(f"{self.source}: line {self.line}: {problem} {column!r}; the header has {header}")
+            raise SourceError(
+                f"{self.source}: line {self.line}: {problem} {column!r}; the header has {header}"
+                + self._header_hint(column)
+            )
         return self.names.index(column)
+
+    def _header_hint(self, column: str) -> str:
+        """Return why the header may not have a column: another delimiter, or lines above it."""
+        if len(self.header) == 1:
+            mark = next((mark for mark in ("\t", ";", "|", ",", " ") if mark in self.header[0].strip()), None)
+            if mark is not None and column in self.header[0].split(mark):
+                return f"; if the delimiter is {mark!r}, the map says so in [file]"
+        for row in islice(iter(self._row, []), _HEADER_WITHIN):
+            if column in map(str.strip, row):
+                return f"; line {self.line} has it: of lines above a header the map says skip_rows = {self.line - 1}"
+        return ""
 
     def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[Block]:
         """Yield all rows (of a kind, if the map distinguishes kinds), `rows` at a time."""
@@ -200,8 +229,15 @@ class Table:
             "nul": "{} with NUL bytes left out, as a power cut leaves them",
             "header": "{} that repeat the header left out",
             "cut": "{} at the end of the file left out: it is cut off",
+            "text": "{} of text without a number left out",
         }
         return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
+
+
+def _is_binary(line: str) -> bool:
+    """Return whether a line has control characters and undecodable bytes as no text has."""
+    strange = sum(letter == "\ufffd" or (letter < " " and letter not in "\t\x0b\x0c") for letter in line)
+    return strange > 0.1 * len(line)
 
 
 def _encoding(file: BinaryIO) -> str:
@@ -323,7 +359,9 @@ class Clock:
         return times
 
     def _later_hint(self) -> str:
-        return "" if self._span_ns else "; of a counter that begins anew the map says wraps_at"
+        if self._span_ns:
+            return ""
+        return "; of a counter that begins anew the map says wraps_at; several recordings are imported one by one"
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Separate equal times by 1 ns."""
@@ -373,7 +411,8 @@ class Clock:
         try:
             value = Decimal(text)
         except InvalidOperation:
-            raise column.refuse(row, f"{column.text(row)!r} is no number" + _number_hint(column, row)) from None
+            hint = "; of dates the map says unit = 'iso8601'" if _DATE.match(text) else _number_hint(column, row)
+            raise column.refuse(row, f"{column.text(row)!r} is no number" + hint) from None
         if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
             raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
         if isinstance(self._tick_ns, int):

@@ -12,6 +12,7 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -66,6 +67,11 @@ _PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
 _COUNTS_OF_MAGNETOMETER = 1090.0
 """Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
 _COUNTS_OF_GYROSCOPE = 131.0
+_CODES_16 = 1 << 16
+_SAME_SCALE = 0.25
+"""Log ratio of these rotations that quick motion can make."""
+_NEAR_UNIT = 0.3
+"""Greatest log ratio between the rotation of gravity and that by a gyroscope at which a unit explains it."""
 _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
@@ -151,8 +157,10 @@ def _try_import(text: str, path: Path) -> tuple[list[str], float | None]:
 def _correct_scale(proposal: _Proposal, factor: float) -> bool:
     """Replace the guessed sensitivity of a gyroscope by that of a data sheet, if a known one fits."""
     for item in proposal.items:
+        if 'quantity = "angular_rate"' in item and factor > 0 and _correct_unit(item, factor):
+            return True
         line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
-        if line is None or 'quantity = "angular_rate"' not in item or factor <= 0:
+        if line is None or 'quantity = "angular_rate"' not in item or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
             continue
         wanted = _COUNTS_OF_GYROSCOPE / factor
         nearest = min(SENSITIVITIES["angular_rate"], key=lambda scale: abs(ln(scale / wanted)))
@@ -163,6 +171,21 @@ def _correct_scale(proposal: _Proposal, factor: float) -> bool:
         item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
         return True
     return False
+
+
+def _correct_unit(item: list[str], factor: float) -> bool:
+    """Replace the guessed unit of a gyroscope whose values are in a unit by the one that the factor says, if any."""
+    place = next((at for at, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
+    if place is None or any(line.startswith("sensitivity") for line in item):
+        return False
+    units = UNITS_OF["angular_rate"]
+    guessed = item[place].split('"')[1]
+    wanted = factor * units[guessed]
+    nearest = min(units, key=lambda unit: abs(ln(units[unit] / wanted)))
+    if nearest == guessed or units[nearest] == units[guessed] or abs(ln(units[nearest] / wanted)) > _NEAR_UNIT:
+        return False
+    item[place] = f'unit = "{nearest}"   # ? from the rotation of gravity in the accelerometer'
+    return True
 
 
 def _propose_map(path: Path) -> _Proposal:
@@ -179,6 +202,8 @@ def _propose_map(path: Path) -> _Proposal:
                 of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
                 if of_kind:
                     cells = _columns([row[: len(of_kind[0])] for row in of_kind], layout)
+                    if _increases(cells[1]) and not proposal.items:
+                        proposal.time = _time_lines([], cells, 1, set(), proposal)
                     _propose_kind(proposal, kind, cells)
             return proposal
         columns = _columns(rows, layout)
@@ -270,7 +295,11 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     first = numeric.index(True)
     widths = {len(row) for _, row in rows[first:]}
     starts = {row[0] for _, row in rows[first:] if row and not _is_number(row[0], layout)}
-    if len(widths) > 1 and 1 < len(starts) < 20:
+    heads = [row[0] for _, row in rows[first:] if row]
+    worded = sum(head in starts for head in heads)
+    changes = sum(a != b for a, b in pairwise(heads))
+    alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
+    if (len(widths) > 1 or alternate) and 1 < len(starts) < 20:
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
     width = len(rows[first][1])
@@ -296,7 +325,11 @@ def _fitness(lines: Sequence[str], delimiter: str) -> float:
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    """Return the cells of a line; [] of one that is no text."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return []
 
 
 def _is_number(cell: str, layout: _Layout) -> bool:
@@ -511,6 +544,10 @@ def _sensor(
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
+    codes: list[str] = []
+    if whole:
+        values, codes = _signed(values)
+        length = float(np.median(np.linalg.norm(values, axis=1)))
     listed = ", ".join(_quoted(names[index]) if names else str(index) for index in indices)
     name = _NAMES[quantity]
     number = sum(item[1].startswith(f'name = "{name}') for item in proposal.items)
@@ -524,7 +561,17 @@ def _sensor(
     if said in UNITS_OF[quantity]:  # type: ignore[index]
         return [*item, f'unit = "{said}"'], said
     unit, lines = _counted(quantity, length) if whole else _measured(quantity, length, force_unit)
-    return [*item, *lines], unit
+    return [*item, *codes, *lines], unit
+
+
+def _signed(values: Floats) -> tuple[Floats, list[str]]:
+    """Return codes (n, 3) as signed ones, and the lines that say how, of codes beyond the positive end of 16 bits."""
+    if values.min() < 0 or not _CODES_16 / 2 <= values.max() < _CODES_16:
+        return values, []
+    outer = (values < _CODES_16 / 4) | (values >= _CODES_16 * 3 / 4)
+    if float(np.mean(outer)) > 0.5:
+        return np.where(values >= _CODES_16 / 2, values - _CODES_16, values), ["bits = 16   # ? none is negative"]
+    return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"]
 
 
 def _counted(quantity: str, length: float) -> tuple[str, list[str]]:
@@ -569,6 +616,8 @@ def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None
     if len(known) == 0:
         return
     unit = proposal.units.get(name)
+    if not unit and known.min() > 200 and known.max() < 420 and (known != np.rint(known)).any():
+        unit = "K"
     if unit or (known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any()):
         number = sum(item[0] == "[[thermometer]]" for item in proposal.items)
         called = f"Thermometer{number + 1 if number else ''}"

@@ -25,11 +25,11 @@ from collections.abc import Iterator
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, model_validator
 
 from imuarray.axes import UP_AXES, face_up, orientation_of
 from imuarray.toml_files import parse_toml, read_text
-from imuarray.units import UNITS_OF
+from imuarray.units import UNITS_OF, standard_unit
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -63,6 +63,23 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 Degrees = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
+_TIME_SPELLINGS = {
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "\u00b5s": "us",
+    "\u03bcs": "us",
+}
+_DEGREE_SPELLINGS = {"C": "degC", "\u00b0C": "degC", "celsius": "degC", "Celsius": "degC", "kelvin": "K", "Kelvin": "K"}
+
+
+def _spelt(spellings: dict[str, str]) -> BeforeValidator:
+    """Return a validator that replaces other spellings of a unit."""
+    return BeforeValidator(lambda unit: spellings.get(unit, unit) if isinstance(unit, str) else unit)
+
+
 class FileTable(BaseModel):
     """`[file]`: how a text is split into cells. If rows of several tables are mixed, `kind_column` (an index) names the
     table of a row. `format`: a format that needs no map, so that the map adds phases only.
@@ -93,7 +110,7 @@ class TimeTable(BaseModel):
 
     model_config = _STRICT
     column: Column | None = None
-    unit: Literal["s", "ms", "us", "ns", "iso8601"] | None = None
+    unit: Annotated[Literal["s", "ms", "us", "ns", "iso8601"] | None, _spelt(_TIME_SPELLINGS)] = None
     rate_hz: Annotated[float, Field(ge=0.001, le=1e6)] | None = None
     ticks: Positive = 1.0
     wraps_at: Positive | None = None
@@ -119,7 +136,7 @@ class ThermometerTable(BaseModel):
     """
 
     model_config = _STRICT
-    unit: Literal["counts", "degC", "K"] = "counts"
+    unit: Annotated[Literal["counts", "degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "counts"
     zero_degc: Degrees | None = None
     lsb_per_degc: Degrees | None = None
 
@@ -193,6 +210,11 @@ class SensorTable(LogColumn):
     temperature_column: Column | None = None
     thermometer: ThermometerTable | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _standard(cls, entries: Any) -> Any:
+        return _with_standard_unit(entries, entries.get("quantity") if isinstance(entries, dict) else None)
+
     @model_validator(mode="after")
     def _possible(self) -> Self:
         _check_unit(self.unit, self.quantity)
@@ -228,6 +250,13 @@ class SensorTable(LogColumn):
         return UNITS_OF[self.quantity][self.unit]
 
 
+def _with_standard_unit(entries: Any, quantity: Any) -> Any:
+    """Return the entries of a table with their unit spelt as in `imuarray.units`."""
+    if isinstance(entries, dict) and isinstance(entries.get("unit"), str):
+        return {**entries, "unit": standard_unit(entries["unit"], str(quantity))}
+    return entries
+
+
 def _check_unit(unit: str, quantity: str) -> None:
     """Raise ValueError for a unit that the quantity does not have."""
     if unit not in UNITS_OF[quantity]:  # type: ignore[index]
@@ -247,7 +276,7 @@ class ReferenceTemperature(BaseModel):
 
     model_config = _STRICT
     column: Column
-    unit: Literal["degC", "K"] = "degC"
+    unit: Annotated[Literal["degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "degC"
 
 
 class ReferenceTable(RowSource):
@@ -256,6 +285,14 @@ class ReferenceTable(RowSource):
     specific_force: ReferenceForce | None = None
     angular_rate: ReferenceForce | None = None
     temperature: ReferenceTemperature | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _standard(cls, entries: Any) -> Any:
+        if not isinstance(entries, dict):
+            return entries
+        triads = ("specific_force", "angular_rate")
+        return {name: _with_standard_unit(value, name) if name in triads else value for name, value in entries.items()}
 
     @model_validator(mode="after")
     def _has_something(self) -> Self:

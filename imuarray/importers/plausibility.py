@@ -39,6 +39,9 @@ error of 3 % make a tenth.
 NEAR_FACTOR = 0.1
 """Greatest log ratio between a force and 1 g times the ratio of two units at which the unit explains it."""
 
+NEAR_TURNS = 0.3
+"""The same of rotations, which quick motion disturbs."""
+
 EARTH_GAUSS = (0.15, 1.0)
 """Field of the earth (0.22 to 0.67 gauss, IGRF) with the influence of iron near a sensor."""
 
@@ -52,7 +55,33 @@ OVER_RANGE = 1.05
 """Tolerance beyond the range: chips exceed their nominal range by a few per cent."""
 
 STILL = 2.5
-"""A window is at rest if its standard deviation is at most this multiple of the quiet quarter's."""
+"""A window is at rest if its standard deviation is at most this multiple of the quiet ones'."""
+
+QUIET = 0.1
+"""Share of the windows that are the quiet ones: a recording rests for that long at least."""
+
+SHAKEN = 0.1
+SHAKEN_LEVEL = 3.0
+"""A recording whose quiet windows have a standard deviation of more than a tenth of the force is shaken throughout: its
+force then says something about the unit only if it is this factor from 1 g.
+"""
+
+TURNS_DPS = 1.0
+"""Scatter of a gyroscope's quiet windows, beyond their noise, from which on they are not at rest."""
+
+MOST_BIAS_DPS = 80.0
+"""Greatest plausible reading at rest: the widest zero-rate level is 75 dps (L3G-70)."""
+
+NOISY_DPS = 2.0
+NOISY_BIAS_DPS = 20.0
+"""A gyroscope at rest that scatters by more than the first and reads more than the second is doubted, too."""
+
+RESOLVED_LSB = 0.3
+QUIET_DPS = 0.003
+"""Least noise (rms) of a MEMS gyroscope whose counts resolve it: beyond that of their rounding, 1 / sqrt(12)."""
+
+MOST = MappingProxyType({"specific_force": 450.0, "angular_rate": 4500.0, "magnetic_field": 60.0})
+"""Readings (g, dps, gauss) beyond those of every usual chip."""
 
 TURNED = 0.02
 """Rotation of gravity between windows (rad) from which on a gyroscope can be compared."""
@@ -207,10 +236,10 @@ class _Windows:
         self.offset_ns = begin % self.width_ns
 
     def still(self) -> npt.NDArray[np.bool_]:
-        """Return (w,) windows at rest, judged by the quietest quarter."""
+        """Return (w,) windows at rest, judged by the quietest tenth."""
         if len(self.spread) == 0:
             return np.zeros(0, bool)
-        return np.asarray(self.spread <= STILL * np.quantile(self.spread, 0.25))
+        return np.asarray(self.spread <= STILL * np.quantile(self.spread, QUIET))
 
 
 def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | None, list[str]]:
@@ -220,13 +249,16 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
         return None, []
     length = float(np.median(np.linalg.norm(windows.mean[still], axis=1)))
     if sensor.quantity == "specific_force":
+        shaken = float(np.median(windows.spread[still])) > SHAKEN * length
         if abs(length - 1) <= GRAVITY_OFF:
-            return ("measures {} g at rest", length), []
+            return ("measures {} g" if shaken else "measures {} g at rest", length), []
+        if shaken and 1 / SHAKEN_LEVEL < length < SHAKEN_LEVEL:
+            return None, []
         guess = _explained(length, _FORCE_UNITS) or _doubled(length)
         if not guess and length < 0.3:
             guess = "gravity may have been removed (linear acceleration), or the unit may be wrong"
         guess = guess or "unit, range, sensitivity or offset may be wrong"
-        return None, [f"measures {length:.4g} g at rest instead of 1 g: {guess}"]
+        return None, [f"measures {length:.4g} g{'' if shaken else ' at rest'} instead of 1 g: {guess}"]
     if sensor.quantity == "magnetic_field":
         if EARTH_GAUSS[0] <= length <= EARTH_GAUSS[1]:
             return ("measures {} gauss", length), []
@@ -234,13 +266,23 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
         guess = next((what for factor, what in _FIELD_UNITS.items() if 0.4 < length / factor / middle < 2.5), "")
         guess = f"the columns may be in {guess}" if guess else "unit or sensitivity may be wrong"
         return None, [f"measures {length:.4g} gauss instead of the earth's 0.2 to 0.7: {guess}"]
+    middle = np.median(windows.mean[still], axis=0)
+    wander = float(np.median(np.linalg.norm(windows.mean[still] - middle, axis=1)))
+    if wander > TURNS_DPS + float(np.median(windows.spread[still])):
+        return ("turns at {} dps at its quietest", length), []
+    noise = float(np.median(windows.spread[still]))
+    level = f"reads {length:.4g} dps at rest with a noise of {noise:.2g} dps"
+    if length > MOST_BIAS_DPS or (length > NOISY_BIAS_DPS and noise > NOISY_DPS):
+        return None, [f"{level}, more than gyroscopes do: the columns may be in dps, not rad/s"]
+    if noise * sensor.sensitivity > RESOLVED_LSB and noise < QUIET_DPS:
+        return None, [f"{level}, less than MEMS gyroscopes have: the columns may be in rad/s, not dps"]
     return ("reads {} dps at its quietest, which is its bias", length), []
 
 
-def _explained(ratio: float, units: Mapping[float, str]) -> str:
+def _explained(ratio: float, units: Mapping[float, str], most: float = NEAR_FACTOR) -> str:
     """Name the unit with the closest ratio, if any is close."""
     factor = min(units, key=lambda factor: abs(ln(ratio / factor))) if ratio > 0 else 1.0
-    near = ratio > 0 and abs(ln(ratio / factor)) < NEAR_FACTOR
+    near = ratio > 0 and abs(ln(ratio / factor)) < most
     return f"the columns may be in {units[factor]}" if near else ""
 
 
@@ -347,6 +389,9 @@ class _Codes:
         if limit and most > limit:
             value = most / sensor.sensitivity
             yield f"reads up to {value:.4g} {sensor.unit}, beyond its range of {sensor.range:g}: is the unit wrong?"
+        elif sensor.sensitivity and most > MOST[sensor.quantity] * sensor.sensitivity:
+            value = most / sensor.sensitivity
+            yield f"reads up to {value:.4g} {sensor.unit}, more than any usual chip measures: is the unit wrong?"
         if all(_is_unsigned(codes) for codes in self.seen) and sensor.quantity in INERTIAL:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
 
@@ -388,7 +433,7 @@ def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str
                 "rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged",
             )
             continue
-        guess = _explained(factor, _TURN_UNITS) or "range and sensitivity may be those of another setting"
+        guess = _explained(factor, _TURN_UNITS, NEAR_TURNS) or "range and sensitivity may be those of another setting"
         yield gyroscope.name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
 
 
@@ -420,20 +465,24 @@ def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
     f = f / np.maximum(length, 1e-9)[:, None]
     follows = (np.diff(common) == 1) & (np.abs(length[1:] / usual - 1) < 0.2) & (np.abs(length[:-1] / usual - 1) < 0.2)
     turned = np.diff(f, axis=0)[follows]
-    still = np.linalg.norm(turned, axis=1) < TURNED
     rates = (omega[1:] + omega[:-1])[follows] / 2
-    if still.any():
-        rates = rates - np.median(rates[still], axis=0)  # its bias
     middle = (f[1:] + f[:-1])[follows] / 2
-    expected = -np.cross(rates, middle) * force.width_ns * 1e-9
-    moving = ~still
+    width_s = force.width_ns * 1e-9
+    moving = np.linalg.norm(turned, axis=1) >= TURNED
     if np.count_nonzero(moving) < FEWEST_TURNS:
         return None
-    a, b = turned[moving].ravel(), expected[moving].ravel()
+    # turned = -factor (rates - bias) x middle: linear in the factor and in factor x bias.
+    design = np.empty((len(turned), 3, 4))
+    design[:, :, 0] = -np.cross(rates, middle) * width_s
+    for axis in range(3):
+        design[:, :, 1 + axis] = np.cross(np.eye(3)[axis], middle) * width_s
+    flat, observed = design.reshape(-1, 4), turned.ravel()
+    solution = np.linalg.lstsq(flat, observed, rcond=None)[0]
+    a, b = observed - flat[:, 1:] @ solution[1:], flat[:, 0]
     both = float(np.sqrt((a @ a) * (b @ b)))
     if not both or abs(float(a @ b)) / both < FOLLOWS:
         return None
-    return float(a @ b) / float(b @ b)
+    return float(solution[0])
 
 
 def _twins(log: Log) -> Iterator[tuple[str, str]]:

@@ -1,7 +1,7 @@
-"""The rows of a recording: a text, arrays in a file (.npz, .mat, .parquet), messages in a bag.
+"""The rows of a recording: a text, arrays in a file (.npz, .npy, .mat, .parquet), messages in a bag.
 
-The first bytes determine the kind of file (`open_rows`). Texts, bags and Parquet files are streamed. The arrays of .npz
-and .mat files are read completely, because of their format.
+The first bytes determine the kind of file (`open_rows`). Texts, bags and Parquet files are streamed. The arrays of
+.npz, .npy and .mat files are read completely, because of their format.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class TextRows:
 
 READERS: Mapping[bytes, str] = {
     b"PK\x03\x04": "arrays",
+    b"\x93NUMPY": "arrays",
     b"MATLAB 5.0 MAT-file": "arrays",
     b"MATLAB 7.3 MAT-file": "arrays",
     b"\x89HDF\r\n\x1a\n": "arrays",

@@ -71,6 +71,22 @@ CASES: dict[str, tuple[str, list[str]]] = {
         text_of("t,ax,ay,az,gx,gy,gz", COUNTS // np.array([1, 1, 1, 8, 8, 8]), form="{:d}"),
         ["sensitivity = 16.375   # ? from the rotation of gravity in the accelerometer", "range = 2000"],
     ),
+    "unsigned codes with an offset": (
+        text_of("t,ax,ay,az,gx,gy,gz", COUNTS + 32768, form="{:d}"),
+        ["offset = 32768   # ? none is negative", "sensitivity = 4096", "sensitivity = 131"],
+    ),
+    "two's complement read as unsigned": (
+        text_of("t,ax,ay,az,gx,gy,gz", COUNTS % 65536, form="{:d}"),
+        ["bits = 16   # ? none is negative", "sensitivity = 4096", "sensitivity = 131"],
+    ),
+    "mg and thousandths of dps": (
+        text_of("t,ax,ay,az,gx,gy,gz", COUNTS / [4.096, 4.096, 4.096, 0.131, 0.131, 0.131]),
+        ['unit = "mg"', 'unit = "mdps"   # ? from the rotation of gravity in the accelerometer'],
+    ),
+    "a temperature in kelvins": (
+        text_of("t,ax,ay,az,gx,gy,gz,Temp", np.hstack([COUNTS, 293 + np.arange(2000)[:, None] / 997])),
+        ["[[thermometer]]", 'unit = "K"'],
+    ),
     "a temperature in degrees": (
         text_of("t,ax,ay,az,gx,gy,gz,Temp", np.hstack([COUNTS, 20 + np.arange(2000)[:, None] / 997])),
         ["[[thermometer]]", 'unit = "degC"   # ? from the size of the values'],
@@ -143,7 +159,31 @@ def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:
     assert "rows of several kinds: ACC, GYR" in guessed
 
 
-@pytest.mark.parametrize("data", [b"", b"\0" * 100, b"nothing but\nwords in it\n"])
+def test_kinds_of_equal_width_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [
+        f"{kind},{stamp:.6f}," + ",".join(map(str, row[at : at + 3]))
+        for stamp, row in zip(walk().time_s.tolist(), COUNTS.tolist(), strict=True)
+        for kind, at in (("ACC", 0), ("GYR", 3))
+    ]
+    (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.csv"))
+    arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    report = capsys.readouterr().out
+    assert "2000 rows each over 20.0 s" in report and "Acc: measures 0.9998 g at rest" in report
+
+
+def test_an_array_in_a_file_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "data.npy", np.column_stack([walk().time_s, COUNTS]))
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.npy"))
+    arguments = [str(tmp_path / "data.npy"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    with open_log(tmp_path / "run.h5") as log:
+        assert np.array_equal(log["Acc"].counts[:], COUNTS[:, :3])
+        assert np.array_equal(log["Gyro"].counts[:], COUNTS[:, 3:])
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 100, b"nothing but\nwords in it\n", bytes(range(256)) * 40])
 def test_what_no_map_can_describe(data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "data.csv").write_bytes(data)
     assert main(["import", str(tmp_path / "data.csv"), "--guess"]) == 2

@@ -64,6 +64,23 @@ def clipped(at_g: float) -> bytes:
     return joined([HEAD, *lines_of(recording.time_s, values, "{:d}")])
 
 
+def in_units(still: bool) -> np.ndarray:
+    """g and dps."""
+    return np.asarray(counts_of(walk(still=still)) / np.array([PER_G] * 3 + [PER_DPS] * 3))
+
+
+def turned_throughout() -> bytes:
+    """Turned about an axis that is not along gravity, at a rate that goes to and fro between 30 and 90 dps."""
+    time_s = np.arange(ROWS) * 0.01
+    rate = np.radians(60 + 30 * np.sin(2 * np.pi * 0.1 * time_s))
+    angle = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * 0.01)])
+    noise = np.random.default_rng(4).normal(0, [5.0] * 3 + [10.0] * 3, (ROWS, 6))
+    force = np.stack([np.zeros(ROWS), np.sin(angle), np.cos(angle)], axis=1) * PER_G
+    turned = np.stack([np.degrees(rate) * PER_DPS, np.zeros(ROWS), np.zeros(ROWS)], axis=1)
+    counts = np.rint(np.hstack([force, turned]) + noise).astype(int)
+    return joined([HEAD, *lines_of(time_s, counts, "{:d}")])
+
+
 def bursts() -> bytes:
     """A host that is busy stamps what a driver has kept, eight rows in two milliseconds, then none for some time."""
     recording = walk(4000)
@@ -317,6 +334,65 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["? Gyro: rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged"],
     ),
+    "units in other spellings": (
+        units_taken_for_others(),
+        si_units().replace('"m/s2"', '"m/s^2"').replace('"rad/s"', '"rad/sec"').replace('"s"', '"sec"', 1),
+        0,
+        ["~ Acc: measures 0.9998 g at rest", "~ Gyro: reads 0.5"],
+    ),
+    "dps as rad/s, at rest": (
+        joined([HEAD, *lines_of(walk().time_s, in_units(still=True))]),
+        si_units().replace('"m/s2"', '"g"'),
+        0,
+        ["? Gyro: reads 2", "more than gyroscopes do: the columns may be in dps, not rad/s"],
+    ),
+    "rad/s as dps, at rest": (
+        joined([HEAD, *lines_of(walk().time_s, in_units(still=True) * [1, 1, 1, *[np.pi / 180] * 3], "{:.9f}")]),
+        si_units()
+        .replace('"m/s2"', '"g"')
+        .replace('"rad/s"', '"dps"\nrange = 2\nsensitivity = 16000\nvalues = "physical"'),
+        0,
+        ["less than MEMS gyroscopes have: the columns may be in rad/s, not dps"],
+    ),
+    "shaken throughout": (clipped(8.0), MAP, 0, ["Acc (", "2000 rows each"]),
+    "turned throughout": (turned_throughout(), MAP, 0, ["~ Gyro: turns at ", "dps at its quietest"]),
+    "a line that NUL bytes end": (
+        edited(insert(900, "9.01,1,2" + "\0" * 40)),
+        MAP,
+        0,
+        ["2000 rows each", "1 line with NUL bytes left out"],
+    ),
+    "messages between the rows": (
+        edited(lambda lines: [*insert(900, "I2C timeout, retrying")(lines), "Total: 2000 rows"]),
+        MAP,
+        0,
+        ["2000 rows each", "2 lines of text without a number left out"],
+    ),
+    "dates that are called seconds": (
+        edited(lambda lines: [lines[0], *("2024-03-01 12:00:0" + line for line in lines[1:900])]),
+        MAP,
+        2,
+        ["is no number; of dates the map says unit = 'iso8601'"],
+    ),
+    "lines above the header": (
+        edited(lambda lines: ["Logger 3", "firmware 1.2", *lines]),
+        MAP,
+        2,
+        ["no column 't'; the header has Logger 3; line 3 has it", "skip_rows = 2"],
+    ),
+    "another delimiter, of a header": (
+        joined(plain()).replace(b",", b"\t"),
+        MAP,
+        2,
+        ["if the delimiter is '\\t', the map says so in [file]"],
+    ),
+    "no text": (bytes([*b"BZh9", *range(1, 200)]) * 40, MAP, 2, ["is no text; allowed are tables of text"]),
+    "runs one after the other": (
+        edited(lambda lines: [*lines, *lines[1:900]]),
+        MAP,
+        2,
+        ["is not later than the row before", "several recordings are imported one by one"],
+    ),
     "only even codes": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) // 2 * 2, "{:d}")]),
         MAP,
@@ -327,6 +403,10 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
 
 
 SLOW = (
+    "units in other spellings",
+    "shaken throughout",
+    "messages between the rows",
+    "a line that NUL bytes end",
     "rad/s as dps, of a coarse gyroscope",
     "mg as g",
     "milliseconds as seconds",
@@ -367,7 +447,7 @@ def test_what_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
     text = " ".join((captured.out + captured.err).split())
     for sentence in said:
         assert sentence in text, text
-    if name == "sound":
+    if name in ("sound", "shaken throughout", "turned throughout"):
         assert "?" not in text
     assert (tmp_path / "run.h5").exists() == (code == 0)
 
