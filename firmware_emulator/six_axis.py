@@ -71,10 +71,17 @@ class SixAxis(Chip):
         *,
         half: str = ACCELEROMETER,
         identity: int | None = None,
+        rate_error: float = 0.0,
     ) -> None:
+        """`rate_error`: by which share the die's oscillator runs fast."""
+        self._oscillator = 1 + rate_error
         self._elements: dict[str, Element] = {half: element}
         self._identity = self.who_am_i.reset if identity is None else identity
         super().__init__(address, self.table, element, powered_on_ns)
+
+    def own_period_ns(self, period_ns: float) -> int:
+        """How long what should take so long takes by the die's oscillator."""
+        return round(period_ns / self._oscillator)
 
     def power_on(self, at_ns: int) -> None:
         """Every register at its reset value, no reset in progress."""

@@ -74,6 +74,7 @@ class ChipSpec:
     has_fifo: bool = False
     count_bits: int = 16
     """Of each axis in a log; more than 16 are stored in 32."""
+    fifo_has_temperature: bool = False
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -119,6 +120,8 @@ _MPU6500_ACC = ChipSpec(
     bandwidths_hz={0.0: (184.0, 92.0, 41.0, 20.0, 10.0, 5.0)},  # INV-74, by filter code from 1 on
     default_bandwidth_hz=41.0,
     thermometer=THERMOMETERS["mpu6500"],
+    has_fifo=True,
+    fifo_has_temperature=True,
     spi=SpiRules(1_000_000),  # INV-95
     proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 41},
 )
@@ -208,6 +211,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=44.0,
             thermometer=THERMOMETERS["mpu6050"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 44},
         ),
         "mpu6050_gyro": ChipSpec(
@@ -223,6 +228,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=42.0,
             thermometer=THERMOMETERS["mpu6050"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
         ),
         "mpu6500_acc": _MPU6500_ACC,
@@ -242,6 +249,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
             default_bandwidth_hz=100.0,
             thermometer=THERMOMETERS["icm42688"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -267,6 +276,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
             default_bandwidth_hz=100.0,
             thermometer=THERMOMETERS["icm42688"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -282,6 +293,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=208.0,
             bandwidths_hz={rate_hz: (rate_hz / 2,) for rate_hz in _LSM6DSO_BANDWIDTHS_HZ},  # LSM-19
             thermometer=THERMOMETERS["lsm6dso"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 4, "rate_hz": 416},
         ),
@@ -304,6 +317,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=208.0,
             bandwidths_hz={rate_hz: (bandwidth_hz,) for rate_hz, bandwidth_hz in _LSM6DSO_BANDWIDTHS_HZ.items()},
             thermometer=THERMOMETERS["lsm6dso"],
+            has_fifo=True,
+            fifo_has_temperature=True,
             spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 500, "rate_hz": 416},
         ),

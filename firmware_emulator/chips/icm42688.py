@@ -1,12 +1,14 @@
-"""ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -63.
+"""ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -64.
 
 After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
-when it is switched on. Not modelled: queue, interrupts, low-power modes, notch filter, the filters' delay.
+when it is switched on. Not modelled: packets of high resolution, the queue's watermark, interrupts, low-power modes,
+notch filter, the filters' delay.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar
@@ -30,6 +32,10 @@ FILTER_SHARES = {1: 4, 2: 5, 3: 8, 4: 10, 5: 16, 6: 20, 7: 40}  # of the rate, b
 TRIM_CODE = 120
 """Of every axis, unless told otherwise (DEC-62): a deflection of 65 dps and of 0.52 g."""
 STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
+
+FIFO_BYTES = 2048  # TDK-80
+EMPTY = 0xFF  # TDK-81
+STOP_ON_FULL = 0b10
 
 _DATA = range(facts.TEMP_DATA1.address, facts.GYRO_DATA_Z0.address + 1)
 
@@ -74,12 +80,83 @@ class Icm42688(SixAxis):
             GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid()),
         }
         self._flags = facts.INT_STATUS.reset
+        self._clear_queue()
         self._rate_dps: Triple = (0.0, 0.0, 0.0)
         self._stalled_until_ns = 0
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
+        """Take in the samples up to `at_ns`: into the queue, and the latest of each half into the data registers."""
+        mode, packets = facts.FIFO_MODE.of(self.page[facts.FIFO_CONFIG.address]), self._packet_control & 0b11
+        if mode and packets:
+            name = ACCELEROMETER if packets & 1 and self._halves[ACCELEROMETER].grid.start_ns != NEVER_NS else GYROSCOPE
+            grid = self._halves[name].grid
+            latest, most = grid.latest(at_ns), FIFO_BYTES // self._packet_size
+            for index in range(max(grid.index + 1, latest - 2 * most), latest + 1):
+                sampled_ns = grid.time_ns(index)
+                self._sample(sampled_ns)
+                self._enqueue(self._packet(sampled_ns), most, mode)
+        self._sample(at_ns)
+
+    def _enqueue(self, packet: bytes, most: int, mode: int) -> None:
+        """A packet into the queue; when it is full the oldest is lost, or this one (TDK-80)."""
+        if len(self._packets) >= most:
+            self._flags |= facts.FIFO_FULL.mask
+            if mode == STOP_ON_FULL:
+                return
+            self._packets.popleft()
+        self._packets.append(packet)
+
+    def _clear_queue(self) -> None:
+        self._packets: deque[bytes] = deque()
+        self._part = self._whole = b""
+        self._count = 0
+        self._is_flushed = True
+
+    @property
+    def _packet_control(self) -> int:
+        return self.page[facts.FIFO_CONFIG1.address]
+
+    @property
+    def _packet_size(self) -> int:
+        return 16 if self._packet_control & 0b11 == 0b11 else 8
+
+    def _packet(self, at_ns: int) -> bytes:
+        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83)."""
+        control, page = self._packet_control, self.page
+        header, data = 0, b""
+        for mask, bit, half in ((1, 0x40, ACCELEROMETER), (2, 0x20, GYROSCOPE)):
+            if control & mask:
+                header |= bit
+                data += page[self._halves[half].place]
+        word = bytes(page[_DATA.start : _DATA.start + 2])
+        big = facts.DATA_BIG_ENDIAN.of(page[facts.INTF_CONFIG0.address])
+        temperature = int.from_bytes(word, "big" if big else "little", signed=True)
+        data += max(-128, min(127, round(temperature / 64))).to_bytes(1, "big", signed=True)
+        if header == 0x60:
+            timestamps = page[facts.TMST_CONFIG.address]
+            header |= 0x08 if facts.TIMESTAMP_ON.of(timestamps) and facts.FIFO_TIMESTAMP.of(control) else 0
+            unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(timestamps) else 1_000
+            stamp = int((at_ns - self.powered_on_ns) * self._oscillator / unit_ns) & 0xFFFF
+            data += stamp.to_bytes(2, "big" if big else "little") if header & 0x08 else b"\x00\x00"
+        return bytes([header]) + data
+
+    def _next_byte(self) -> int:
+        if not self._part and self._packets:
+            self._part = self._whole = self._packets.popleft()
+        if not self._part:
+            return EMPTY
+        byte, self._part = self._part[0], self._part[1:]
+        return byte
+
+    def stop(self, at_ns: int) -> None:
+        """A packet that was read in part is read again from its beginning, unless reading may resume (TDK-86)."""
+        if self._part and not facts.FIFO_RESUME.of(self._packet_control):
+            self._packets.appendleft(self._whole)
+            self._part = b""
+
+    def _sample(self, at_ns: int) -> None:
         """The latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
@@ -150,7 +227,26 @@ class Icm42688(SixAxis):
         if address == facts.INT_STATUS.address:
             flags, self._flags = self._flags, 0  # TDK-19
             return flags
+        if address in (facts.FIFO_COUNTH.address, facts.FIFO_COUNTL.address):
+            return self._count_byte(address == facts.FIFO_COUNTH.address)
+        if address == facts.FIFO_DATA.address:
+            return self._next_byte()
         return self.page[address]
+
+    def _count_byte(self, first: bool) -> int:
+        """The count in bytes or records, both bytes taken with the first; 0 once after a flush (TDK-84)."""
+        control = self.page[facts.INTF_CONFIG0.address]
+        if first:
+            records = facts.FIFO_COUNT_RECORDS.of(control)
+            self._count = len(self._packets) if records else len(self._packets) * self._packet_size + len(self._part)
+            self._count, self._is_flushed = 0 if self._is_flushed else self._count, False
+        high = first == bool(facts.FIFO_COUNT_BIG_ENDIAN.of(control))
+        return self._count >> 8 if high else self._count & 0xFF
+
+    def advance(self, pointer: int, reading: bool) -> int:
+        """The next register; the queue's stays where it is."""
+        at_queue = pointer == facts.FIFO_DATA.address and not self._bank
+        return pointer if at_queue else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""
@@ -164,7 +260,14 @@ class Icm42688(SixAxis):
             return
         if self.begin_reset(address, value, at_ns):
             return
+        if address == facts.SIGNAL_PATH_RESET.address:
+            if value & facts.FIFO_FLUSH.mask:
+                self._clear_queue()
+            return
+        before = self.page[address]
         super().store(address, value, at_ns)
+        if address in (facts.FIFO_CONFIG.address, facts.FIFO_CONFIG1.address) and self.page[address] != before:
+            self._clear_queue()  # DEC-64
         if address in (facts.PWR_MGMT0.address, facts.GYRO_CONFIG0.address, facts.ACCEL_CONFIG0.address):
             for half in self._halves.values():
                 self._restart(half, at_ns)
@@ -174,7 +277,7 @@ class Icm42688(SixAxis):
         rate_hz = RATES_HZ.get(half.rate.of(self.page[half.rate.register.address]), 1000.0)
         mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
         on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
-        if half.grid.set(at_ns, round(1e9 / rate_hz) if on else 0):
+        if half.grid.set(at_ns, self.own_period_ns(1e9 / rate_hz) if on else 0):
             half.valid_ns = at_ns + half.startup_ns
         elif not on:
             self.page[half.place] = INVALID * 3

@@ -1,12 +1,14 @@
 """LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -73.
 
 After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set. Not
-modelled: queue, interrupts, embedded functions, low-power modes, the gyroscope's optional filters, settling.
+modelled: the queue's compression, watermark and time stamps, interrupts, embedded functions, low-power modes, the
+gyroscope's optional filters, settling.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from types import ModuleType
 from typing import ClassVar
@@ -32,6 +34,13 @@ GYRO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666
 PUSH_G, PUSH_DPS = 0.4, 300.0
 """What the self-test adds (DEC-72): inside the data sheet's limits."""
 
+FIFO_WORDS = 512  # LSM-40
+TAGS = {GYROSCOPE: 0x01, ACCELEROMETER: 0x02}  # LSM-41
+TEMPERATURE_TAG = 0x03
+TEMPERATURE_RATES_HZ = (0.0, 1.6, 12.5, 52.0)  # LSM-42
+CONTINUOUS = 0b110  # LSM-43
+FIFO_OUT = range(facts.FIFO_DATA_OUT_TAG.address, facts.FIFO_DATA_OUT_Z_H.address + 1)
+
 _DATA = range(facts.OUT_TEMP_L.address, facts.OUTZ_H_A.address + 1)
 
 
@@ -46,7 +55,9 @@ class _Half:
 
 
 class Lsm6dso(SixAxis):
-    """The registers."""
+    """The registers and the queue of 512 words."""
+
+    _temperature_due_ns: int
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
@@ -61,10 +72,72 @@ class Lsm6dso(SixAxis):
             GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, Grid()),
         }
         self._held: dict[int, int] = {}
+        self._clear_queue(at_ns)
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
+        """Take in the samples up to `at_ns`: into the queue, and the latest of each half into the data registers."""
+        if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]):
+            for sampled_ns, name in self._due(at_ns):
+                self._sample(sampled_ns)
+                self._enqueue_temperature(sampled_ns)
+                first = self._halves[name].first.address
+                self._enqueue(TAGS[name], bytes(self.page[first : first + 6]))
+        self._sample(at_ns)
+
+    def _due(self, at_ns: int) -> list[tuple[int, str]]:
+        """The samples that go to the queue now, in order of time; no more than it holds twice."""
+        batched = self.page[facts.FIFO_CTRL3.address]
+        due = []
+        for name, field in ((GYROSCOPE, facts.GYRO_BATCH_RATE), (ACCELEROMETER, facts.ACCEL_BATCH_RATE)):
+            grid = self._halves[name].grid
+            latest = grid.latest(at_ns)
+            if field.of(batched):
+                numbers = range(max(grid.index + 1, latest - 2 * FIFO_WORDS), latest + 1)
+                due += [(grid.time_ns(number), name) for number in numbers]
+        return sorted(due, key=lambda sample: sample[0])
+
+    def _enqueue_temperature(self, at_ns: int) -> None:
+        rate_hz = TEMPERATURE_RATES_HZ[facts.TEMPERATURE_BATCH_RATE.of(self.page[facts.FIFO_CTRL4.address])]
+        if rate_hz and at_ns >= self._temperature_due_ns:
+            self._temperature_due_ns = at_ns + self.own_period_ns(1e9 / rate_hz)
+            self._enqueue(TEMPERATURE_TAG, bytes(self.page[_DATA.start : _DATA.start + 2]) + bytes(4))
+
+    def _enqueue(self, tag: int, data: bytes) -> None:
+        """A word into the queue, of which the oldest is lost when it is full (LSM-43)."""
+        if len(self._words) >= FIFO_WORDS:
+            self._lost = self._lost_latched = True
+            if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]) != CONTINUOUS:
+                return
+            self._words.popleft()
+        odd = (tag << 3).bit_count() & 1
+        self._words.append(bytes([tag << 3 | odd]) + data)
+
+    def _clear_queue(self, at_ns: int) -> None:
+        self._words: deque[bytes] = deque()
+        self._word = bytes(len(FIFO_OUT))
+        self._lost = self._lost_latched = False
+        self._temperature_due_ns = at_ns
+
+    def _status(self) -> int:
+        """The second byte of the queue's status: overrun, full, level above 255; the latched flag is cleared
+        (LSM-44).
+        """
+        level = len(self._words)
+        latched, self._lost_latched = self._lost_latched, False
+        full = facts.FIFO_FULL.mask if level >= FIFO_WORDS else 0
+        lost = facts.FIFO_OVERRUN.mask if self._lost else 0
+        return lost | full | (facts.FIFO_OVERRUN_LATCHED.mask if latched else 0) | level >> 8
+
+    def _out(self, address: int) -> int:
+        """A byte of the word that left the queue when its tag was read (LSM-45)."""
+        if address == FIFO_OUT.start:
+            self._word = self._words.popleft() if self._words else bytes(len(FIFO_OUT))
+            self._lost = False
+        return self._word[address - FIFO_OUT.start]
+
+    def _sample(self, at_ns: int) -> None:
         """The latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
@@ -108,6 +181,12 @@ class Lsm6dso(SixAxis):
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
             return 0  # pages of the embedded functions: DEC-71
+        if address == facts.FIFO_STATUS1.address:
+            return len(self._words) & 0xFF
+        if address == facts.FIFO_STATUS2.address:
+            return self._status()
+        if address in FIFO_OUT:
+            return self._out(address)
         if address not in _DATA:
             return self.page[address]
         if address & 1:
@@ -126,7 +205,9 @@ class Lsm6dso(SixAxis):
         self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register, with IF_INC; otherwise the same (LSM-12)."""
+        """The next register, with IF_INC; otherwise the same (LSM-12). From the end of a word to its tag (LSM-45)."""
+        if pointer == FIFO_OUT[-1] and facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]):
+            return FIFO_OUT.start
         return (
             super().advance(pointer, reading) if facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]) else pointer
         )
@@ -140,6 +221,8 @@ class Lsm6dso(SixAxis):
         if self.begin_reset(address, value, at_ns):
             return
         super().store(address, value, at_ns)
+        if address == facts.FIFO_CTRL4.address and not facts.FIFO_MODE.of(self.page[address]):
+            self._clear_queue(at_ns)
         if address == facts.CTRL3_C.address:
             self.page[address] &= ~facts.BOOT.mask & 0xFF  # DEC-73
         for half in self._halves.values():
@@ -151,7 +234,7 @@ class Lsm6dso(SixAxis):
         code = half.rate.of(self.page[half.rate.register.address])
         asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
         on = 1 <= code <= len(RATES_HZ) and not asleep
-        half.grid.set(at_ns, round(1e9 / RATES_HZ[code - 1]) if on else 0)
+        half.grid.set(at_ns, self.own_period_ns(1e9 / RATES_HZ[code - 1]) if on else 0)
 
 
 def accelerometer_tolerances(range_g: float) -> Tolerances:

@@ -7,13 +7,13 @@ detection, the low-power cycle, standby of single axes, and the settling of the 
 from __future__ import annotations
 
 import math
-from collections import deque
 from struct import Struct
 from types import ModuleType
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
+from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register
@@ -26,29 +26,26 @@ RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
 ACCEL_BANDWIDTHS_HZ = (260.0, 184.0, 94.0, 44.0, 21.0, 10.0, 5.0, 260.0)  # by DLPF_CFG: INV-12, DEC-42
 GYRO_BANDWIDTHS_HZ = (256.0, 188.0, 98.0, 42.0, 20.0, 10.0, 5.0, 256.0)
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
-BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000
-FIFO_BYTES = 1024  # INV-27
 WORDS = Struct(">7h")
 TRIM_CODE = 17
 """Of every axis, unless told otherwise: the middle of the codes (DEC-43)."""
 
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
-_FIFO = facts.FIFO_R_W.address
 
 
-class Mpu6050(SixAxis):
+class Mpu6050(MpuFamily):
     """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03)."""
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
+    fifo_bytes: ClassVar[int] = 1024  # INV-27
 
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
     ) -> None:
         self._trim_code = trim_code
-        self._queue: deque[int] = deque(maxlen=FIFO_BYTES)
         super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
@@ -59,51 +56,9 @@ class Mpu6050(SixAxis):
         self.page[facts.SELF_TEST_X.address : facts.SELF_TEST_A.address + 1] = bytes(
             (high, high, high, low << 4 | low << 2 | low)
         )
-        self._queue.clear()
-        self._last_byte = 0
-        self._count = 0
-        self._flags = 0
-        self._grid = Grid(period_ns=BASE_PERIOD_NS)
-        self._queued = -1
 
-    # Sampling -------------------------------------------------------------------------------------------------------
-
-    def _sync(self, at_ns: int) -> None:
-        """Take in the samples up to `at_ns`: into the queue, and the latest one into the data registers (INV-30)."""
-        latest = self._grid.latest(at_ns)
-        if latest <= self._grid.index:
-            return
-        self._flags |= facts.DATA_READY.mask
-        if self._queueing:
-            size = len(self._queued_bytes())
-            kept = FIFO_BYTES // max(size, 1) + 2
-            if size and len(self._queue) + size * (latest - self._queued) > FIFO_BYTES:
-                self._flags |= facts.FIFO_OVERFLOW.mask
-            for index in range(max(self._queued + 1, latest - kept), latest + 1):
-                self._convert(index)
-                self._queue.extend(self._queued_bytes())
-        if self._grid.index != latest:
-            self._convert(latest)
-        self._queued = latest
-
-    @property
-    def _queueing(self) -> bool:
-        return bool(facts.FIFO_ON.of(self.page[facts.USER_CTRL.address]) and self.page[facts.FIFO_EN.address])
-
-    def _queued_bytes(self) -> bytes:
-        """The data bytes that FIFO_EN selects, in the order of their registers (INV-27)."""
-        enabled = self.page[facts.FIFO_EN.address]
-        data = bytes(self.page[_DATA.start : _DATA.stop])
-        axes = facts.FIFO_GYRO.of(enabled)
-        selected = data[:6] if facts.FIFO_ACCEL.of(enabled) else b""
-        selected += data[6:8] if facts.FIFO_TEMPERATURE.of(enabled) else b""
-        for axis in range(3):  # bit 6 is x, bit 4 is z
-            selected += data[8 + 2 * axis : 10 + 2 * axis] if axes >> (2 - axis) & 1 else b""
-        return selected
-
-    def _convert(self, index: int) -> None:
-        """Sample number `index` into the data registers."""
-        at_ns = self._grid.time_ns(index)
+    def _convert(self, at_ns: int) -> None:
+        """Bring the sample of this instant into the data registers."""
         page = self.page
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
@@ -117,7 +72,6 @@ class Mpu6050(SixAxis):
         gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
         temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
-        self._grid.index = index
 
     def _accel_push(self) -> float:
         """Codes at 8 g that the self-test adds (INV-46)."""
@@ -144,53 +98,15 @@ class Mpu6050(SixAxis):
             self._flags = 0  # INV-22
         return sent
 
-    def load(self, address: int, at_ns: int) -> int:
-        """A register's byte."""
-        if address == facts.INT_STATUS.address:
-            flags, self._flags = self._flags, 0
-            return flags
-        if address == facts.FIFO_COUNT_H.address:
-            self._count = len(self._queue)  # both bytes are taken now (INV-26)
-            return self._count >> 8
-        if address == facts.FIFO_COUNT_L.address:
-            return self._count & 0xFF
-        if address == _FIFO:
-            if self._queue:
-                self._last_byte = self._queue.popleft()
-            return self._last_byte  # of an empty queue once more the last one (INV-27)
-        return self.page[address]
-
-    def advance(self, pointer: int, reading: bool) -> int:
-        """The next register; the queue's stays where it is (INV-27)."""
-        return pointer if pointer == _FIFO else super().advance(pointer, reading)
-
-    # Writing --------------------------------------------------------------------------------------------------------
-
-    def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
-        self.end_reset(at_ns)
-        self._sync(at_ns)
-        if self.begin_reset(address, value, at_ns):
-            return
-        if address == _FIFO:
-            return  # bytes written to the queue are not modelled: DEC-41
-        super().store(address, value, at_ns)
-        if address == facts.USER_CTRL.address:
-            if value & facts.FIFO_RESET.mask:
-                self._queue.clear()
-            once = facts.FIFO_RESET.mask | facts.MASTER_RESET.mask | facts.SIGNAL_RESET.mask
-            self.page[address] &= ~once & 0xFF
-        if address in (facts.PWR_MGMT_1.address, facts.SMPLRT_DIV.address, facts.CONFIG.address):
-            self._restart(at_ns)
-        self._queued = self._grid.index
-
-    def _restart(self, at_ns: int) -> None:
+    def _restart(self, address: int, at_ns: int) -> None:
         """The grid of samples begins anew with another rate, and when the die wakes (DEC-40)."""
+        if address not in (facts.PWR_MGMT_1.address, facts.SMPLRT_DIV.address, facts.CONFIG.address):
+            return
         fast = facts.DLPF.of(self.page[facts.CONFIG.address]) in UNFILTERED
         base_ns = UNFILTERED_PERIOD_NS if fast else BASE_PERIOD_NS
         period_ns = base_ns * (1 + self.page[facts.SMPLRT_DIV.address])
         asleep = facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address])
-        self._grid.set(at_ns, 0 if asleep else period_ns)
+        self._grid.set(at_ns, 0 if asleep else self.own_period_ns(period_ns))
 
 
 def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:

@@ -1,7 +1,7 @@
 """MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4; INV-70 ... INV-78,
 DEC-80 and -81.
 
-The die is awake after power-on; samples fall on its own grid from then on. Not modelled: queue, auxiliary bus but for
+The die is awake after power-on; samples fall on its own grid from then on. Not modelled: auxiliary bus but for
 its bypass, motion detection, low-power cycle, the settling of the zero-rate level.
 """
 
@@ -15,7 +15,8 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
+from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
 from firmware_emulator.tolerances import NONE, Tolerances, typical
 from imuarray.facts import mpu6500 as facts
 from imuarray.facts.registers import Field, Register
@@ -27,7 +28,6 @@ RANGES_G = (2.0, 4.0, 8.0, 16.0)
 RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
 GYRO_BANDWIDTHS_HZ = (250.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 3600.0)  # by DLPF_CFG: INV-73
 ACCEL_BANDWIDTHS_HZ = (460.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 460.0)  # by A_DLPF_CFG: INV-74
-BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-72
 WORDS = Struct(">7h")
 TRIM_CODE = 120
 """Of every axis, unless told otherwise: a deflection of 65 dps and of 0.52 g (DEC-81)."""
@@ -35,7 +35,7 @@ TRIM_CODE = 120
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
-class Mpu6500(SixAxis):
+class Mpu6500(MpuFamily):
     """The registers; `identity` is 0x71 for an MPU-9250."""
 
     table: ClassVar[ModuleType] = facts
@@ -44,6 +44,7 @@ class Mpu6500(SixAxis):
     reset_ns: ClassVar[int] = RESET_NS
     on_bypass: Callable[[], None] | None = None
     """What is told that the bypass has been opened or closed."""
+    fifo_bytes: ClassVar[int] = 512  # INV-98
 
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
@@ -56,8 +57,7 @@ class Mpu6500(SixAxis):
         super().power_on(at_ns)
         for register in (facts.SELF_TEST_X_GYRO, facts.SELF_TEST_X_ACCEL):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
-        self._grid = Grid()
-        self._restart(at_ns)
+        self._restart(facts.PWR_MGMT_1.address, at_ns)
 
     @property
     def bypass_open(self) -> bool:
@@ -65,27 +65,23 @@ class Mpu6500(SixAxis):
         master = facts.MASTER_ON.of(self.page[facts.USER_CTRL.address])
         return bool(facts.BYPASS.of(self.page[facts.INT_PIN_CFG.address])) and not master
 
-    def _sync(self, at_ns: int) -> None:
-        """The latest sample into the data registers."""
-        sampled_ns = self._grid.take(at_ns)
-        if sampled_ns is None:
-            return
+    def _convert(self, at_ns: int) -> None:
+        """Bring the sample of this instant into the data registers."""
         page = self.page
         scale = facts.ACCEL_RANGE.of(page[facts.ACCEL_CONFIG.address])
         control = page[facts.ACCEL_CONFIG_2.address]
         unfiltered = facts.ACCEL_UNFILTERED.of(control)
         bandwidth_hz = 1130.0 if unfiltered else ACCEL_BANDWIDTHS_HZ[facts.ACCEL_DLPF.of(control)]  # INV-74
-        force = self.felt(ACCELEROMETER, sampled_ns, RANGES_G[scale], bandwidth_hz)
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], bandwidth_hz)
         pushed = facts.ACCEL_SELF_TEST.of(page[facts.ACCEL_CONFIG.address])
         ax, ay, az = self._codes(force, CODES_PER_G[scale], CODES_PER_G[0], pushed)
         scale = facts.GYRO_RANGE.of(page[facts.GYRO_CONFIG.address])
         bandwidth_hz = GYRO_BANDWIDTHS_HZ[facts.DLPF.of(page[facts.CONFIG.address])]
-        rate = self.felt(GYROSCOPE, sampled_ns, RANGES_DPS[scale], bandwidth_hz)
+        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], bandwidth_hz)
         pushed = facts.GYRO_SELF_TEST.of(page[facts.GYRO_CONFIG.address])
         gx, gy, gz = self._codes(rate, CODES_PER_DPS[scale], CODES_PER_DPS[0], pushed)
-        temperature = clipped(round((self.degc(sampled_ns) - 21.0) * 333.87))  # INV-76
+        temperature = clipped(round((self.degc(at_ns) - 21.0) * 333.87))  # INV-76
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
-        page[facts.INT_STATUS.address] |= facts.DATA_READY.mask
 
     def _codes(self, felt: Triple, scale: float, finest: float, pushed: int) -> list[int]:
         """Three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75, INV-78)."""
@@ -101,37 +97,20 @@ class Mpu6500(SixAxis):
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
 
-    def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; the status is cleared by reading it (INV-75)."""
-        byte = self.page[address]
-        if address == facts.INT_STATUS.address:
-            self.page[address] = 0
-        return byte
-
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
-        self.end_reset(at_ns)
-        self._sync(at_ns)
+        """A byte written to a register; whoever is behind the bypass is told when it is opened or closed."""
         was_open = self.bypass_open
-        if not self.begin_reset(address, value, at_ns):
-            self._keep(address, value, at_ns)
+        super().store(address, value, at_ns)
         if self.on_bypass is not None and was_open != self.bypass_open:
             self.on_bypass()
 
-    def _keep(self, address: int, value: int, at_ns: int) -> None:
-        super().store(address, value, at_ns)
-        if address == facts.USER_CTRL.address:
-            once = facts.FIFO_RESET.mask | facts.MASTER_RESET.mask | facts.SIGNAL_RESET.mask
-            self.page[address] &= ~once & 0xFF
-        self._restart(at_ns)
-
-    def _restart(self, at_ns: int) -> None:
+    def _restart(self, address: int, at_ns: int) -> None:
         """The grid begins anew with another rate, and when the die wakes (DEC-80)."""
         config, gyro = self.page[facts.CONFIG.address], self.page[facts.GYRO_CONFIG.address]
         divided = 0 < facts.DLPF.of(config) < 7 and not facts.GYRO_UNFILTERED.of(gyro)
         period_ns = BASE_PERIOD_NS * (1 + self.page[facts.SMPLRT_DIV.address]) if divided else UNFILTERED_PERIOD_NS
         asleep = facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address])
-        self._grid.set(at_ns, 0 if asleep else period_ns)
+        self._grid.set(at_ns, 0 if asleep else self.own_period_ns(period_ns))
 
 
 def accelerometer_tolerances(_: float) -> Tolerances:

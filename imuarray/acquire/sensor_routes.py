@@ -15,6 +15,7 @@ from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
 from imuarray.bus.spi import SpiChip
 from imuarray.chips import die_of
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
+from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts.registers import Setting
 
@@ -47,6 +48,7 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
     mux = Pca9544a(bus, array.mux.address) if array.mux else None
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     routes = []
+    halves: dict[tuple[int, int | str | None], QueuedHalf] = {}
     for sensor in array.sensors:
         segment: Bus = bus
         if sensor.on_spi:
@@ -57,6 +59,10 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
             segment = mux.channel(sensor.channel)
         drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
         driver = drivers[sensor.chip](segment, sensor, bus.clock)
+        if isinstance(driver, QueuedHalf):
+            first = halves.setdefault((driver.registers.address, sensor.bus or sensor.channel), driver)
+            if first is not driver:
+                driver.share(first)
         claim = _nobody_asks if ask is None or sensor.on_spi else partial(_claim, ask, sensor)
         routes.append(SensorRoute(sensor, driver, sensor.bus or sensor.channel, claim))
     return routes

@@ -12,17 +12,36 @@ from imuarray.drivers.bmp280 import Bmp280
 from imuarray.drivers.bmp388 import Bmp388
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
-from imuarray.drivers.icm42688 import Icm42688Accelerometer, Icm42688Gyroscope
+from imuarray.drivers.icm42688 import (
+    Icm42688Accelerometer,
+    Icm42688AccelerometerFifo,
+    Icm42688Gyroscope,
+    Icm42688GyroscopeFifo,
+)
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lis3mdl import Lis3mdl
-from imuarray.drivers.lsm6dso import Lsm6dsoAccelerometer, Lsm6dsoGyroscope
+from imuarray.drivers.lsm6dso import (
+    Lsm6dsoAccelerometer,
+    Lsm6dsoAccelerometerFifo,
+    Lsm6dsoGyroscope,
+    Lsm6dsoGyroscopeFifo,
+)
 from imuarray.drivers.mmc5983 import Mmc5983
-from imuarray.drivers.mpu6050 import Mpu6050Accelerometer, Mpu6050Gyroscope
+from imuarray.drivers.mpu6050 import (
+    Mpu6050Accelerometer,
+    Mpu6050AccelerometerFifo,
+    Mpu6050Gyroscope,
+    Mpu6050GyroscopeFifo,
+)
 from imuarray.drivers.mpu6500 import (
     Mpu6500Accelerometer,
+    Mpu6500AccelerometerFifo,
     Mpu6500Gyroscope,
+    Mpu6500GyroscopeFifo,
     Mpu9250Accelerometer,
+    Mpu9250AccelerometerFifo,
     Mpu9250Gyroscope,
+    Mpu9250GyroscopeFifo,
 )
 
 __all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
@@ -51,5 +70,18 @@ DRIVERS: dict[str, type[Driver]] = {
     "ak8963": Ak8963,
 }
 
-FIFO_DRIVERS: dict[str, type[Driver]] = {"adxl345": Adxl345Fifo, "l3g4200d": L3g4200dFifo}
+FIFO_DRIVERS: dict[str, type[Driver]] = {
+    "adxl345": Adxl345Fifo,
+    "l3g4200d": L3g4200dFifo,
+    "mpu6050_acc": Mpu6050AccelerometerFifo,
+    "mpu6050_gyro": Mpu6050GyroscopeFifo,
+    "mpu6500_acc": Mpu6500AccelerometerFifo,
+    "mpu6500_gyro": Mpu6500GyroscopeFifo,
+    "mpu9250_acc": Mpu9250AccelerometerFifo,
+    "mpu9250_gyro": Mpu9250GyroscopeFifo,
+    "icm42688_acc": Icm42688AccelerometerFifo,
+    "icm42688_gyro": Icm42688GyroscopeFifo,
+    "lsm6dso_acc": Lsm6dsoAccelerometerFifo,
+    "lsm6dso_gyro": Lsm6dsoGyroscopeFifo,
+}
 """Drivers of chips whose queue is drained (`fifo = true`)."""

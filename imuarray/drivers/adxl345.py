@@ -156,6 +156,7 @@ class Adxl345Fifo(Adxl345):
         """Every set that is waiting, oldest first; those that were read before the bus failed are not lost."""
         at_ns = self.clock.now_ns()
         entries = facts.ENTRIES.of(self.registers.peek(facts.FIFO_STATUS)[0])
+        until_ns = self.clock.now_ns()
         sets: list[bytes] = []
         try:
             while len(sets) < entries:
@@ -164,7 +165,7 @@ class Adxl345Fifo(Adxl345):
             if not sets:
                 raise
         unread = entries - len(sets)  # newer than those that were read, and still in the queue
-        self.queue.times(len(sets), at_ns - round(unread * self.queue.period_ns), overrun=entries >= _FIFO_DEPTH)
+        self.queue.times(len(sets), at_ns, entries >= _FIFO_DEPTH, until_ns=until_ns, unread=unread)
         return b"".join(sets)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:

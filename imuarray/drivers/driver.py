@@ -16,7 +16,6 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.bus.spi import SpiChip
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
 from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import SATURATED
@@ -183,11 +182,22 @@ class Driver(Protocol):
         """Attributes of the chip itself that its log needs (the barometer's calibration words)."""
 
 
+class QueueTimes(Protocol):
+    """The times of the samples that were drained last (`FifoClock`)."""
+
+    drained: list[int]
+    overrun: bool
+    """Samples are missing before them."""
+
+    def restart(self) -> None:
+        """Forget everything: the chip was set up again, or its queue drained in another's place."""
+
+
 @runtime_checkable
 class FifoDriver(Protocol):
     """A driver whose `fetch` drains a queue: any number of bursts, whose times `queue` works out."""
 
-    queue: FifoClock
+    queue: QueueTimes
 
 
 @runtime_checkable

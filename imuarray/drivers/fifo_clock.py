@@ -1,21 +1,106 @@
 """Estimates when the samples of a chip's queue were taken, from their numbers and the times of counting.
 
-A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them), and keeps no time. But
-each count of the queue says something: if it holds `level` samples at `at_ns`, the newest of them is at most one period
-old. The period is estimated from all samples since the start; predictions are pulled into the window that each count
-allows, so that the error of a time stays within one period for ever and no rate error adds up.
+A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them). A count says two things of
+it: the newest sample that was counted was there by the end of the count, and the next one was not before its beginning.
+Each is a bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region
+of possible lines (offset and period), a convex polygon that every count cuts; the estimate is its centre, the
+uncertainty its extent. A host that is late by milliseconds leaves wide bounds, which cut nothing, and harms nothing.
+The method is set-membership estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be
+known.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 TOLERANCE = 0.15
 """How far a chip's oscillator may be off its nominal rate."""
+DRIFT = 2e-4
+"""How far its rate may change within a window: warming by a few degrees changes it by less."""
+WINDOW_NS = 5e9
+"""A window begins anew after so long; the one before is used meanwhile, so that no bound is more than twice as old."""
+
+Vertices = list[tuple[float, float]]
+
+
+class _Window:
+    """The possible lines: vertices (time of the sample number `first` in ns after `origin_ns`, period in ns)."""
+
+    def __init__(self, first: int, from_ns: float, until_ns: float, periods: tuple[float, float]) -> None:
+        self.first = first
+        self.origin_ns = from_ns
+        width, (low, high) = until_ns - from_ns, periods
+        self.vertices: Vertices = [(-low, low), (width, low), (width, high), (-high, high)]
+        self._center: tuple[float, float] | None = None
+
+    def cut(self, newest: int, from_ns: float, until_ns: float) -> bool:
+        """Take a count in: sample number `newest` came by `until_ns`, and the next not before `from_ns`. False if no
+        line is left.
+        """
+        steps = newest - self.first
+        before, after = until_ns - self.origin_ns, from_ns - self.origin_ns
+        late = [start + steps * period - before for start, period in self.vertices]
+        if max(late) > 0:
+            self.vertices, self._center = _kept(self.vertices, late), None
+        early = [after - start - (steps + 1) * period for start, period in self.vertices]
+        if early and max(early) > 0:
+            self.vertices, self._center = _kept(self.vertices, early), None
+        return len(self.vertices) > 2
+
+    @property
+    def center(self) -> tuple[float, float]:
+        """The centre of the possible lines."""
+        if self._center is None:
+            self._center = _centroid(self.vertices)
+        return self._center
+
+    @property
+    def periods(self) -> tuple[float, float]:
+        """The smallest and largest possible period, with the drift of a window."""
+        periods = [period for _, period in self.vertices]
+        return min(periods) * (1 - DRIFT), max(periods) * (1 + DRIFT)
+
+    def uncertainty_ns(self, number: int) -> float:
+        """Half the extent of the possible times of a sample."""
+        times = [start + (number - self.first) * period for start, period in self.vertices]
+        return (max(times) - min(times)) / 2
+
+
+def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
+    """The part of a convex polygon on which `excess`, given at the vertices and linear in between, is not positive."""
+    kept: Vertices = []
+    before, beyond = vertices[-1], excess[-1]
+    for vertex, over in zip(vertices, excess, strict=True):
+        if (over > 0) != (beyond > 0):
+            share = beyond / (beyond - over)
+            kept.append((before[0] + share * (vertex[0] - before[0]), before[1] + share * (vertex[1] - before[1])))
+        if over <= 0:
+            kept.append(vertex)
+        before, beyond = vertex, over
+    return kept
+
+
+def _centroid(vertices: Vertices) -> tuple[float, float]:
+    """The centre of area of a convex polygon; the mean of its vertices if it has no area."""
+    x0, y0 = vertices[0]
+    area = x = y = 0.0
+    for (xa, ya), (xb, yb) in pairwise(vertices[1:]):
+        ax, ay, bx, by = xa - x0, ya - y0, xb - x0, yb - y0
+        part = ax * by - ay * bx
+        area += part
+        x += part * (ax + bx)
+        y += part * (ay + by)
+    if area == 0:
+        count = len(vertices)
+        return sum(vertex[0] for vertex in vertices) / count, sum(vertex[1] for vertex in vertices) / count
+    return x0 + x / (3 * area), y0 + y / (3 * area)
 
 
 class FifoClock:
     """Times of consecutive samples of one chip of nominal rate `rate_hz`.
 
     `drained` and `overrun` tell of the last count: the times of its samples, and whether the queue had run over.
+    `uncertainty_ns`: by how much the time of the newest sample may be off.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -25,43 +110,89 @@ class FifoClock:
     def restart(self) -> None:
         """Forget everything: the chip was set up again."""
         self.period_ns = self.nominal_ns
+        self.uncertainty_ns = self.nominal_ns / 2
         self.drained: list[int] = []
         self.overrun = False
-        self._newest_ns: float | None = None
-        self._start_ns = 0.0
-        self._count = 0
+        self._periods = self.nominal_ns * (1 - TOLERANCE), self.nominal_ns * (1 + TOLERANCE)
+        self._taken = 0
+        self._latest_ns = -(1 << 62)
+        self._window: _Window | None = None
+        self._next: _Window | None = None
 
-    def times(self, level: int, at_ns: int, overrun: bool = False) -> list[int]:
-        """ns of the `level` samples that were in the queue at `at_ns`, oldest first, strictly increasing.
+    def times(
+        self, level: int, at_ns: int, overrun: bool = False, *, until_ns: int | None = None, unread: int = 0
+    ) -> list[int]:
+        """ns of the oldest `level` samples of a queue that was counted between `at_ns` and `until_ns` (`at_ns` unless
+        given), oldest first, strictly increasing; `unread` newer ones were counted and stay in the queue.
 
-        After an overrun samples are missing before them, and the estimate of the period starts anew.
+        After an overrun samples are missing before them, and the estimate begins anew, with the period as it is known.
         """
         self.overrun = overrun
-        self.drained = self._times(level, at_ns) if level else []
+        if not level:
+            self.drained = []
+            return self.drained
+        from_ns, end_ns = float(at_ns), float(at_ns if until_ns is None else max(until_ns, at_ns))
+        newest = self._taken + level + unread - 1
+        if self._window is None or overrun or not self._cut(newest, from_ns, end_ns):
+            self._begin()
+        window = self._window
+        if window is None:  # the first count: the newest sample is half a period old, give or take as much
+            start_ns, first = (from_ns + end_ns - self.period_ns) / 2, newest
+            self.uncertainty_ns = (end_ns - from_ns + self.period_ns) / 2
+            self._window = _Window(newest, from_ns, end_ns, self._periods)
+        else:
+            start_ns, self.period_ns = window.center
+            start_ns, first = start_ns + window.origin_ns, window.first
+            self.uncertainty_ns = window.uncertainty_ns(newest)
+        self.drained = self._increasing(start_ns + (self._taken - first) * self.period_ns, level)
+        self._taken += level
         return self.drained
 
-    def _times(self, level: int, at_ns: int) -> list[int]:
-        if self._newest_ns is None or self.overrun:
-            return self._begin(level, at_ns)
-        self._count += level
-        measured_ns = (at_ns - self._start_ns) / self._count
-        low, high = self.nominal_ns * (1 - TOLERANCE), self.nominal_ns * (1 + TOLERANCE)
-        self.period_ns = min(max(measured_ns, low), high)
-        before_ns = self._newest_ns
-        predicted_ns = before_ns + level * self.period_ns
-        newest_ns = min(max(predicted_ns, at_ns - self.period_ns), float(at_ns))
-        # A queue that was counted late can't have newer samples than one count before: keep the order whatever happens.
-        newest_ns = max(newest_ns, before_ns + level)
-        self._newest_ns = newest_ns
-        step_ns = (newest_ns - before_ns) / level
-        return [round(before_ns + index * step_ns) for index in range(1, level + 1)]
+    def look(self, waiting: int, from_ns: int, until_ns: int) -> None:
+        """Take in a count of `waiting` samples of which none is drained."""
+        if self._window is not None and not self._cut(self._taken + waiting - 1, float(from_ns), float(until_ns)):
+            self._begin()
 
-    def _begin(self, level: int, at_ns: int) -> list[int]:
-        """The first count, or the first after a gap: the newest sample is half a period old, give or take as much."""
-        newest_ns = at_ns - self.period_ns / 2
-        oldest_ns = newest_ns - (level - 1) * self.period_ns
-        if self._newest_ns is not None and oldest_ns <= self._newest_ns:
-            oldest_ns = self._newest_ns + 1
-        step_ns = (newest_ns - oldest_ns) / max(level - 1, 1)
-        self._newest_ns, self._start_ns, self._count = newest_ns, float(at_ns), 0
-        return [round(oldest_ns + index * step_ns) for index in range(level)]
+    def best_look_ns(self, now_ns: int, wanted_ns: float) -> int | None:
+        """When to count again so as to halve the uncertainty: in the middle of the possible times of the next sample.
+        None if it is known to `wanted_ns`, or nothing is known yet.
+        """
+        if self._window is None or self._window.uncertainty_ns(self._taken) <= wanted_ns:
+            return None
+        start_ns, period_ns = self._window.center
+        next_ns = start_ns + self._window.origin_ns + (self._taken - self._window.first) * period_ns
+        steps = max(0, -int((next_ns - now_ns) // period_ns))
+        return round(next_ns + steps * period_ns)
+
+    def _cut(self, newest: int, from_ns: float, end_ns: float) -> bool:
+        """Take a count in; False if no window explains it, and the estimate must begin anew."""
+        window, following = self._window, self._next
+        if following is not None and not following.cut(newest, from_ns, end_ns):
+            following = self._next = None
+        if window is not None and not window.cut(newest, from_ns, end_ns):
+            window, self._next = following, None
+        if window is not None and self._next is None:
+            self._next = _Window(newest, from_ns, end_ns, window.periods)
+        elif window is not None and self._next is not None and from_ns - self._next.origin_ns > WINDOW_NS:
+            window, self._next = self._next, _Window(newest, from_ns, end_ns, self._next.periods)
+        self._window = window
+        return window is not None
+
+    def _begin(self) -> None:
+        """Forget where the samples were; of the period what the last window knew, unless none explains the count."""
+        if self._window is not None and self.overrun:
+            self._periods = self._window.periods
+        else:
+            self._periods = self.nominal_ns * (1 - TOLERANCE), self.nominal_ns * (1 + TOLERANCE)
+        self._window = self._next = None
+
+    def _increasing(self, oldest_ns: float, level: int) -> list[int]:
+        """`level` times from `oldest_ns` on, all later than those before."""
+        period_ns, latest_ns = self.period_ns, self._latest_ns
+        times = [round(oldest_ns + index * period_ns) for index in range(level)]
+        if times[0] <= latest_ns:
+            end_ns = max(times[-1], latest_ns + level)
+            step_ns = (end_ns - latest_ns) / level
+            times = [round(latest_ns + (index + 1) * step_ns) for index in range(level)]
+        self._latest_ns = times[-1]
+        return times

@@ -11,16 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
-from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis_queue import DieQueue, Icm42688Queue
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register, Setting
 from imuarray.log.format import SATURATED, SUSPECT
@@ -32,6 +34,7 @@ _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
 _I2C_OFF = 0b11  # else noise on the lines may pass for I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
+_STREAM = 0b01  # TDK-80
 _INVALID = -32768  # TDK-13
 _SELF_TEST_SETTLE_S = 0.2  # TDK-42
 
@@ -157,10 +160,14 @@ class _Half(SixAxisHalf):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, of which -32768 is none: such a row is suspect, not saturated."""
         decoded = super().decode(bursts)
-        invalid = (decoded.counts == _INVALID).any(axis=1)
-        at_end = (np.abs(decoded.counts.astype(np.int32)) == 32767).any(axis=1) & ~invalid
-        status = np.where(invalid, SUSPECT, 0) | np.where(at_end, SATURATED, 0)
-        return decoded._replace(status=status.astype(np.uint16))
+        return decoded._replace(status=_status(decoded.counts))
+
+
+def _status(counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+    """(n,) flags of (n, 3) counts: suspect where -32768 says that there is none, saturated at the ends of the rest."""
+    invalid = (counts == _INVALID).any(axis=1)
+    at_end = (np.abs(counts.astype(np.int32)) == 32767).any(axis=1) & ~invalid
+    return (np.where(invalid, SUSPECT, 0) | np.where(at_end, SATURATED, 0)).astype(np.uint16)
 
 
 class Icm42688Accelerometer(_Half):
@@ -187,3 +194,44 @@ class Icm42688Gyroscope(_Half):
     deflected: ClassVar[Setting] = facts.GYRO_SELF_TEST(0b111)
     limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
     allowed: ClassVar[str] = "0.5 and more allowed"
+
+
+class _QueuedHalf(QueuedHalf, _Half):
+    """One half read by the queue: a row is the triad and a temperature of 8 bits, 2.07 counts a degC (TDK-82)."""
+
+    burst: ClassVar[int] = 7
+    reading: ClassVar[slice] = slice(0, 6)
+
+    def _new_queue(self) -> DieQueue:
+        return Icm42688Queue(self.registers, self.clock, self.rate_hz)
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """Packets of the halves that are read, the oldest lost first (TDK-80), stamped in microseconds (TDK-83)."""
+        halves = self.die_queue.halves
+        both = len(halves) > 1
+        packets = facts.FIFO_ACCEL(int("acc" in halves)) | facts.FIFO_GYRO(int("gyro" in halves))
+        packets |= facts.FIFO_TEMPERATURE(1) | facts.FIFO_TIMESTAMP(int(both))
+        return (
+            facts.TMST_CONFIG[7:0]((facts.TMST_CONFIG_KEPT(1) | facts.TIMESTAMP_ON(1)).value),
+            facts.FIFO_CONFIG1[7:0](packets.value),
+            facts.FIFO_CONFIG[7:0](facts.FIFO_MODE(_STREAM).value),
+        )
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits; the temperature in the counts of its register, 64 for each of its own (TDK-82)."""
+        counts = np.ascontiguousarray(bursts[:, :6]).view(">i2").astype(np.int16)
+        coarse = np.ascontiguousarray(bursts[:, 6]).view(np.int8).astype(np.int16)
+        temperature = np.where(coarse == -128, _INVALID, coarse * 64).astype(np.int16)  # TDK-82
+        return DecodedBursts(counts, temperature, _status(counts))
+
+
+class Icm42688AccelerometerFifo(_QueuedHalf, Icm42688Accelerometer):
+    """Driver of the accelerometer of one ICM-42688-P, its queue drained."""
+
+    half: ClassVar[str] = "acc"
+
+
+class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
+    """Driver of the gyroscope of one ICM-42688-P, its queue drained."""
+
+    half: ClassVar[str] = "gyro"

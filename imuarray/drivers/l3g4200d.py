@@ -172,10 +172,11 @@ class L3g4200dFifo(L3g4200d):
         """Every set that is waiting, oldest first."""
         at_ns = self.clock.now_ns()
         source = self.registers.peek(facts.FIFO_SRC_REG)[0]
+        until_ns = self.clock.now_ns()
         overrun = facts.FIFO_OVERRUN.of(source)
         level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't say 32: L3G-58
         sets = self._read(facts.OUT_X_L, self.burst * level) if level else b""
-        self.queue.times(level, at_ns, overrun=bool(overrun))
+        self.queue.times(level, at_ns, bool(overrun), until_ns=until_ns)
         return sets
 
     def decode(self, bursts: Bytes) -> DecodedBursts:

@@ -12,11 +12,14 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import ClassVar
 
+import numpy as np
+
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Limits, SelfTest, compared
-from imuarray.drivers.six_axis import SixAxisHalf, upward
+from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared, saturated
+from imuarray.drivers.six_axis import QueuedHalf, SixAxisHalf, upward
+from imuarray.drivers.six_axis_queue import DieQueue, Lsm6dsoQueue
 from imuarray.facts import lsm6dso as facts
 from imuarray.facts.registers import Field, Register, Setting
 
@@ -24,6 +27,9 @@ _START_S = 0.15  # ST's own program waits as long for the gyroscope, and 0.1 s f
 _RATE_CODES = {104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7, 1666.0: 8}  # LSM-15
 _SELF_TEST_RATE = 5  # 208 Hz: LSM-20
 _SELF_TEST_SETTLE_S = 0.1  # LSM-20
+_QUEUE_ON = facts.FIFO_CTRL4[7:0](
+    (facts.FIFO_MODE(0b110) | facts.TEMPERATURE_BATCH_RATE(0b11)).value  # the oldest is lost; 52 temperatures a second
+)
 _RELATIVES: Mapping[int, str] = MappingProxyType(
     {
         0x69: "an LSM6DS3",
@@ -122,3 +128,37 @@ class Lsm6dsoGyroscope(_Half):
     limits: ClassVar[Limits] = ((150.0, 700.0),) * 3
     allowed: ClassVar[str] = "dps; 150 to 700 dps allowed"
     still: ClassVar[float] = 10.0
+
+
+class _QueuedHalf(QueuedHalf, _Half):
+    """One half read by the queue: a row is a word, a tag and the triad, and the last temperature (LSM-41)."""
+
+    burst: ClassVar[int] = 9
+    reading: ClassVar[slice] = slice(1, 7)
+
+    def _new_queue(self) -> DieQueue:
+        return Lsm6dsoQueue(self.registers, self.clock, self.rate_hz, _QUEUE_ON)
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """The halves that are read at their data rate, and a temperature now and then (LSM-42, LSM-43)."""
+        rates = dict.fromkeys(self.die_queue.halves, _RATE_CODES[self.rate_hz])
+        batches = facts.GYRO_BATCH_RATE(rates.get("gyro", 0)) | facts.ACCEL_BATCH_RATE(rates.get("acc", 0))
+        return facts.FIFO_CTRL3[7:0](batches.value), _QUEUE_ON
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, low byte first."""
+        counts = np.ascontiguousarray(bursts[:, 1:7]).view("<i2").astype(np.int16)
+        temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2")[:, 0].astype(np.int16)
+        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+
+
+class Lsm6dsoAccelerometerFifo(_QueuedHalf, Lsm6dsoAccelerometer):
+    """Driver of the accelerometer of one LSM6DSO, its queue drained."""
+
+    half: ClassVar[str] = "acc"
+
+
+class Lsm6dsoGyroscopeFifo(_QueuedHalf, Lsm6dsoGyroscope):
+    """Driver of the gyroscope of one LSM6DSO, its queue drained."""
+
+    half: ClassVar[str] = "gyro"

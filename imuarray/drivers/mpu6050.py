@@ -16,13 +16,15 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import SelfTest, compared
-from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf
+from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf
+from imuarray.drivers.six_axis_queue import EVERYTHING, DieQueue, MpuQueue
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
 _X_GYRO_CLOCK = 1  # steadier than the internal oscillator: INV-25
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
+_FIFO_BYTES = 1024  # INV-27
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
@@ -132,3 +134,27 @@ class Mpu6050Gyroscope(_Half):
     def _self_test_range(self) -> Setting:
         """250 dps (INV-47)."""
         return facts.GYRO_RANGE(0) | facts.GYRO_SELF_TEST(0)
+
+
+class _QueuedHalf(QueuedHalf, _Half):
+    """One half read by the queue, whose records are as a burst of the registers is."""
+
+    def _new_queue(self) -> DieQueue:
+        control = facts.USER_CTRL[7:0](facts.FIFO_ON(1).value)
+        return MpuQueue(self.registers, self.clock, self.rate_hz, _FIFO_BYTES, control, vars(facts))
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """On, with everything in it (INV-27)."""
+        return facts.USER_CTRL[7:0](facts.FIFO_ON(1).value), facts.FIFO_EN[7:0](EVERYTHING)
+
+
+class Mpu6050AccelerometerFifo(_QueuedHalf, Mpu6050Accelerometer):
+    """Driver of the accelerometer of one MPU-6050, its queue drained."""
+
+    half: ClassVar[str] = "acc"
+
+
+class Mpu6050GyroscopeFifo(_QueuedHalf, Mpu6050Gyroscope):
+    """Driver of the gyroscope of one MPU-6050, its queue drained."""
+
+    half: ClassVar[str] = "gyro"

@@ -18,13 +18,15 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Limits, SelfTest, compared
-from imuarray.drivers.six_axis import INVENSENSE, SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
+from imuarray.drivers.six_axis_queue import EVERYTHING, DieQueue, MpuQueue
 from imuarray.facts import mpu6500 as facts
-from imuarray.facts.registers import Field, Register
+from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
 _BEST_CLOCK = 1  # of a gyroscope once it runs: INV-71
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-72
+_FIFO_BYTES = 512  # INV-98
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 
 
@@ -110,6 +112,31 @@ class Mpu6500Gyroscope(_Half):
     allowed: ClassVar[str] = "0.5 and more allowed"
 
 
+class _QueuedHalf(QueuedHalf, _Half):
+    """One half read by the queue, whose records are as a burst of the registers is."""
+
+    def _new_queue(self) -> DieQueue:
+        control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
+        return MpuQueue(self.registers, self.clock, self.rate_hz, _FIFO_BYTES, control, vars(facts))
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """On, with everything in it (INV-98)."""
+        control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
+        return control, facts.FIFO_EN[7:0](EVERYTHING)
+
+
+class Mpu6500AccelerometerFifo(_QueuedHalf, Mpu6500Accelerometer):
+    """Driver of the accelerometer of one MPU-6500, its queue drained."""
+
+    half: ClassVar[str] = "acc"
+
+
+class Mpu6500GyroscopeFifo(_QueuedHalf, Mpu6500Gyroscope):
+    """Driver of the gyroscope of one MPU-6500, its queue drained."""
+
+    half: ClassVar[str] = "gyro"
+
+
 _IDENTITY_9250 = replace(facts.WHO_AM_I, reset=0x71)  # INV-70
 
 
@@ -121,5 +148,17 @@ class Mpu9250Accelerometer(Mpu6500Accelerometer):
 
 class Mpu9250Gyroscope(Mpu6500Gyroscope):
     """Driver of the gyroscope of one MPU-9250."""
+
+    identity: ClassVar[Register] = _IDENTITY_9250
+
+
+class Mpu9250AccelerometerFifo(Mpu6500AccelerometerFifo):
+    """Driver of the accelerometer of one MPU-9250, its queue drained."""
+
+    identity: ClassVar[Register] = _IDENTITY_9250
+
+
+class Mpu9250GyroscopeFifo(Mpu6500GyroscopeFifo):
+    """Driver of the gyroscope of one MPU-9250, its queue drained."""
 
     identity: ClassVar[Register] = _IDENTITY_9250

@@ -4,7 +4,7 @@ Each half is a driver of its own that sets what both need to the same values (th
 differ) and never resets the die, which would take the other half's range. A burst holds both triads and the
 thermometer. The data-ready bits of these chips are cleared by whoever reads them, or reads the data, and can't serve
 two readers: a reading is not new if its bytes are those of the burst before, which noise in six axes prevents. That is
-why each half fetches both. The one queue of a die can't serve two readers either: it is not drained.
+why each half fetches both. The one queue of a die is drained once for both (`imuarray.drivers.six_axis_queue`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, DecodedBursts, carry_out, registers_for, saturated
+from imuarray.drivers.six_axis_queue import DieQueue
 from imuarray.facts.registers import Register, Setting
 
 SELF_TEST_SAMPLES = 32
@@ -106,12 +107,15 @@ class SixAxisHalf:
         counts = []
         for _ in range(SELF_TEST_SAMPLES):
             sleep_for(self.clock, 1 / self.rate_hz)
-            counts.append(np.frombuffer(self.fetch()[self.triad], self.order))
+            counts.append(np.frombuffer(self._registers_now()[self.triad], self.order))
         return np.asarray(np.array(counts), np.float64)
 
     def fetch(self) -> bytes:
         """Both triads and the thermometer."""
-        return self.registers.peek(self.first, self.burst)
+        return self._registers_now()
+
+    def _registers_now(self) -> bytes:
+        return self.registers.peek(self.first, 14)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits."""
@@ -122,3 +126,48 @@ class SixAxisHalf:
     def header(self) -> Mapping[str, int]:
         """No attributes of its own."""
         return {}
+
+
+class QueuedHalf(SixAxisHalf):
+    """One half whose die's queue is drained; another driver of the same die may `share` the queue."""
+
+    tells_fresh: ClassVar[bool] = True  # a sample in the queue is always new
+    half: ClassVar[str]
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self._own = self.settings, self.watched
+        self._use(self._new_queue())
+
+    def _new_queue(self) -> DieQueue:
+        """The queue of this die."""
+        raise NotImplementedError
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """Settings of the queue, with the halves that read it."""
+        raise NotImplementedError
+
+    def _use(self, queue: DieQueue) -> None:
+        self.die_queue, self.queue = queue, queue.join(self.half)
+        self._set_queue()
+
+    def _set_queue(self) -> None:
+        settings, watched = self._own
+        queued = self._queue_settings()
+        replaced = {setting.register for setting in queued}
+        self.settings = (*(each for each in settings if each.register not in replaced), *queued)
+        self.watched = (*(each for each in watched if each.register not in replaced), *queued)
+
+    def share(self, other: QueuedHalf) -> None:
+        """Read the queue of `other`, the driver of the other half; before either is set up."""
+        self._use(other.die_queue)
+        other._set_queue()
+
+    def steps(self) -> Iterator[float]:
+        """Set this half up, and empty the queue."""
+        yield from super().steps()
+        self.die_queue.empty(self.queue)
+
+    def fetch(self) -> bytes:
+        """Every row of this half that waits, oldest first."""
+        return self.die_queue.fetch(self.queue)

@@ -1,7 +1,7 @@
 """ICM-42688-P six-axis sensor: TDK InvenSense DS-000347 v1.7.
 
-Facts TDK-01 ... TDK-42. Registers of the queue, of interrupts, of motion detection and of the notch filter are left
-out, but for the low byte of the queue's watermark, on which nothing depends while the queue is off. Bits that the data
+Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-86. Registers of interrupts, of motion detection and of the notch filter
+are left out; on the queue's watermark nothing depends without interrupts. Bits that the data
 sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
 """
 
@@ -10,6 +10,7 @@ from imuarray.facts.registers import Register
 ADDRESSES = (0x68, 0x69)  # AP_AD0 low, high: TDK-01
 
 DEVICE_CONFIG = Register(0x11, reserved=0xEE)
+FIFO_CONFIG = Register(0x16, reserved=0x3F)
 TEMP_DATA1 = Register(0x1D, "r", reset=0x80)
 TEMP_DATA0 = Register(0x1E, "r")
 ACCEL_DATA_X1 = Register(0x1F, "r", reset=0x80)
@@ -25,6 +26,10 @@ GYRO_DATA_Y0 = Register(0x28, "r")
 GYRO_DATA_Z1 = Register(0x29, "r", reset=0x80)
 GYRO_DATA_Z0 = Register(0x2A, "r")
 INT_STATUS = Register(0x2D, "r", reset=0x10, reserved=0x80)
+FIFO_COUNTH = Register(0x2E, "r")
+FIFO_COUNTL = Register(0x2F, "r")
+FIFO_DATA = Register(0x30, "r")
+SIGNAL_PATH_RESET = Register(0x4B, reserved=0x91)
 INTF_CONFIG0 = Register(0x4C, reset=0x30, reserved=0x0C)
 INTF_CONFIG1 = Register(0x4D, reset=0x91)
 PWR_MGMT0 = Register(0x4E, reserved=0xC0)
@@ -33,6 +38,8 @@ ACCEL_CONFIG0 = Register(0x50, reset=0x06, reserved=0x10)
 GYRO_CONFIG1 = Register(0x51, reset=0x16)
 GYRO_ACCEL_CONFIG0 = Register(0x52, reset=0x11)
 ACCEL_CONFIG1 = Register(0x53, reset=0x0D, reserved=0xE0)
+TMST_CONFIG = Register(0x54, reset=0x23, reserved=0xC0)
+FIFO_CONFIG1 = Register(0x5F, reserved=0x80)
 FIFO_CONFIG2 = Register(0x60)
 SELF_TEST_CONFIG = Register(0x70, reserved=0x80)
 WHO_AM_I = Register(0x75, "r", reset=0x47)
@@ -55,6 +62,7 @@ ZA_ST_DATA = Register(0x3D, bank=2)
 
 SPI_MODE = DEVICE_CONFIG[4]
 SOFT_RESET = DEVICE_CONFIG[0]
+FIFO_MODE = FIFO_CONFIG[7:6]
 UI_FSYNC = INT_STATUS[6]
 PLL_READY = INT_STATUS[5]
 RESET_DONE = INT_STATUS[4]
@@ -62,6 +70,11 @@ DATA_READY = INT_STATUS[3]
 FIFO_THRESHOLD = INT_STATUS[2]
 FIFO_FULL = INT_STATUS[1]
 AGC_READY = INT_STATUS[0]
+DMP_INIT = SIGNAL_PATH_RESET[6]
+DMP_MEMORY_RESET = SIGNAL_PATH_RESET[5]
+ABORT_AND_RESET = SIGNAL_PATH_RESET[3]
+TIMESTAMP_STROBE = SIGNAL_PATH_RESET[2]
+FIFO_FLUSH = SIGNAL_PATH_RESET[1]
 FIFO_HOLD_LAST_DATA = INTF_CONFIG0[7]
 FIFO_COUNT_RECORDS = INTF_CONFIG0[6]
 FIFO_COUNT_BIG_ENDIAN = INTF_CONFIG0[5]
@@ -89,6 +102,19 @@ GYRO_FILTER = GYRO_ACCEL_CONFIG0[3:0]
 ACCEL_FILTER_ORDER = ACCEL_CONFIG1[4:3]
 ACCEL_DECIMATION_ORDER = ACCEL_CONFIG1[2:1]
 ACCEL_CONFIG1_KEPT = ACCEL_CONFIG1[0]
+TMST_CONFIG_KEPT = TMST_CONFIG[5]
+TIMESTAMP_TO_REGISTERS = TMST_CONFIG[4]
+TIMESTAMP_16_US = TMST_CONFIG[3]
+TIMESTAMP_DELTA = TMST_CONFIG[2]
+TIMESTAMP_FSYNC = TMST_CONFIG[1]
+TIMESTAMP_ON = TMST_CONFIG[0]
+FIFO_RESUME = FIFO_CONFIG1[6]
+FIFO_WATERMARK_EACH = FIFO_CONFIG1[5]
+FIFO_HIGH_RESOLUTION = FIFO_CONFIG1[4]
+FIFO_TIMESTAMP = FIFO_CONFIG1[3]
+FIFO_TEMPERATURE = FIFO_CONFIG1[2]
+FIFO_GYRO = FIFO_CONFIG1[1]
+FIFO_ACCEL = FIFO_CONFIG1[0]
 ACCEL_SELF_TEST_POWER = SELF_TEST_CONFIG[6]
 ACCEL_SELF_TEST = SELF_TEST_CONFIG[5:3]
 GYRO_SELF_TEST = SELF_TEST_CONFIG[2:0]

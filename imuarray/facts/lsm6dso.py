@@ -1,7 +1,7 @@
 """LSM6DSO six-axis sensor: STMicroelectronics DS12140 Rev 2.
 
-Facts LSM-01 ... LSM-33. Registers of the queue, of interrupts and of the embedded functions are left out, but for the
-low byte of the queue's watermark, on which nothing depends while the queue is off.
+Facts LSM-01 ... LSM-45. Registers of interrupts and of the embedded functions are left out; on the queue's watermark
+nothing depends without interrupts.
 """
 
 from imuarray.facts.registers import Register
@@ -10,6 +10,8 @@ ADDRESSES = (0x6A, 0x6B)  # SA0 low, high: LSM-01
 
 FUNC_CFG_ACCESS = Register(0x01, reserved=0x3F)
 FIFO_CTRL1 = Register(0x07)
+FIFO_CTRL3 = Register(0x09)
+FIFO_CTRL4 = Register(0x0A, reserved=0x08)
 WHO_AM_I = Register(0x0F, "r", reset=0x6C)
 CTRL1_XL = Register(0x10, reserved=0x01)
 CTRL2_G = Register(0x11, reserved=0x01)
@@ -34,9 +36,23 @@ OUTY_L_A = Register(0x2A, "r")
 OUTY_H_A = Register(0x2B, "r")
 OUTZ_L_A = Register(0x2C, "r")
 OUTZ_H_A = Register(0x2D, "r")
+FIFO_STATUS1 = Register(0x3A, "r")
+FIFO_STATUS2 = Register(0x3B, "r", reserved=0x04)
+FIFO_DATA_OUT_TAG = Register(0x78, "r")
+FIFO_DATA_OUT_X_L = Register(0x79, "r")
+FIFO_DATA_OUT_X_H = Register(0x7A, "r")
+FIFO_DATA_OUT_Y_L = Register(0x7B, "r")
+FIFO_DATA_OUT_Y_H = Register(0x7C, "r")
+FIFO_DATA_OUT_Z_L = Register(0x7D, "r")
+FIFO_DATA_OUT_Z_H = Register(0x7E, "r")
 
 EMBEDDED_PAGE = FUNC_CFG_ACCESS[7]
 SENSOR_HUB_PAGE = FUNC_CFG_ACCESS[6]
+GYRO_BATCH_RATE = FIFO_CTRL3[7:4]
+ACCEL_BATCH_RATE = FIFO_CTRL3[3:0]
+TIMESTAMP_BATCH = FIFO_CTRL4[7:6]
+TEMPERATURE_BATCH_RATE = FIFO_CTRL4[5:4]
+FIFO_MODE = FIFO_CTRL4[2:0]
 ACCEL_RATE = CTRL1_XL[7:4]
 ACCEL_RANGE = CTRL1_XL[3:2]
 ACCEL_LPF2_ON = CTRL1_XL[1]
@@ -74,6 +90,15 @@ ACCEL_FAST_SETTLING = CTRL8_XL[3]
 ACCEL_HIGH_PASS_ON = CTRL8_XL[2]
 ACCEL_RANGE_MODE = CTRL8_XL[1]
 LOW_PASS_ON_6D = CTRL8_XL[0]
+FIFO_WATERMARK = FIFO_STATUS2[7]
+FIFO_OVERRUN = FIFO_STATUS2[6]
+FIFO_FULL = FIFO_STATUS2[5]
+BATCH_COUNTER = FIFO_STATUS2[4]
+FIFO_OVERRUN_LATCHED = FIFO_STATUS2[3]
+FIFO_LEVEL_HIGH = FIFO_STATUS2[1:0]
+TAG_SENSOR = FIFO_DATA_OUT_TAG[7:3]
+TAG_COUNT = FIFO_DATA_OUT_TAG[2:1]
+TAG_PARITY = FIFO_DATA_OUT_TAG[0]
 TEMPERATURE_READY = STATUS_REG[2]
 GYRO_READY = STATUS_REG[1]
 ACCEL_READY = STATUS_REG[0]

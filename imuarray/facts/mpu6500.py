@@ -1,7 +1,7 @@
 """MPU-6500 six-axis sensor, and the MPU-9250 that holds one: InvenSense register map RM-MPU-9250A rev. 1.4 (2013).
 
-Facts INV-70 ... INV-78. Registers of the queue, of the auxiliary bus, of interrupts and of motion detection are left
-out, but for the data byte of the first slave, on which nothing depends while that bus is off.
+Facts INV-70 ... INV-78, INV-96 ... INV-99. Registers of the auxiliary bus, of interrupts and of motion detection are
+left out, but for the data byte of the first slave, on which nothing depends while that bus is off.
 """
 
 from imuarray.facts.registers import Register
@@ -19,6 +19,7 @@ CONFIG = Register(0x1A, reserved=0x80)
 GYRO_CONFIG = Register(0x1B, reserved=0x04)
 ACCEL_CONFIG = Register(0x1C, reserved=0x07)
 ACCEL_CONFIG_2 = Register(0x1D, reserved=0xF0)
+FIFO_EN = Register(0x23)
 INT_PIN_CFG = Register(0x37, reserved=0x01)
 INT_STATUS = Register(0x3A, "r", reserved=0xA6)
 ACCEL_XOUT_H = Register(0x3B, "r")
@@ -39,6 +40,9 @@ I2C_SLV0_DO = Register(0x63)
 USER_CTRL = Register(0x6A, reserved=0x88)
 PWR_MGMT_1 = Register(0x6B, reset=0x01)
 PWR_MGMT_2 = Register(0x6C, reserved=0xC0)
+FIFO_COUNT_H = Register(0x72, "r")
+FIFO_COUNT_L = Register(0x73, "r")
+FIFO_R_W = Register(0x74)
 WHO_AM_I = Register(0x75, "r", reset=0x70)
 
 FIFO_STOPS = CONFIG[6]
@@ -57,6 +61,10 @@ INT_LATCHED = INT_PIN_CFG[5]
 CLEAR_BY_ANY_READ = INT_PIN_CFG[4]
 FRAME_SYNC_INT = INT_PIN_CFG[3:2]
 BYPASS = INT_PIN_CFG[1]
+FIFO_TEMPERATURE = FIFO_EN[7]
+FIFO_GYRO = FIFO_EN[6:4]
+FIFO_ACCEL = FIFO_EN[3]
+FIFO_SLAVES = FIFO_EN[2:0]
 WAKE_ON_MOTION = INT_STATUS[6]
 FIFO_OVERFLOW = INT_STATUS[4]
 FRAME_SYNC = INT_STATUS[3]

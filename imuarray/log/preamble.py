@@ -134,7 +134,7 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
         axes=sensor.axes,
         position_mm=(x, y, z),
         columns=("ut", "up") if barometer else ("x", "y", "z"),
-        has_temperature=spec.has_thermometer and not sensor.fifo,
+        has_temperature=spec.has_thermometer and (spec.fifo_has_temperature or not sensor.fifo),
         compensated=("temperature", "pressure") if barometer else (),
         extra={**extra, COUNT_BITS: spec.count_bits} if spec.count_bits > 16 else extra,
     )

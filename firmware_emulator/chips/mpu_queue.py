@@ -1,0 +1,116 @@
+"""What the chips of the MPU family have in common: one grid of samples, flags, and a queue of bytes (INV-26, INV-27,
+INV-98).
+
+A full queue loses its oldest bytes, one by one, so that a record may begin anywhere afterwards; an empty one repeats
+its last byte.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar
+
+from firmware_emulator.chip import Element
+from firmware_emulator.six_axis import Grid, SixAxis
+
+BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-11, INV-72
+DATA = range(0x3B, 0x49)  # INV-20, INV-75
+FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
+OVERFLOW, DATA_READY = 0x10, 0x01
+ON, RESET = 0x40, 0x04
+
+
+class MpuFamily(SixAxis):
+    """A die with one grid of samples and a queue of `fifo_bytes`."""
+
+    fifo_bytes: ClassVar[int]
+
+    def __init__(self, address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> None:
+        self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
+        super().__init__(address, element, powered_on_ns, **switches)
+
+    def power_on(self, at_ns: int) -> None:
+        """Bring it to its reset values, the queue empty."""
+        super().power_on(at_ns)
+        self._queue.clear()
+        self._last_byte = self._count = self._flags = 0
+        self._grid = Grid(period_ns=BASE_PERIOD_NS)
+        self._queued = -1
+
+    def _convert(self, at_ns: int) -> None:
+        """Bring the sample of this instant into the data registers."""
+        raise NotImplementedError
+
+    def _sync(self, at_ns: int) -> None:
+        """Take in the samples up to `at_ns`: into the queue, and the latest one into the data registers."""
+        latest = self._grid.latest(at_ns)
+        if latest <= self._grid.index:
+            return
+        self._flags |= DATA_READY
+        if self.page[USER_CTRL] & ON and self.page[FIFO_EN]:
+            size = len(self._record())
+            kept = self.fifo_bytes // max(size, 1) + 2
+            if size and len(self._queue) + size * (latest - self._queued) > self.fifo_bytes:
+                self._flags |= OVERFLOW
+            for index in range(max(self._queued + 1, latest - kept), latest + 1):
+                self._sample(index)
+                self._queue.extend(self._record())
+        if self._grid.index != latest:
+            self._sample(latest)
+        self._queued = latest
+
+    def _sample(self, index: int) -> None:
+        self._convert(self._grid.time_ns(index))
+        self._grid.index = index
+
+    def _record(self) -> bytes:
+        """The data bytes that FIFO_EN selects, in the order of their registers: bit 7 temperature, 6 ... 4 gyroscope x
+        to z, 3 accelerometer.
+        """
+        enabled = self.page[FIFO_EN]
+        data = bytes(self.page[DATA.start : DATA.stop])
+        selected = data[:6] if enabled & 0x08 else b""
+        selected += data[6:8] if enabled & 0x80 else b""
+        for axis, mask in enumerate((0x40, 0x20, 0x10)):
+            selected += data[8 + 2 * axis : 10 + 2 * axis] if enabled & mask else b""
+        return selected
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A register's byte; flags are cleared by reading them, and both bytes of the count taken with the high one."""
+        if address == INT_STATUS:
+            flags, self._flags = self._flags, 0
+            return flags
+        if address == COUNT_HIGH:
+            self._count = len(self._queue)
+            return self._count >> 8
+        if address == COUNT_LOW:
+            return self._count & 0xFF
+        if address == FIFO:
+            if self._queue:
+                self._last_byte = self._queue.popleft()
+            return self._last_byte
+        return self.page[address]
+
+    def advance(self, pointer: int, reading: bool) -> int:
+        """The next register; the queue's stays where it is."""
+        return pointer if pointer == FIFO else super().advance(pointer, reading)
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to a register: what was sampled before stays as it was."""
+        self.end_reset(at_ns)
+        self._sync(at_ns)
+        if self.begin_reset(address, value, at_ns):
+            return
+        if address == FIFO:
+            return  # bytes written to the queue are not modelled: DEC-41
+        super().store(address, value, at_ns)
+        if address == USER_CTRL:
+            if value & RESET:
+                self._queue.clear()
+            self.page[address] &= ~0x07 & 0xFF  # the bits that reset something clear themselves
+        self._restart(address, at_ns)
+        self._queued = self._grid.index
+
+    def _restart(self, address: int, at_ns: int) -> None:
+        """Begin the grid anew if this register was written and changed the rate, or woke the die."""
+        raise NotImplementedError

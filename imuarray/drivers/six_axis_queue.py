@@ -1,0 +1,371 @@
+"""The queue of a six-axis die, which is one, and its readers, which are the drivers of the two halves.
+
+Whoever is visited first drains it; what belongs to the other half waits for its visit. Nothing of a doubtful drain is
+kept: when the queue ran over in a way that may have shifted its bytes, a transfer broke off, or a packet is none, the
+queue is emptied, and the next rows of both halves carry the flag "overrun".
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, Registers
+from imuarray.drivers.fifo_clock import FifoClock
+from imuarray.facts import icm42688, lsm6dso
+from imuarray.facts.registers import Register, Setting
+
+WANTED_NS = 20e3
+"""The time of a sample that is less certain is looked at again, ..."""
+LONGEST_WAIT_NS = 1_000_000
+"""... if it takes no longer than this to wait for the best instant."""
+BEFORE_COUNT = 0.4
+"""Share of a transaction that has passed before a chip takes its count: three bytes of five or six on I2C, one of three
+or four on SPI."""
+MOST_ROWS = 4096
+"""Rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
+
+
+class QueueReader:
+    """One half's share of the queue of its die.
+
+    `drained` and `overrun` tell of what `take` gave last: times, and whether samples are missing before it.
+    """
+
+    def __init__(self, queue: DieQueue) -> None:
+        self.drained: list[int] = []
+        self.overrun = False
+        self._queue = queue
+        self._bursts: list[bytes] = []
+        self._times_ns: list[int] = []
+        self._gap = False
+        self._has_given = False
+
+    def restart(self) -> None:
+        """The chip was set up again, or another chip was drained in its place: forget what waits."""
+        self._queue.distrust()
+        self.clear()
+
+    def clear(self, *, gap: bool = False) -> None:
+        """Forget what waits; with `gap` samples that were due are missing."""
+        self._bursts, self._times_ns = [], []
+        self._gap = gap and self._has_given
+
+    @property
+    def waits(self) -> bool:
+        """True if something waits for this half."""
+        return bool(self._times_ns)
+
+    def put(self, bursts: bytes, times_ns: list[int], *, gap: bool) -> None:
+        """Let these rows wait; with `gap` samples are missing before them."""
+        if len(self._times_ns) > MOST_ROWS:
+            self.clear(gap=True)
+        self._gap |= gap and self._has_given
+        self._bursts.append(bursts)
+        self._times_ns += times_ns
+
+    def take(self) -> bytes:
+        """All that waits."""
+        self.drained = self._times_ns
+        if not self.drained:
+            self.overrun = False
+            return b""
+        bursts = self._bursts[0] if len(self._bursts) == 1 else b"".join(self._bursts)
+        self.overrun, self._gap, self._has_given = self._gap, False, True
+        self._bursts, self._times_ns = [], []
+        return bursts
+
+
+class DieQueue:
+    """The queue of one die at `rate_hz`; the halves that read it `join`."""
+
+    def __init__(self, registers: Registers, clock: Clock, rate_hz: float) -> None:
+        self.registers = registers
+        self.clock = clock
+        self.times = FifoClock(rate_hz)
+        self._readers: dict[str, QueueReader] = {}
+        self._trusted = False
+        self._shortest_ns = 1 << 62
+
+    def join(self, half: str) -> QueueReader:
+        """The reader of one half."""
+        return self._readers.setdefault(half, QueueReader(self))
+
+    @property
+    def halves(self) -> tuple[str, ...]:
+        """The halves that read it."""
+        return tuple(self._readers)
+
+    def distrust(self) -> None:
+        """Empty the queue before the next drain."""
+        self._trusted = False
+
+    def empty(self, by: QueueReader | None = None) -> None:
+        """Empty it, which begins anew: samples of the halves are missing, but for the half `by`, which asked for it."""
+        self._flush()
+        self._trusted = True
+        self._restart()
+        for reader in self._readers.values():
+            reader.clear(gap=reader is not by)
+
+    def fetch(self, reader: QueueReader) -> bytes:
+        """The rows of one half. The half that joined first drains the queue at every visit, the other one if nothing
+        waits for it.
+        """
+        if not reader.waits or reader is next(iter(self._readers.values())):
+            if not self._trusted:
+                self.empty()
+            else:
+                self._trusted = False  # until all of the drain went well
+                self._trusted = self._drain()
+                if self._trusted:
+                    self._look_again()
+        return reader.take()
+
+    def _look_again(self) -> None:
+        """Count once more when that tells most of when samples are taken, if it is not known well and soon."""
+        now_ns = self.clock.now_ns()
+        at_ns = self.times.best_look_ns(now_ns, max(WANTED_NS, (1 - BEFORE_COUNT) * self._shortest_ns))
+        if at_ns is None or at_ns - now_ns > LONGEST_WAIT_NS:
+            return
+        self.clock.sleep_until(at_ns)
+        count, _, (from_ns, until_ns) = self._counted()
+        self.times.look(count, from_ns, until_ns)
+
+    def _count(self) -> tuple[int, int]:
+        """How many samples wait in the chip, and its flags; OSError for an impossible number."""
+        raise NotImplementedError
+
+    def _counted(self) -> tuple[int, int, tuple[int, int]]:
+        """Samples in the chip, flags, and between which times the chip counted."""
+        begun_ns = self.clock.now_ns()
+        count, flags = self._count()
+        ended_ns = self.clock.now_ns()
+        self._shortest_ns = min(self._shortest_ns, ended_ns - begun_ns)
+        return count, flags, (begun_ns + round(BEFORE_COUNT * self._shortest_ns), ended_ns)
+
+    def _restart(self) -> None:
+        self.times.restart()
+
+    def _flush(self) -> None:
+        """Empty the chip's queue and clear its flags."""
+        raise NotImplementedError
+
+    def _drain(self) -> bool:
+        """Read it and `put` what belongs to each reader; False if what was read can't be trusted."""
+        raise NotImplementedError
+
+
+def impossible(count: int, capacity: int) -> OSError:
+    """The error of a count that no queue of this capacity can have: a dead bus reads so."""
+    return OSError(errno.EIO, f"its queue says {count} and holds {capacity}")
+
+
+class Icm42688Queue(DieQueue):
+    """2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves 16 bytes with a time stamp, of
+    one half 8. A row is a triad and the temperature.
+
+    Flags and count are read together, then the packets. The stamps show where samples are missing, and the flag "full"
+    where so many are that the 65.536 ms of the stamps have passed.
+    """
+
+    CAPACITY: ClassVar[int] = 2048
+    LONE: ClassVar[int] = 8
+    COLUMNS: ClassVar[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+        {"acc": (*range(1, 7), 13), "gyro": (*range(7, 13), 13)}
+    )
+
+    def __init__(self, registers: Registers, clock: Clock, rate_hz: float) -> None:
+        super().__init__(registers, clock, rate_hz)
+        self._stamp: int | None = None
+        self._full = False
+        self._period_us = 1e6 / rate_hz
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
+        return 2 * self.LONE if len(self._readers) > 1 else self.LONE
+
+    def _flush(self) -> None:
+        self.registers.poke(icm42688.SIGNAL_PATH_RESET, icm42688.FIFO_FLUSH(1).value)
+        self.registers.peek(icm42688.INT_STATUS, 3)  # the first count after a flush is 0: TDK-84
+
+    def _restart(self) -> None:
+        super()._restart()
+        self._stamp, self._full = None, False
+
+    def _count(self) -> tuple[int, int]:
+        status, high, low = self.registers.peek(icm42688.INT_STATUS, 3)
+        filled = high << 8 | low
+        if filled > self.CAPACITY + self.size:
+            raise impossible(filled, self.CAPACITY)
+        self._full |= bool(status & icm42688.FIFO_FULL.mask)
+        return filled // self.size, int(self._full)
+
+    def _drain(self) -> bool:
+        count, full, counted_ns = self._counted()
+        size = self.size
+        if full and size == self.LONE:  # nothing would show where packets are missing
+            return False
+        if not count:
+            return True
+        packets = self.registers.peek(icm42688.FIFO_DATA, count * size)
+        kinds = {header & 0xF0 for header in set(packets[::size])}
+        if kinds != {self._header}:
+            return False
+        gap, self._full = bool(full), False
+        if size > self.LONE:
+            steps = self._steps(packets)
+            if (np.abs(steps[1:] - self._period_us) > self._period_us / 4).any():
+                return False
+            gap |= self._stamp is not None and abs(steps[0] - self._period_us) > self._period_us / 4
+            self._stamp = packets[-2] << 8 | packets[-1]
+        times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1])
+        table = np.frombuffer(packets, np.uint8).reshape(count, size)
+        for half, reader in self._readers.items():
+            columns = table[:, 1:8] if size == self.LONE else table[:, self.COLUMNS[half]]
+            reader.put(columns.tobytes(), times, gap=gap)
+        return True
+
+    @property
+    def _header(self) -> int:
+        """Bits 7:4 of a header: not empty, accelerometer, gyroscope, 16 bits (TDK-81)."""
+        return sum({"acc": 0x40, "gyro": 0x20}[half] for half in self.halves)
+
+    def _steps(self, packets: bytes) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """(n,) microseconds by the chip's clock from the packet before to each packet, the nearest to the period that
+        the 16 bits of the stamps allow.
+        """
+        stamps = np.frombuffer(packets, ">u2")[7::8].astype(np.int64)
+        before = stamps[0] - round(self._period_us) if self._stamp is None else self._stamp
+        steps = np.diff(stamps, prepend=before) - self._period_us
+        return np.asarray((steps + 0x8000) % 0x10000 - 0x8000 + self._period_us, np.float64)
+
+
+class MpuQueue(DieQueue):
+    """A queue of bytes that loses its oldest ones when it is full (INV-27, INV-98): records of 14 bytes as the data
+    registers have them, accelerometer, thermometer, gyroscope.
+
+    After it ran over a record may begin anywhere: the flag is read after the records, so that a queue that ran over
+    meanwhile is noticed too, and then it is emptied. More is never read than was counted, for an empty queue repeats
+    its last byte.
+    """
+
+    SIZE: ClassVar[int] = 14
+
+    # What the chip calls its registers, and what is in them: independent of one another.
+    def __init__(
+        self,
+        registers: Registers,
+        clock: Clock,
+        rate_hz: float,
+        capacity: int,
+        control: Setting,
+        table: Mapping[str, Register],
+    ) -> None:
+        """`control`: USER_CTRL with the queue on; `table` has FIFO_EN, FIFO_COUNT_H, FIFO_R_W, INT_STATUS."""
+        super().__init__(registers, clock, rate_hz)
+        self._capacity, self._control, self._table = capacity, control, table
+
+    def _flush(self) -> None:
+        """Off, emptied, on (INV-99); the flags are cleared by reading them."""
+        enable, user = self._table["FIFO_EN"], self._control.register
+        self.registers.poke(enable, 0)
+        self.registers.poke(user, self._control.value & ~FIFO_ON | FIFO_RESET)
+        self.registers.poke(user, self._control.value)
+        self.registers.peek(self._table["INT_STATUS"])
+        self.registers.poke(enable, EVERYTHING)
+
+    def _count(self) -> tuple[int, int]:
+        filled = int.from_bytes(self.registers.peek(self._table["FIFO_COUNT_H"], 2), "big")
+        if filled > self._capacity:
+            raise impossible(filled, self._capacity)
+        return filled // self.SIZE, int(filled > self._capacity - self.SIZE)
+
+    def _drain(self) -> bool:
+        count, nearly_full, counted_ns = self._counted()
+        if not count:
+            return True
+        records = self.registers.peek(self._table["FIFO_R_W"], count * self.SIZE)
+        flags = self.registers.peek(self._table["INT_STATUS"])[0]
+        if flags & OVERFLOW or nearly_full:
+            return False
+        times = self.times.times(count, counted_ns[0], until_ns=counted_ns[1])
+        for reader in self._readers.values():
+            reader.put(records, times, gap=False)
+        return True
+
+
+FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
+"""USER_CTRL bits 6 and 2, INT_STATUS bit 4, and FIFO_EN with thermometer, gyroscope and accelerometer, alike in the
+family (INV-24, INV-27, INV-98)."""
+
+
+class Lsm6dsoQueue(DieQueue):
+    """512 words of 7 bytes, each a tag and three numbers (LSM-40 ... LSM-45): samples of either half in the order in
+    which they were taken, and now and then a temperature. A row is a word with the last temperature behind it.
+    """
+
+    CAPACITY: ClassVar[int] = 512
+    WORD: ClassVar[int] = 7
+    TAGS: ClassVar[Mapping[str, int]] = MappingProxyType({"gyro": 1, "acc": 2})
+    TEMPERATURE: ClassVar[int] = 3
+
+    def __init__(self, registers: Registers, clock: Clock, rate_hz: float, mode: Setting) -> None:
+        """`mode`: FIFO_CTRL4 with the queue on."""
+        super().__init__(registers, clock, rate_hz)
+        self._mode = mode
+        self._clocks = {half: FifoClock(rate_hz) for half in self.TAGS}
+        self._temperature = b"\x00\x00"
+
+    def _flush(self) -> None:
+        """Through bypass, which empties it (LSM-43)."""
+        self.registers.poke(self._mode.register, 0)
+        self.registers.poke(self._mode.register, self._mode.value)
+        self.registers.peek(lsm6dso.FIFO_STATUS1, 2)
+        self._temperature = self.registers.peek(lsm6dso.OUT_TEMP_L, 2)
+
+    def _restart(self) -> None:
+        for clock in self._clocks.values():
+            clock.restart()
+
+    def _count(self) -> tuple[int, int]:
+        """Words, of which a sample of each half and the temperature are several."""
+        low, high = self.registers.peek(lsm6dso.FIFO_STATUS1, 2)
+        count = lsm6dso.FIFO_LEVEL_HIGH.of(high) << 8 | low
+        if count > self.CAPACITY:
+            raise impossible(count, self.CAPACITY)
+        return count, high & (lsm6dso.FIFO_OVERRUN.mask | lsm6dso.FIFO_OVERRUN_LATCHED.mask)
+
+    def _look_again(self) -> None:
+        """No: a count of words does not tell whose they are."""
+
+    def _drain(self) -> bool:
+        count, lost, (from_ns, until_ns) = self._counted()
+        gap = bool(lost)
+        if not count:
+            return True
+        data = self.registers.peek(lsm6dso.FIFO_DATA_OUT_TAG, count * self.WORD)
+        words = np.frombuffer(data, np.uint8).reshape(count, self.WORD)
+        tags = np.asarray(words[:, 0] >> 3, np.uint8)
+        if not np.isin(tags, (*self.TAGS.values(), self.TEMPERATURE)).all():
+            return False
+        rows = np.concatenate([words, self._temperatures(words, tags)], axis=1)
+        for half, reader in self._readers.items():
+            mine = rows[tags == self.TAGS[half]]
+            times = self._clocks[half].times(len(mine), from_ns, gap, until_ns=until_ns)
+            reader.put(mine.tobytes(), times, gap=gap)
+        return True
+
+    def _temperatures(self, words: Bytes, tags: Bytes) -> Bytes:
+        """(n, 2) the last temperature before or in each word."""
+        known = tags == self.TEMPERATURE
+        latest = np.maximum.accumulate(np.where(known, np.arange(len(tags)), -1))
+        values = np.where((latest >= 0)[:, None], words[latest, 1:3], np.frombuffer(self._temperature, np.uint8))
+        self._temperature = values[-1].tobytes()
+        return np.asarray(values, np.uint8)

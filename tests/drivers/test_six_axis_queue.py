@@ -1,0 +1,261 @@
+"""The one queue of a die and its two readers: what is delivered, and what becomes of queues that ran over, of transfers
+that broke off and of buses that read nonsense.
+
+The world counts: the specific force along x rises by a step of 20 counts a millisecond, so that a missing, repeated or
+shifted sample shows.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_emulator.array import EmulatedBus, open_array
+from firmware_emulator.board import Board
+from firmware_emulator.chip import Triple
+from imuarray.acquire.sensor_routes import SensorRoute, connect
+from imuarray.array import parse_array
+from imuarray.errors import ConfigError
+
+MS = 1_000_000
+RATES_HZ = {"icm42688": 1000, "lsm6dso": 416, "mpu6050": 500, "mpu6500": 500, "mpu9250": 500}
+ADDRESSES = {"icm42688": 0x68, "lsm6dso": 0x6A, "mpu6050": 0x68, "mpu6500": 0x68, "mpu9250": 0x68}
+DEPTH = {"icm42688": 128, "lsm6dso": 250, "mpu6050": 73, "mpu6500": 36, "mpu9250": 36}
+"""Samples that the queue holds: 2048 bytes of 16, 512 words of two halves and more, 1024 and 512 bytes of 14."""
+
+
+class Counting:
+    """Feels 20 counts a millisecond at 4 g or 500 dps, from -30000 on."""
+
+    def __init__(self, per_unit: float) -> None:
+        self._per_unit = per_unit
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        codes = -30000 + 20 * at_ns / MS
+        return codes / self._per_unit, 100 / self._per_unit, -100 / self._per_unit
+
+    def temperature(self, at_ns: int) -> float:
+        return 25.0
+
+    def pressure(self, at_ns: int) -> float:
+        return 101325.0
+
+
+class CountingBoard(Board):
+    def element(self, sensor: Any) -> Counting:
+        return Counting(sensor.sensitivity)
+
+
+class Bench:
+    """Both halves of a die, or one, on a bus whose transfers may be made to fail."""
+
+    def __init__(self, die: str, halves: str = "both", rate_hz: int = 0) -> None:
+        text = '[array]\nname = "a"\n'
+        for half, full_scale in (("acc", 4), ("gyro", 500)):
+            if halves in ("both", half):
+                text += f'[[sensor]]\nname = "{half}"\nchip = "{die}"\naddress = {ADDRESSES[die]:#x}\nfifo = true\n'
+                text += f"range = {full_scale}\nrate_hz = {rate_hz or RATES_HZ[die]}\n"
+        self.bus: EmulatedBus = open_array(parse_array(text), board=CountingBoard)
+        self.broken: Callable[[bytes, int], None] = lambda write, read: None
+        wire = self.bus.wire.transfer
+
+        def transfer(address: int, write: bytes = b"", read: int = 0) -> bytes:
+            answer = wire(address, write, read)
+            self.broken(write, read)
+            return answer
+
+        self.bus.transfer = transfer
+        self.routes: list[SensorRoute] = connect(parse_array(text), self.bus)
+        for route in self.routes:
+            route.driver.fetch()
+
+    def wait(self, ms: float) -> None:
+        self.bus.clock.sleep_until(self.bus.clock.now_ns() + round(ms * MS))
+
+    def fetch(self, number: int) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Counts (n, 3) and times of one half, and whether samples are missing before them."""
+        driver: Any = self.routes[number].driver
+        bursts = np.frombuffer(driver.fetch(), np.uint8).reshape(-1, driver.burst)
+        decoded = driver.decode(bursts)
+        assert len(bursts) == len(driver.queue.drained)
+        assert not len(bursts) or (decoded.counts[:, 1] == 100).all()
+        assert not decoded.status.any()
+        return decoded.counts, np.array(driver.queue.drained), driver.queue.overrun and len(bursts) > 0
+
+
+def steps(counts: np.ndarray, rate_hz: float) -> np.ndarray:
+    """How many samples each row is after the one before."""
+    return np.rint(np.diff(counts[:, 0].astype(int)) / (20e3 / rate_hz)).astype(int)
+
+
+@pytest.mark.parametrize("die", RATES_HZ)
+@pytest.mark.parametrize("halves", ["both", "acc", "gyro"])
+def test_every_sample_is_delivered_once_to_each_half(die: str, halves: str) -> None:
+    bench = Bench(die, halves)
+    counts: list[list[np.ndarray]] = [[] for _ in bench.routes]
+    for visit in range(60):
+        bench.wait(3 + visit * 7 % 20)
+        for number in range(len(bench.routes)):
+            rows, times, gap = bench.fetch(number)
+            assert not gap
+            assert (np.diff(times) > 0).all()
+            counts[number].append(rows)
+    for rows in map(np.concatenate, counts):
+        assert len(rows) > 200
+        assert set(steps(rows, RATES_HZ[die]).tolist()) == {1}
+
+
+@pytest.mark.parametrize(("die", "rate_hz"), [("icm42688", 200), ("icm42688", 25), ("lsm6dso", 104), ("mpu6500", 250)])
+def test_other_data_rates(die: str, rate_hz: int) -> None:
+    bench = Bench(die, rate_hz=rate_hz)
+    rows, begun_ns = [], bench.bus.clock.now_ns()
+    for _ in range(40):
+        bench.wait(24)
+        for number in (0, 1):
+            counts, _, gap = bench.fetch(number)
+            assert not gap
+            if number:
+                rows.append(counts)
+    assert set(steps(np.concatenate(rows), rate_hz).tolist()) == {1}
+    assert sum(map(len, rows)) == pytest.approx((bench.bus.clock.now_ns() - begun_ns) * 1e-9 * rate_hz, rel=0.05, abs=2)
+
+
+@pytest.mark.parametrize("die", RATES_HZ)
+def test_a_queue_that_ran_over_is_flagged_and_its_rows_are_whole(die: str) -> None:
+    bench = Bench(die)
+    for _ in range(40):
+        bench.wait(10)
+        first = [bench.fetch(number) for number in (0, 1)]
+    last_ns = [times[-1] for _, times, _ in first]
+    bench.wait(2.5 * DEPTH[die] * 1000 / RATES_HZ[die])
+    after: list[list[Any]] = [[], []]
+    for _ in range(8):
+        for number in (0, 1):
+            after[number].append(bench.fetch(number))
+        bench.wait(10)
+    for number in (0, 1):
+        told = [piece for piece in after[number] if len(piece[0])]
+        assert told[0][2]
+        assert not any(gap for _, _, gap in told[2:])  # the LSM6DSO loses more while the first words are read
+        rows = np.concatenate([counts for counts, _, _ in told])
+        assert set(steps(rows, RATES_HZ[die]).tolist()) == {1}
+        times = np.concatenate([times for _, times, _ in told])
+        assert times[0] > last_ns[number]
+        taken_ns = (rows[:, 0].astype(float) + 30000) / 20 * MS
+        assert np.abs(times - taken_ns).max() < 1.2e9 / RATES_HZ[die]
+
+
+@pytest.mark.parametrize("die", RATES_HZ)
+def test_a_drain_that_broke_off_costs_rows_and_says_so(die: str) -> None:
+    """The bytes have left the chip, and nobody knows which."""
+    bench = Bench(die)
+    for number in (0, 1):
+        bench.wait(20)
+        bench.fetch(number)
+
+    def break_off(write: bytes, read: int) -> None:
+        if read > 20:
+            raise OSError(errno.EREMOTEIO, "Remote I/O error")
+
+    bench.broken = break_off
+    bench.wait(30)
+    with pytest.raises(OSError, match="Remote I/O"):
+        bench.fetch(0)
+    bench.broken = lambda write, read: None
+    pieces = []
+    for _ in range(6):
+        bench.wait(20)
+        pieces.append([bench.fetch(number) for number in (0, 1)])
+    for number in (0, 1):
+        told = [piece[number] for piece in pieces if len(piece[number][0])]
+        assert told[0][2]
+        assert not any(gap for _, _, gap in told[1:])
+        assert set(steps(np.concatenate([counts for counts, _, _ in told]), RATES_HZ[die]).tolist()) == {1}
+
+
+@pytest.mark.parametrize("die", RATES_HZ)
+def test_a_dead_bus_is_an_error_and_no_reading(die: str) -> None:
+    """On SPI a chip without supply reads ff or 00."""
+    bench = Bench(die)
+    bench.wait(20)
+    inner = bench.bus.transfer
+    bench.routes[0].driver.registers.bus.transfer = lambda address, write=b"", read=0: b"\xff" * read  # type: ignore[method-assign]
+    with pytest.raises(OSError, match=r"its queue says .* and holds"):
+        bench.fetch(0)
+    bench.routes[0].driver.registers.bus.transfer = lambda address, write=b"", read=0: bytes(read)  # type: ignore[method-assign]
+    for _ in range(3):
+        assert len(bench.fetch(0)[0]) == 0
+    bench.bus.transfer = inner
+
+
+@pytest.mark.parametrize("die", RATES_HZ)
+def test_a_half_that_is_set_up_again_leaves_the_other_with_a_flag(die: str) -> None:
+    bench = Bench(die)
+    for _ in range(3):
+        bench.wait(20)
+        for number in (0, 1):
+            bench.fetch(number)
+    bench.routes[1].driver.configure()
+    bench.wait(20)
+    (_, _, first), (rows, _, second) = bench.fetch(0), bench.fetch(1)
+    assert first
+    assert not second
+    assert len(rows)
+
+
+def test_a_half_that_is_not_visited_waits_and_then_loses_with_a_flag(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imuarray.drivers.six_axis_queue.MOST_ROWS", 200)
+    bench = Bench("icm42688")
+    seen = 0
+    for _ in range(10):
+        bench.wait(50)
+        seen += len(bench.fetch(0)[0])
+    rows, _, gap = bench.fetch(1)
+    assert gap
+    assert len(rows) < seen
+    assert set(steps(rows, 1000).tolist()) == {1}
+
+
+def test_a_packet_of_another_kind_is_not_believed() -> None:
+    """TDK-81: an empty queue, and one whose packets are shifted."""
+    bench = Bench("icm42688")
+    bench.wait(20)
+    chip: Any = bench.bus.chips["acc"]
+    for number in (0, 1):
+        bench.fetch(number)
+    bench.wait(20)
+    chip._sync(bench.bus.clock.now_ns())
+    chip._packets.append(b"\xff" + bytes(15))
+    assert len(bench.fetch(0)[0]) == 0
+    for _ in range(2):
+        bench.wait(20)
+        rows, _, gap = bench.fetch(0)
+    assert gap
+    assert set(steps(rows, 1000).tolist()) == {1}
+
+
+def test_a_lost_packet_shows_in_the_time_stamps() -> None:
+    bench = Bench("icm42688")
+    for _ in range(3):
+        bench.wait(20)
+        for number in (0, 1):
+            bench.fetch(number)
+    bench.wait(20)
+    chip: Any = bench.bus.chips["acc"]
+    chip._sync(bench.bus.clock.now_ns())
+    chip._packets.popleft()
+    rows, _, gap = bench.fetch(0)
+    assert gap
+    assert set(steps(rows, 1000).tolist()) == {1}
+
+
+def test_both_halves_have_a_queue_or_none() -> None:
+    text = '[array]\nname = "a"\n'
+    for half, full_scale, keys in (("acc", 4, "fifo = true\n"), ("gyro", 500, "")):
+        text += f'[[sensor]]\nname = "{half}"\nchip = "icm42688"\naddress = 0x68\nrange = {full_scale}\n{keys}'
+    with pytest.raises(ConfigError, match="are one icm42688: fifo is the same for both"):
+        parse_array(text)
