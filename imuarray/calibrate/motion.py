@@ -74,7 +74,8 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
         if moving.mean() > MOVING_SHARE:
             factor, unit = READABLE[sensors[0].unit]
             most = factor * float(np.maximum(off, change)[moving].max())
-            return f"the box moved in {100 * moving.mean():.0f} % of it (by up to {most:.3g} {unit}), but must rest"
+            share = f"{100 * moving.mean():.0f} % of it"
+            return f"the box moved in {share} or was in other poses (by up to {most:.3g} {unit}), but must rest"
     return ""
 
 

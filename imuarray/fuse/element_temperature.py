@@ -174,9 +174,15 @@ def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureM
             most[unit] = max(most.get(unit, 0.0), worst)
         names = ", ".join(each.sensor for each in group)
         sizes = " and ".join(f"{size:.2g} {unit}" for unit, size in most.items())
+        unknown = [each.sensor for each in group if calibration.sensors[each.sensor].noise_lsb is None]
+        covariances = (
+            "the covariances are unknown without the noise (calibrate noise)"
+            if unknown
+            else "the covariances include this"
+        )
         yield (
             f"calibrated at {calibrated_degc:.1f} degC, this log is at {np.mean([e.mean_degc for e in group]):.1f}:"
-            f" {names}; biases are known to {sizes} only; the covariances include this"
+            f" {names}; biases are known to {sizes} only; {covariances}"
         )
 
 

@@ -344,7 +344,14 @@ class _Stream:
         full = ((triads == INT16[0]) | (triads == INT16[1])).any(axis=1)
         degrees = None
         if sensor.temperature_column is not None:
-            degrees = _degrees(cells[sensor.temperature_column].where(kept), sensor.thermometer)
+            cell = cells[sensor.temperature_column].where(kept)
+            if cell.blank().any():
+                raise cell.refuse(
+                    int(np.argmax(cell.blank())),
+                    f"no temperature; a column with blank cells is a [[thermometer]] of its own, not the"
+                    f" temperature_column of {sensor.name}",
+                )
+            degrees = _degrees(cell, sensor.thermometer)
         late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
         status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)

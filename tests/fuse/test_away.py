@@ -14,7 +14,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.cli import main
 from imuarray.fuse import fuse, temperature_mismatch
-from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC
+from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC, mismatch_sentences
 from imuarray.fuse.frames import matrices
 from imuarray.log import open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined
@@ -109,6 +109,17 @@ def test_a_line_says_so(write_run: WriteRun, tmp_path: Path, capsys: pytest.Capt
             )
             assert main([*command, "--technique", "mean"]) == 0
             assert said[0] in capsys.readouterr().out
+
+
+def test_covariances_without_noise_include_nothing(write_run: WriteRun) -> None:
+    """They are unknown, and the line does not say otherwise."""
+    cold = known(HERE_DEGC - 20)
+    bare = Calibration({name: replace(each, noise_lsb=None) for name, each in cold.sensors.items()})
+    with open_log(write_run(parts(), truth="reference", frames=400)) as log:
+        away = temperature_mismatch(log, list(log.sensors.values()), bare)
+        (said,) = mismatch_sentences(bare, away)
+        assert said.endswith("the covariances are unknown without the noise (calibrate noise)")
+        assert np.isnan(next(iter(fuse(log, bare, "mean"))).covariances["specific_force"]).any()
 
 
 def test_nothing_is_said_where_no_temperature_is_known(write_run: WriteRun) -> None:

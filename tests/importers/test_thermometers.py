@@ -161,3 +161,24 @@ def test_up_names_the_face(tmp_path: Path) -> None:
         (phase,) = log.phases
         assert (phase.start_ns, phase.end_ns, phase.up) == (1_500_000_000, 700_000_000_000, "+Z")
     assert main([*arguments, str(tmp_path / "both.h5"), "--up", "-X"]) == 2
+
+
+def test_a_temperature_with_blank_cells_is_a_thermometer_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Many recorders read the temperature in every tenth row only."""
+    rows = [f"{row / 100:.2f},1,2,4096,{25 if row % 10 == 0 else ''}" for row in range(100)]
+    (tmp_path / "data.csv").write_text("t,x,y,z,temp\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    sensor = (
+        'time = { column = "t", unit = "s" }\n[[sensor]]\nname = "A"\nchip = "any"\nquantity = "specific_force"\n'
+        'columns = ["x", "y", "z"]\nunit = "g"\nrange = 8\nsensitivity = 4096\n'
+    )
+    within = sensor + 'temperature_column = "temp"\nthermometer = { unit = "degC" }\n'
+    apart = sensor + '[[thermometer]]\nname = "T"\ncolumn = "temp"\nunit = "degC"\n'
+    for text, code in ((within, 2), (apart, 0)):
+        (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+        arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+        assert main(["import", *arguments]) == code
+    assert "line 3, column 'temp': no temperature; a column with blank cells is a [[thermometer]]" in (
+        capsys.readouterr().err
+    )
