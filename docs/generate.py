@@ -23,6 +23,10 @@ import click
 from pydantic import BaseModel
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(Path(__file__).parent))  # for the module beside this one; a hook has another path later on
+
+from effect_pictures import EXAMPLES, picture  # noqa: E402
+
 ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "VALIDATION.md")
 """Pages at the root of the repository that are part of the site, under their names in lower case."""
 
@@ -214,6 +218,9 @@ def _effects() -> Pages:
             "## Parameters\n",
             _parameters(kind),
         ]
+        if name in EXAMPLES:
+            text.append(f"![{name}: the readings of a sensor with and without it](../../images/effects/{name}.svg)\n")
+            text.append(f"{EXAMPLES[name].caption} Blue: with the effect; grey: without.\n")
         if name in CANDIDATES:
             text.append(f"The diagnosis looks for it as a [cause](../causes/{name}.md).\n")
         made[f"reference/effects/{name}.md"] = "\n".join(text)
@@ -509,6 +516,8 @@ def on_files(files: Any, config: Any) -> Any:
     root = {name.lower(): _root_page(name) for name in ROOT_PAGES}
     for path, text in {**_GENERATED, **root}.items():
         files.append(File.generated(config, path, content=text))
+    for name in EXAMPLES:
+        files.append(File.generated(config, f"images/effects/{name}.svg", content=picture(name)))
     return files
 
 
@@ -540,11 +549,15 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def main(folder: Path) -> None:
-    """Write every generated page below `folder`."""
+    """Write every generated page and picture below `folder`."""
     for path, text in pages().items():
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
+    for name in EXAMPLES:
+        target = folder / "images" / "effects" / f"{name}.svg"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(picture(name))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """README.md and the pages in docs/ keep their word: every command block runs, and every name in them exists.
 
 Of the code blocks, `sh` is run in order, `sh slow` line by line, `sh setup` installs packages, `sh hardware` needs a
-bus: its commands are parsed. Pages of docs/ continue from the files of the README's first steps, each in a copy.
+bus: its commands are parsed. Pages of docs/ continue from the files of docs/tutorials/first_steps.md, each in a copy.
 """
 
 from __future__ import annotations
@@ -41,12 +41,13 @@ def lines(page: Path, kind: str) -> list[str]:
 
 
 README = ROOT / "README.md"
+FIRST_STEPS = ROOT / "docs" / "tutorials" / "first_steps.md"
 SHELL = lines(README, "sh")
 SLOW = [line for page in PAGES for line in lines(page, "sh slow")]
 WALKED = [
     page
     for page in PAGES
-    if page != README and lines(page, "sh") and page.name not in ("CONTRIBUTING.md", "VALIDATION.md")
+    if page not in (README, FIRST_STEPS) and lines(page, "sh") and page.name not in ("CONTRIBUTING.md", "VALIDATION.md")
 ]
 
 
@@ -73,13 +74,12 @@ def with_sources(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the README's commands have been run, one after the other, as from the root of a checkout."""
+    """A folder in which the commands of the first steps were run in order, as from the root of a checkout."""
     folder = with_sources(tmp_path_factory.mktemp("readme"))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for line in SHELL:
-            if not line.startswith("python3 -m venv"):
-                run_line(line, folder)
+        for line in lines(FIRST_STEPS, "sh"):
+            run_line(line, folder)
     return folder
 
 
@@ -103,7 +103,7 @@ def test_the_first_steps_write_what_they_say(walked: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_gain_that_the_readme_shows(walked: Path) -> None:
+def test_the_gain_that_the_first_steps_show(walked: Path) -> None:
     """Opposed gyroscopes drift less about box Y, and the optimal specific force along Z is nearer to the truth."""
     drift, error = {}, {}
     for name in ("fused", "optimal"):
@@ -113,7 +113,7 @@ def test_the_gain_that_the_readme_shows(walked: Path) -> None:
         drift[name] = max(means) - min(means)
         force = np.concatenate([block.triads["specific_force"] for block in fused])[:, 2] / 9.80665
         error[name] = 1e3 * float(np.std(force))
-    assert drift["fused"] < 0.139 / 2  # of the mean, as the README prints it
+    assert drift["fused"] < 0.139 / 2  # of the mean, as the page prints it
     assert error["optimal"] < 13.846 / 1.5
 
 
@@ -185,6 +185,10 @@ def test_set_up_commands_are_those_that_ci_runs() -> None:
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
     assert tests in ci
     assert demo.endswith(".venv/bin/imuarray demo")
+
+
+def test_readme_has_two_commands() -> None:
+    assert len(SHELL) == 2
 
 
 def test_readme_is_short() -> None:

@@ -1,0 +1,60 @@
+"""The notebooks of the documentation run from top to bottom, and end with what their text says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+    """The cells of one kind."""
+    return [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == kind]
+
+
+def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The names that a notebook leaves, run in a folder that lies as deep in a checkout as its own."""
+    for part in ("tests", "configs"):
+        (folder / part).symlink_to(ROOT / part)
+    place = folder / "docs" / "notebooks"
+    place.mkdir(parents=True)
+    monkeypatch.chdir(place)
+    names: dict[str, Any] = {}
+    for number, cell in enumerate(cells(ROOT / "docs" / "notebooks" / f"{name}.ipynb", "code")):
+        exec(compile("".join(cell["source"]), f"{name}, code cell {number}", "exec"), names)  # noqa: S102  ours
+    return names
+
+
+def test_there_are_three_and_they_carry_no_output() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["diagnosis", "first_night", "other_rig"]
+    for path in NOTEBOOKS:
+        assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells(path, "code"))
+        assert "".join(cells(path, "markdown")[0]["source"]).startswith("# ")
+
+
+@pytest.mark.slow
+def test_the_first_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The L3G4200D has 0.03 dps/sqrt(Hz) (L3G-74): over 25 Hz 0.15 dps a reading, and less in a mean of three."""
+    names = run("first_night", tmp_path, monkeypatch)
+    assert all(residual < 0.01 for residual in names["poses"].residual_g.values())
+    assert names["scatter_dps"]["mean"].max() < 0.15
+    assert (names["scatter_dps"]["optimal"] < 1.02 * names["scatter_dps"]["mean"]).all()
+
+
+@pytest.mark.slow
+def test_the_other_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("other_rig", tmp_path, monkeypatch)
+    assert names["summary"].rows == len(names["accelerometer"])
+
+
+@pytest.mark.slow
+def test_the_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The notebook adds a tone of 0.6 dps at 11 Hz."""
+    (cause,) = run("diagnosis", tmp_path, monkeypatch)["diagnosis"].causes
+    assert (cause.effect, cause.sensors) == ("tone", ("Gyro2",))
+    assert cause.parameters["frequency_hz"] == pytest.approx(11.0, abs=0.05)
