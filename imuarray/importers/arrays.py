@@ -41,7 +41,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
             arrays = dict(_of_npz(path))
         elif first.startswith(npy.MAGIC_PREFIX):
             with path.open("rb") as file:
-                arrays = dict(_of_npy(path.stem, file))
+                arrays = dict(_of_npy("", file))
         elif first.startswith((b"\x89HDF", _MATLAB73)):
             arrays = dict(_of_hdf5(path))
         else:
@@ -145,12 +145,13 @@ def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _of_npy(name: str, file: IO[bytes]) -> Iterator[tuple[str, Array]]:
-    """Yield an array of numbers, or every field of a structured one."""
+    """Yield an array of numbers, or every field of a structured one; `name` is "" if it is alone in its file."""
     array: Array = npy.read_array(file, allow_pickle=False)
     if array.dtype.names:
-        yield from ((f"{name}.{part}", array[part]) for part in array.dtype.names if _is_column(array[part]))
+        parts = (part for part in array.dtype.names if _is_column(array[part]))
+        yield from ((f"{name}.{part}" if name else part, array[part]) for part in parts)
     elif _is_column(array):
-        yield name, array
+        yield name or "data", array
 
 
 def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:

@@ -64,6 +64,14 @@ def write_npz(folder: Path, columns: Columns) -> Path:
     return folder / "data.npz"
 
 
+def write_npy(folder: Path, columns: Columns) -> Path:
+    rows = np.empty(len(columns["t"]), [(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    np.save(folder / "data.npy", rows)
+    return folder / "data.npy"
+
+
 def write_mat5(folder: Path, columns: Columns) -> Path:
     from scipy.io import savemat
 
@@ -96,6 +104,7 @@ FORMATS: dict[str, Write] = {
     "csv": write_csv,
     "gzip": write_gzip,
     "npz": write_npz,
+    "npy": write_npy,
     "mat 5": write_mat5,
     "mat 7.3": write_mat73,
     "parquet": write_parquet,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from imuarray.errors import ConfigError
-from imuarray.importers.mapping import load_map
+from imuarray.importers.mapping import load_map, parse_map
 
 TIME = '[time]\ncolumn = "t"\nunit = "s"\n'
 SENSOR = """[[sensor]]
@@ -171,3 +171,44 @@ def test_faces_say_what_is_up(tmp_path: Path, name: str, up: str) -> None:
     path = tmp_path / "map.toml"
     path.write_text(TIME + SENSOR + f'[[phase]]\nname = "{name}"\nrows = [0, 0]\n')
     assert load_map(path).phase[0].box_up == up
+
+
+@pytest.mark.parametrize(
+    ("quantity", "spelt", "size"),
+    [
+        ("specific_force", "m/s^2", 1 / 9.80665),
+        ("specific_force", "m/s\u00b2", 1 / 9.80665),
+        ("specific_force", "G", 1.0),
+        ("specific_force", "mG", 1e-3),
+        ("angular_rate", "\u00b0/s", 1.0),
+        ("angular_rate", "deg/sec", 1.0),
+        ("angular_rate", "rad/sec", 57.29577951308232),
+        ("magnetic_field", "G", 1.0),
+        ("magnetic_field", "mG", 1e-3),
+        ("magnetic_field", "\u00b5T", 1e-2),
+        ("magnetic_field", "\u03bcT", 1e-2),
+    ],
+)
+def test_units_are_known_by_their_usual_spellings(quantity: str, spelt: str, size: float) -> None:
+    """The size in g, dps and gauss. A G is one of acceleration or of a field, by the quantity."""
+    sensor = f'name = "A", chip = "any", quantity = "{quantity}", columns = [0, 1, 2], unit = "{spelt}"'
+    found = parse_map(f"time = {{ rate_hz = 1 }}\nsensor = [{{ {sensor} }}]\n", "map.toml")
+    assert found.sensor[0].log_units == pytest.approx(size, rel=1e-12)
+
+
+def test_units_of_time_and_temperature_are_known_by_their_usual_spellings() -> None:
+    sensor = 'name = "A", chip = "any", quantity = "angular_rate", columns = [1, 2, 3], unit = "deg/s"'
+    text = f"""
+time = {{ column = 0, unit = "usec" }}
+sensor = [{{ {sensor} }}]
+thermometer = [{{ name = "T", column = 4, unit = "\u00b0C" }}]
+[reference]
+temperature = {{ column = 5, unit = "kelvin" }}
+angular_rate = {{ columns = [6, 7, 8], unit = "\u00b0/s" }}
+"""
+    found = parse_map(text, "map.toml")
+    assert found.time is not None and found.time.unit == "us"
+    assert found.thermometer[0].unit == "degC"
+    assert found.reference is not None and found.reference.temperature is not None
+    assert found.reference.temperature.unit == "K"
+    assert found.reference.angular_rate is not None and found.reference.angular_rate.unit == "dps"
