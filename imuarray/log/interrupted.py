@@ -128,9 +128,11 @@ def open_interrupted(
     """The view of an unfinished log at `path`; None if it is finished, or none at all; LogError.
 
     `thorough` checks every commit at once, as is done where the journal is missing. `journal_fd` is the journal, open,
-    where its name can't be relied upon: then the log is unfinished whatever the file says.
+    where its name can't be relied upon: then the log is unfinished whatever the file says. A log that its writer
+    finishes meanwhile is looked at again: the draft was opened, and its journal is gone.
     """
     with ExitStack() as opened:
+        version = _version(path)
         file = _open(path)
         if file is not None:
             opened.callback(file.close)
@@ -147,9 +149,20 @@ def open_interrupted(
         if view is not None:
             opened.pop_all()  # the view closes them
             return view
-        if journal is None:
-            raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
-        return rebuilt(journal)
+        if journal is not None:
+            return rebuilt(journal)
+    if journal_fd is None and _version(path) != version:
+        return open_interrupted(path, thorough=thorough)
+    raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
+
+
+def _version(path: Path) -> tuple[int, int, int] | None:
+    """Return what changes when the file is replaced or written to; None if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _marks(path: Path, file: h5py.File | None) -> tuple[bool, Preamble | None]:

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import imuarray.log.interrupted as interrupted
 import imuarray.log.writer as writing
 from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogError, LogWarning
@@ -331,6 +332,29 @@ def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None
     check(run)
     assert recover(run).changed is False
     assert not journal_of(run).exists()
+
+
+def test_a_log_that_is_finished_while_it_is_opened_is_read(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 fails on a draft that its writer changes; then the log takes its place, and the journal goes."""
+    finished = tmp_path / "finished.h5"
+    for path, copy in ((run, finished), (journal_of(run), journal_of(finished))):
+        shutil.copy(path, copy)
+    recover(finished)
+    run.write_bytes(run.read_bytes()[:300])
+    look_for_journal = interrupted._journal
+
+    def later(*given: Any) -> Any:
+        if finished.exists():
+            finished.replace(run)
+            journal_of(run).unlink()
+        return look_for_journal(*given)
+
+    monkeypatch.setattr(interrupted, "_journal", later)
+    with open_log(run) as log:
+        assert log.state == "finished"
+    check(run)
 
 
 @pytest.mark.slow
