@@ -123,6 +123,7 @@ def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
         ia.fuse(folder / "rest.h5", other)
 
 
+@pytest.mark.slow
 def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path) -> None:
     run("characterise", folder / "rest.h5", "-o", tmp_path / "noise", "--sensor", "Gyro1,BMA1")
     found = ia.characterise(folder / "rest.h5", sensors=["Gyro1", "BMA1"])

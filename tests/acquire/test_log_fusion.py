@@ -86,6 +86,7 @@ lag_s = 3.0
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("technique", "warm"), some([("opposed", False), ("mean", True)], 1))
 def test_it_is_what_fusing_the_log_gives(log: Log, tmp_path: Path, technique: str, warm: bool) -> None:
     more = ["--calibration", "cal.toml"] if warm else []

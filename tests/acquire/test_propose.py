@@ -124,6 +124,7 @@ def test_an_address_that_a_driver_of_the_kernel_has_is_no_sensor() -> None:
     assert [sensor.chip for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == ["adxl345"]
 
 
+@pytest.mark.slow
 def test_from_nothing_to_axes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Detect, log, find the axes: nobody filled in a sign."""
     new, poses = tmp_path / "new.toml", tmp_path / "poses.h5"

@@ -57,6 +57,7 @@ def forced_rows(rate_hz: float, seconds: float, chip_rate_hz: float = 4.0) -> fl
 ON_DEMAND = {"bmp180": pressure_rows, "bmp280": forced_rows, "bmp388": forced_rows}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 def test_every_chip_of_the_papers_array(tmp_path: Path, rate_hz: float) -> None:
     array = load_array(SHIPPED)
@@ -76,7 +77,7 @@ def test_every_chip_of_the_papers_array(tmp_path: Path, rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-@pytest.mark.parametrize("chip", ALONE)
+@pytest.mark.parametrize("chip", some(ALONE, 2))
 def test_every_chip_alone_and_without_a_multiplexer(tmp_path: Path, chip: str, rate_hz: float) -> None:
     array = parse_array(f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\n{ALONE[chip]}')
     frames = max(20, round(20 * rate_hz))

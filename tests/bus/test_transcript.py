@@ -235,6 +235,7 @@ def test_the_inner_bus_is_closed(tmp_path: Path) -> None:
     assert inner.closed == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "bit_rate"),
     some([(100, 400_000), (125, 100_000), (350, 100_000)], 1),

@@ -88,19 +88,17 @@ def steady(before_ms: float, after_ms: float) -> Iterator[tuple[float, float]]:
 
 
 @pytest.mark.parametrize("ms", [0.0, 0.5, 1.0, 3.0, 7.0, 20.0, 50.0, 100.0])
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("chip", SENSORS)
-def test_a_good_chip_is_never_called_bad(chip: str, share: float, ms: float) -> None:
-    verdict = outcome(chip, steady(share * ms, (1 - share) * ms))
-    assert verdict.passed is not False, verdict.text
-    if ms <= 0.5 or chip not in (
-        "bma180",
-        "bmp180",
-        "bmp280",
-    ):  # what is deflected as long as it is told to, can be looked at
-        assert verdict.passed, verdict.text
-    if verdict.passed is None:
-        assert "the bus" in verdict.text
+def test_a_good_chip_is_never_called_bad(chip: str, ms: float) -> None:
+    """Whatever share of the delay comes before the transfer."""
+    for share in (0.0, 0.5, 1.0):
+        verdict = outcome(chip, steady(share * ms, (1 - share) * ms))
+        assert verdict.passed is not False, (share, verdict.text)
+        # What is deflected as long as its bit is set can be looked at.
+        if ms <= 0.5 or chip not in ("bma180", "bmp180", "bmp280"):
+            assert verdict.passed, (share, verdict.text)
+        if verdict.passed is None:
+            assert "the bus" in verdict.text, share
 
 
 @pytest.mark.parametrize("pattern", [(0.0, 40.0), (0.2, 0.2, 0.2, 30.0), (25.0, 0.1)])

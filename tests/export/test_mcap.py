@@ -125,6 +125,7 @@ def log_of(path: Path, rows: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("units", some(["counts", "si"], 1))
 def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: str) -> None:
     """Values to the last bit, and every message's number and time."""

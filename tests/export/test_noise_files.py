@@ -204,6 +204,7 @@ def test_the_topic_is_the_one_that_the_bag_has(walking: Path, tmp_path: Path) ->
     assert yaml.safe_load((tmp_path / "imu.yaml").read_text())["rostopic"] in topics
 
 
+@pytest.mark.slow
 def test_openvins_has_the_same_figures_below_imu0(walking: Path, tmp_path: Path) -> None:
     """Keys as in config/euroc_mav/kalibr_imu_chain.yaml of rpng/open_vins; its first line is OpenCV's."""
     for tool in ("kalibr", "openvins"):
@@ -219,6 +220,7 @@ def test_openvins_has_the_same_figures_below_imu0(walking: Path, tmp_path: Path)
     assert found["Tg"] == np.zeros((3, 3)).tolist()
 
 
+@pytest.mark.slow
 def test_vins_fusion_has_standard_deviations_at_the_rate(walking: Path, tmp_path: Path) -> None:
     """Its preintegration multiplies noise and walk by the interval, so that both are a density times sqrt(rate)."""
     for tool in ("kalibr", "vins-fusion"):

@@ -93,6 +93,7 @@ def test_the_interval_covers_a_ratio() -> None:
     assert held / 400 == pytest.approx(0.95, abs=0.045)
 
 
+@pytest.mark.slow
 def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As JSON, of which the table is made; and it writes what it is told to."""
     output = tmp_path / "fused.h5"

@@ -12,6 +12,7 @@ from imuarray.log import open_log
 from tests.fuse.conftest import Part, WriteRun, calibration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("technique", ["opposed"])
 def test_memory_does_not_grow_with_the_log(write_run: WriteRun, technique: str) -> None:
     """Three times the frames; the second sensor says nothing for most of the log, and is not waited for."""

@@ -190,6 +190,7 @@ def test_json_on_standard_output_is_the_file(found: dict[str, Any], typed: Type)
     assert json.loads(out) == found
 
 
+@pytest.mark.slow
 def test_no_gap(typed: Type) -> None:
     """The seed is one of the 20 of 21 in which chance makes none."""
     code, out, _ = typed("quiet.h5", "--json")

@@ -66,6 +66,7 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     assert (cause.sensors, cause.origin) == (("A1", "G1"), "metadata")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shares", "gains", "waiting"),
     some(

@@ -87,6 +87,7 @@ def test_a_reading_lost_from_one_sensor_is_no_frame_missed() -> None:
     assert missed_by_all([], PERIOD_NS) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([100.0, 700.0], 1))
 def test_the_logger_says_the_same(tmp_path: Path, rate_hz: float) -> None:
     """At 100 Hz the array keeps pace, at 700 Hz the bus is too slow for it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,8 @@ from h5py._hl.base import phil
 
 from imuarray.errors import LogError
 from imuarray.log import Log, open_log
+from imuarray.log.hdf5_heaps import HeapCheckedFile
+from imuarray.log.verify import verify
 from tests.selection import some
 
 Spoil = Callable[[h5py.File], None]
@@ -325,3 +328,25 @@ def test_a_finer_orientation_than_axes_can_say(small: Path) -> None:
     turned = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     with open_log(spoilt(small, attribute("sensors/Gyro", "orientation", turned))) as log:
         np.testing.assert_array_equal(log["Gyro"].orientation, turned)
+
+
+def test_a_malformed_track_is_a_problem_that_verify_lists(small: Path) -> None:
+    """The log opens: only who asks for the truth is refused it."""
+    spoilt(small, replace("truth/specific_force", np.zeros((4, 3))))
+    (problem,) = verify(small).problems
+    assert "group truth" in problem
+
+
+@pytest.mark.parametrize(
+    ("offset", "whence", "place"), [(7, os.SEEK_SET, 7), (7, os.SEEK_CUR, 12), (-7, os.SEEK_END, -7)]
+)
+def test_a_file_whose_heaps_are_checked_is_positioned_as_any_file(
+    small: Path, offset: int, whence: int, place: int
+) -> None:
+    """After five bytes were read."""
+    content = small.read_bytes()
+    expected = place % len(content)
+    with HeapCheckedFile(small) as file:
+        assert file.read(5) == content[:5]
+        assert file.seek(offset, whence) == file.tell() == expected
+        assert file.read(3) == content[expected : expected + 3]

@@ -372,6 +372,7 @@ def fused_rows(start_s: int, force: list[float]) -> FusedBlock:
     return FusedBlock(at_ns, triads, covariances, used)
 
 
+@pytest.mark.slow
 def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
     path = tmp_path / "night.h5"
     watch = LogMonitor(path)
@@ -462,6 +463,7 @@ def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
         assert gone.refresh(0.0).state == "waiting"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame_rate_hz", some([100.0, 0.0], 1))
 def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz: float) -> None:
     """Who looked on is told what those are told who come late, or when the log is finished."""

@@ -142,6 +142,7 @@ def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # typ
         assert asked(f"{address}?token={found[2]}", "snapshot.json").status == 200
 
 
+@pytest.mark.slow
 def test_who_asks_after_the_last_look_gets_it_again(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     """The server ends while a page still asks: no error."""
     logger.go_on(1.0)

@@ -197,7 +197,7 @@ def places(count: int, seed: int) -> list[int]:
     return [draw.randrange(1 << 40) for _ in range(count)]
 
 
-COUNT = [10, pytest.param(300, marks=pytest.mark.slow)]
+COUNT = [10, pytest.param(300, marks=pytest.mark.campaign)]
 
 
 @pytest.mark.parametrize("count", COUNT)
@@ -239,7 +239,7 @@ class TestFlips:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [97, pytest.param(7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [97, pytest.param(7, marks=pytest.mark.campaign)])
 def test_in_the_first_6_kb_of_an_unfinished_log(logs: Logs, tmp_path: Path, step: int) -> None:
     """Superblock, headers, preamble, attributes: the journal alone suffices."""
     at = range(0, 6006, step)

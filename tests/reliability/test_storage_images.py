@@ -17,6 +17,7 @@ import pytest
 from imuarray.errors import LogError
 from tests.reliability import storage_rows as rows
 from tests.reliability.storage_disk import Call, Disk, File, read_calls
+from tests.selection import some
 
 ROOT = Path(__file__).parents[2]
 COMPILER = shutil.which("cc") or shutil.which("gcc")
@@ -67,13 +68,15 @@ def number(image: dict[str, bytes], name: str) -> int:
     return int.from_bytes(content[-8:], "little")
 
 
-@pytest.mark.slow
-def test_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path) -> None:
-    """A kill between any two calls."""
+@pytest.mark.parametrize("every", some([7, 1], 0, 1))
+def test_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path, every: int) -> None:
+    """A kill between any two calls, or after every seventh."""
     disk, before, looked = Disk(), {}, 0
     writes = sum(call.kind == "w" for call in calls)
-    for call in calls:
+    for place, call in enumerate(calls, 1):
         disk.apply(call)
+        if place % every and place < len(calls):
+            continue
         image = disk.now()
         found = look(tmp_path, image, before)
         before = image
@@ -88,10 +91,10 @@ def test_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path) -> None:
     assert found == (FRAMES, [])
 
 
-@pytest.mark.slow
-def test_power_cuts(calls: list[Call], tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", some([50, 400], 0, 1))
+def test_power_cuts(calls: list[Call], tmp_path: Path, count: int) -> None:
     draw = random.Random(8)
-    cuts = sorted(draw.randrange(1, len(calls)) for _ in range(400))
+    cuts = sorted(draw.randrange(1, len(calls)) for _ in range(count))
     disk, at, before, looked = Disk(), 0, {}, 0
     for cut in cuts:
         for call in calls[at:cut]:
@@ -110,7 +113,7 @@ def test_power_cuts(calls: list[Call], tmp_path: Path) -> None:
         looked += 1
         assert found[1] == []
         assert found[0] >= synced, f"after {cut} calls {synced} frames were synced, {found[0]} are left"
-    print(f"400 power cuts, {looked} with a log: all open, no synced frame lost, nothing returned that was not written")
+    print(f"{count} power cuts, {looked} with a log: all open, no synced frame lost, nothing made up")
 
 
 def test_the_disk_keeps_what_was_synced() -> None:

@@ -95,7 +95,7 @@ def check(places: list[Path]) -> dict[str, int]:
     return states
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_killed_a_hundred_times(tmp_path: Path) -> None:
     states = check(killed(tmp_path, 100, 2))
     print(f"killed at 100 random moments: {states}; no acknowledged frame lost, none wrong")
@@ -103,6 +103,7 @@ def test_killed_a_hundred_times(tmp_path: Path) -> None:
     assert states["interrupted"] >= 50
 
 
+@pytest.mark.slow
 def test_a_killed_log_is_recovered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for place in killed(tmp_path, 3, 3):
         if not (place / "run.h5").exists():

@@ -124,6 +124,7 @@ def test_progress_reaches_the_total_and_nothing_is_overwritten(array: ArrayConfi
         write_log(made, tmp_path / "run.h5")
 
 
+@pytest.mark.slow
 def test_a_log_like_another_has_its_times_and_faces(array: ArrayConfig, tmp_path: Path) -> None:
     write_log(simulation(array, 20.0, Tumble(face_s=2.0, turn_s=1.0)), tmp_path / "first.h5")
     with open_log(tmp_path / "first.h5") as log:

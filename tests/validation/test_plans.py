@@ -49,6 +49,7 @@ def test_halves_and_sets_share_no_seed() -> None:
         cases("sealed", size, 100)
 
 
+@pytest.mark.slow
 def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
     for case in cases("development", replace(SIZES["bench"], controls=1)):
         assert case.name == f"development-{case.number:05d}"

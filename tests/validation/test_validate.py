@@ -18,6 +18,7 @@ def test_the_sizes_that_are_offered() -> None:
     assert set(gap_validate._SIZES) == set(SIZES)
 
 
+@pytest.mark.slow
 def test_a_run_is_not_mixed_with_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither other cases nor other thresholds; nothing is run."""
     gap_validate._begin(tmp_path, {"half": "sealed", "size": "glance", "seed": 0, "cases": 1})

@@ -154,6 +154,7 @@ def test_in_a_vehicle(sensor: str, fault: Fault) -> None:
     check(DRIVEN, sensor, fault, onset_s=0.01 * EVERY.index(sensor))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", some(["BMA2", "BMA3", "Gyro3"], 1))
 def test_another_range_in_a_vehicle(sensor: str) -> None:
     check(DRIVEN, sensor, RESET, onset_s=0.01 * EVERY.index(sensor))

@@ -53,6 +53,7 @@ def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
     assert found.rms == pytest.approx(wanted.rms, rel=0.1)
 
 
+@pytest.mark.slow
 def test_nothing_is_known_of_a_sensor_that_was_never_at_rest() -> None:
     evidence = replace(_heated(3.0), seen=())
     assert behind(evidence, lambda codes: codes, 2, 1) is None

@@ -179,6 +179,7 @@ def test_another_range_for_a_while() -> None:
     assert (found.blanks_s, found.noise_share) == ((0.01,), (1.0, 1.0, 1.0))
 
 
+@pytest.mark.slow
 def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None:
     """2000 dps in the place of 250 in one of three logs, with no offset. A slope over a temperature that is far from
     the reference is no offset, since all logs are as warm; nor is a phase in which the sensor was not read.

@@ -30,6 +30,7 @@ def test_a_place() -> None:
     np.testing.assert_allclose(effect.position_mm, (0.0, 50.0, -20.0), atol=6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "size", "tolerance"), some([("tumble", 1.0, 0.005), ("motion", 10.0, 0.05)], 1))
 def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) -> None:
     response = size * np.array([0.05, 0.02, 0.0, 0.0, -0.05, 0.0, 0.01, 0.0, 0.03])

@@ -208,6 +208,7 @@ def test_noise_that_grows_at_a_moment_and_stays() -> None:
     assert trial.fitted.rms == pytest.approx((0.05, 0.05, 0.05), rel=0.15)
 
 
+@pytest.mark.slow
 def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> None:
     """Three times as noisy in the log at rest, as in the tumble before its noise went through a filter: 35 Hz of the
     chip's noise, of whose power one ninth is left, and of two poles, which pass pi / (2 sqrt(2)) of their cutoff.

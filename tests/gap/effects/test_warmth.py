@@ -28,6 +28,7 @@ def test_a_square() -> None:
     assert trial.free == ("quadratic",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "time_constant_s"), some([("G1", 1.0), ("G1", 10.0), ("A1", 3.0)], 1))
 def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> None:
     evidence = evidence_of("heating", sensor, {sensor: (ThermalLag(time_constant_s),)}, seed=7)

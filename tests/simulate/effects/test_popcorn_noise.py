@@ -21,6 +21,7 @@ def test_two_levels(place: MakePlace, analog: MakeAnalog) -> None:
         np.testing.assert_allclose(np.unique(value[:, axis]), [7 - half, 7 + half])
 
 
+@pytest.mark.slow
 def test_autocovariance_of_a_random_telegraph(place: MakePlace, analog: MakeAnalog) -> None:
     """(amplitude / 2)^2 exp(-2 switches_per_s |t|), mean 0, wherever: at the start, across the ends of chunks."""
     rows = np.array([0, 5, 30, 16_383, 16_384, 16_400])

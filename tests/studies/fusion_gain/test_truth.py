@@ -42,6 +42,7 @@ def errors_along_axes(
     return part, part.values - felt @ law.directions_box.T, law
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quantity", "steps"), some([("specific_force", 1 / 256), ("angular_rate", 0.07 * np.pi / 180)], 1)
 )
