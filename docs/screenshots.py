@@ -79,6 +79,7 @@ async def four_modes(address: str, target: Path, wait_s: float = 2.0) -> None:
     """Save the top of a page in light and dark (above), on a phone and on paper (beside them) as one picture."""
     with tempfile.TemporaryDirectory() as profile:
         async with browser(Path(profile), address) as page:
+            await page.call("Emulation.setScrollbarsHidden", hidden=True)
             light, dark = [await _shot(page, _WIDE, dark, wait_s) for dark in (False, True)]
             phone = await _shot(page, 390, False, wait_s)
             sheet = _first_sheet(base64.b64decode((await page.call("Page.printToPDF"))["data"]))
@@ -138,6 +139,7 @@ async def top(page: Path, height: int, target: Path) -> None:
     """Save a screenshot of the top of a page, without the white below it."""
     with tempfile.TemporaryDirectory() as profile:
         async with browser(Path(profile), page.resolve().as_uri()) as shown:
+            await shown.call("Emulation.setScrollbarsHidden", hidden=True)
             await shown.screen(900, height)
             await asyncio.sleep(2.0)
             image = Image.open(io.BytesIO(await shown.screenshot())).convert("RGB")
@@ -157,7 +159,7 @@ async def main(folder: Path, names: Sequence[str]) -> None:
     if names:
         return
     await figure(folder / "demo/report.html", "Drift of single gyroscopes", IMAGES / "heating.png")
-    await top(folder / "gap/report.html", 940, IMAGES / "gap.png")
+    await top(folder / "gap/report.html", 692, IMAGES / "gap.png")
 
 
 if __name__ == "__main__":
