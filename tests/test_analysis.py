@@ -56,6 +56,7 @@ def equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_a_simulation_is_that_of_the_command(tmp_path: Path) -> None:
     run("simulate", "martin2013", "-o", tmp_path / "a.h5", "--seconds", "5", "--seed", "3", "--without", "tone")
     with ia.simulate("martin2013", tmp_path / "b.h5", seconds=5.0, seed=3, without=["tone"]) as log:

@@ -111,6 +111,7 @@ def run(*words: str) -> None:
     assert main(list(words)) == 0
 
 
+@pytest.mark.slow
 def test_a_chip_that_falls_asleep_is_flagged_within_a_second_and_woken(tmp_path: Path) -> None:
     faults = tmp_path / "faults.toml"
     faults.write_text('[[fault]]\nkind = "reset"\nsensor = "IMU2_acc"\nat_s = 4.0\n')

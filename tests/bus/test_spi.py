@@ -204,6 +204,7 @@ class _Nobody:
         pass
 
 
+@pytest.mark.slow
 def test_eight_chips_are_recorded_and_replayed(tmp_path: Path) -> None:
     config, transcript = str(CONFIGS / "icm42688x8.toml"), tmp_path / "t.jsonl"
     first, second = tmp_path / "a.h5", tmp_path / "b.h5"

@@ -78,6 +78,7 @@ def test_no_product_reaches_over_a_gap() -> None:
     assert (found.segments, found.rows) == (4, 160)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pole", "least", "most"), [(0.0, 0.05, 0.05), (0.1, 0.9, 1.0)])
 def test_portmanteau(pole: float, least: float, most: float) -> None:
     """5 % of 1000 white series have p < 0.05, nearly all with a correlation of 0.1; each limit fails once in 10,000."""

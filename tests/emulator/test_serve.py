@@ -208,6 +208,7 @@ def test_there_is_an_end_to_connections(server: UsbipServer, log: list[str], mon
         assert client.status == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("usbip") is None, reason="Debian's package usbip is not installed")
 def test_the_real_tool_lists_it(server: UsbipServer) -> None:
     command = ["usbip", "--tcp-port", str(server.address[1]), "list", "-r", "127.0.0.1"]

@@ -234,6 +234,7 @@ def test_vins_fusion_has_standard_deviations_at_the_rate(walking: Path, tmp_path
     assert (found["imu"], found["imu_topic"], found["g_norm"]) == (1, "/sensors/IMU1", 9.80665)
 
 
+@pytest.mark.slow
 def test_gazebo_has_a_sensor_with_noise_on_every_axis(walking: Path, tmp_path: Path) -> None:
     """SDFormat: standard deviation of a reading; the dynamic bias is driven by the walk (GaussianNoiseModel)."""
     for name in ("kalibr.yaml", "imu.sdf"):

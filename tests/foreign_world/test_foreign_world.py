@@ -318,6 +318,7 @@ def test_the_limit_of_a_line_is_that_of_a_matched_filter() -> None:
     assert limit(world, EFFECTS["vibration_line"], place) == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_case_is_complete() -> None:
     case = draw_case("development", 0, "pair", 0)
     truth = json.loads(json.dumps(truth_of(case, "development", 0, 0)))

@@ -130,6 +130,7 @@ def test_it_goes_into_json(tone: Diagnosis) -> None:
     assert (read["seed"], read["replicates"], read["model"]) == (1, REPLICATES, "data sheets")
 
 
+@pytest.mark.slow
 def test_the_repaired_model_is_accepted(tone: Diagnosis, lined: tuple[Recording, ...]) -> None:
     """As the model to begin with it leaves no gap; p > 0.05 has a probability of 0.95, the seed is fixed."""
     assert tone.repaired is not None

@@ -87,6 +87,7 @@ def test_units_of_two_chips_share_noise(tmp_path: Path) -> None:
     assert (found.causes[0].effect, found.causes[0].sensors) == ("common_mode", ("A1", "D1"))
 
 
+@pytest.mark.slow
 def test_rates_are_looked_at_one_by_one() -> None:
     """A trial that one log suggests is there beside those of all, and none comes twice."""
     heard: list[int] = []

@@ -317,6 +317,7 @@ def test_the_source_is_never_the_output(tmp_path: Path) -> None:
 COUNT = st.integers(-32768, 32767)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(40), deadline=None)
 @given(
     st.lists(st.tuples(st.integers(1, 10**12), COUNT, COUNT, COUNT), min_size=1, max_size=30),

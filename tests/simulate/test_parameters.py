@@ -24,7 +24,7 @@ from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.parameters import from_table, numbers, spelled, to_table
-from tests.selection import examples
+from tests.selection import examples, some
 
 UNITS = ("g", "dps", "gauss")
 TEXTS = ("", "+X+Y+Z", "-Y+X+Z", "spike", "torn", "word", "BMA2")
@@ -158,7 +158,7 @@ def same(one: Effect, other: Effect) -> bool:
     return type(one) is type(other) and all(a == b or (a != a and b != b) for a, b in pairs)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", some(EFFECTS, 11))
 @settings(max_examples=examples(20), suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
 def test_there_and_back(name: str, data: st.DataObject, unit: str) -> None:

@@ -57,6 +57,7 @@ def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
         assert repr(again) == repr(case)  # nan is not equal to itself
 
 
+@pytest.mark.slow
 def test_where_mechanisms_are_put() -> None:
     """On sensors that they touch; two at once on different ones, or on one."""
     planned = cases("development", BENCH)

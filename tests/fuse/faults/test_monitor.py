@@ -70,6 +70,7 @@ def test_flags_of_the_log_hold_and_nothing_else_is_touched() -> None:
     assert np.flatnonzero(lost).tolist() == [4, 9, 10, 11]
 
 
+@pytest.mark.slow
 def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
     run = at_rest()
     monitor, given_ = run.monitor(), 0

@@ -22,6 +22,7 @@ from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 
 
+@pytest.mark.slow
 def test_a_place() -> None:
     evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -20.0)),)}, seed=7)
     (trial,) = SIZE_EFFECT.guesses(evidence)
@@ -42,6 +43,7 @@ def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) 
     assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, as numbers cost that are refined
 
 
+@pytest.mark.slow
 def test_a_curve_on_faces() -> None:
     evidence = evidence_of("tumble", "A1", {"A1": (Nonlinearity(quadratic=(0.005,) * 3),)}, seed=7)
     (trial,) = NONLINEARITY.guesses(evidence)

@@ -50,6 +50,7 @@ def test_skew(sensor: str, delay_s: float) -> None:
     assert (trial.rarity > 0) == (delay_s < 0)  # readings come before their stamps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "error_ppm"), some([("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)], 1))
 def test_clock_error(sensor: str, error_ppm: float) -> None:
     (trial,) = clock_error.guesses(shown("motion", sensor, ClockError(error_ppm)))

@@ -36,6 +36,7 @@ def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> N
     assert list(THERMAL_LAG.guesses(evidence)) == []
 
 
+@pytest.mark.slow
 def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(60.0),)}, seed=7)
     first, *_ = THERMAL_LAG.guesses(evidence)
