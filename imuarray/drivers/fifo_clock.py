@@ -13,12 +13,17 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import numpy as np
+
 TOLERANCE = 0.15
 """How far a chip's oscillator may be off its nominal rate."""
 DRIFT = 2e-4
 """How far its rate may change within a window: warming by a few degrees changes it by less."""
 WINDOW_NS = 5e9
 """A window begins anew after so long; the one before is used meanwhile, so that no bound is more than twice as old."""
+
+SLIVER_NS = 1e3
+"""A bound that would cut off less than this is left out: it would add a corner and tell nothing."""
 
 Vertices = list[tuple[float, float]]
 
@@ -40,10 +45,10 @@ class _Window:
         steps = newest - self.first
         before, after = until_ns - self.origin_ns, from_ns - self.origin_ns
         late = [start + steps * period - before for start, period in self.vertices]
-        if max(late) > 0:
+        if max(late) > SLIVER_NS:
             self.vertices, self._center = _kept(self.vertices, late), None
         early = [after - start - (steps + 1) * period for start, period in self.vertices]
-        if early and max(early) > 0:
+        if early and max(early) > SLIVER_NS:
             self.vertices, self._center = _kept(self.vertices, early), None
         return len(self.vertices) > 2
 
@@ -189,7 +194,7 @@ class FifoClock:
     def _increasing(self, oldest_ns: float, level: int) -> list[int]:
         """`level` times from `oldest_ns` on, all later than those before."""
         period_ns, latest_ns = self.period_ns, self._latest_ns
-        times = [round(oldest_ns + index * period_ns) for index in range(level)]
+        times: list[int] = np.rint(oldest_ns + np.arange(level) * period_ns).astype(np.int64).tolist()
         if times[0] <= latest_ns:
             end_ns = max(times[-1], latest_ns + level)
             step_ns = (end_ns - latest_ns) / level

@@ -197,10 +197,9 @@ class Icm42688Gyroscope(_Half):
 
 
 class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue: a row is the triad and a temperature of 8 bits, 2.07 counts a degC (TDK-82)."""
+    """One half read by the queue: a row is a packet with a temperature of 8 bits, 2.07 counts a degC (TDK-82)."""
 
-    burst: ClassVar[int] = 7
-    reading: ClassVar[slice] = slice(0, 6)
+    burst: ClassVar[int] = 16
 
     def _new_queue(self) -> DieQueue:
         return Icm42688Queue(self.registers, self.clock, self.rate_hz)
@@ -219,8 +218,8 @@ class _QueuedHalf(QueuedHalf, _Half):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits; the temperature in the counts of its register, 64 for each of its own (TDK-82)."""
-        counts = np.ascontiguousarray(bursts[:, :6]).view(">i2").astype(np.int16)
-        coarse = np.ascontiguousarray(bursts[:, 6]).view(np.int8).astype(np.int16)
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i2").astype(np.int16)
+        coarse = np.ascontiguousarray(bursts[:, 13]).view(np.int8).astype(np.int16)
         temperature = np.where(coarse == -128, _INVALID, coarse * 64).astype(np.int16)  # TDK-82
         return DecodedBursts(counts, temperature, _status(counts))
 
@@ -229,9 +228,11 @@ class Icm42688AccelerometerFifo(_QueuedHalf, Icm42688Accelerometer):
     """Driver of the accelerometer of one ICM-42688-P, its queue drained."""
 
     half: ClassVar[str] = "acc"
+    reading: ClassVar[slice] = slice(1, 7)
 
 
 class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
     """Driver of the gyroscope of one ICM-42688-P, its queue drained."""
 
     half: ClassVar[str] = "gyro"
+    reading: ClassVar[slice] = slice(7, 13)

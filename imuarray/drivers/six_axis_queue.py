@@ -168,7 +168,7 @@ def impossible(count: int, capacity: int) -> OSError:
 
 class Icm42688Queue(DieQueue):
     """2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves 16 bytes with a time stamp, of
-    one half 8. A row is a triad and the temperature.
+    one half 8. A row is a packet of 16 bytes.
 
     Flags and count are read together, then the packets. The stamps show where samples are missing, and the flag "full"
     where so many are that the 65.536 ms of the stamps have passed.
@@ -176,9 +176,6 @@ class Icm42688Queue(DieQueue):
 
     CAPACITY: ClassVar[int] = 2048
     LONE: ClassVar[int] = 8
-    COLUMNS: ClassVar[Mapping[str, tuple[int, ...]]] = MappingProxyType(
-        {"acc": (*range(1, 7), 13), "gyro": (*range(7, 13), 13)}
-    )
 
     def __init__(self, registers: Registers, clock: Clock, rate_hz: float) -> None:
         super().__init__(registers, clock, rate_hz)
@@ -220,16 +217,14 @@ class Icm42688Queue(DieQueue):
             return False
         gap, self._full = bool(full), False
         if size > self.LONE:
-            steps = self._steps(packets)
-            if (np.abs(steps[1:] - self._period_us) > self._period_us / 4).any():
+            first, last = (packets[at] << 8 | packets[at + 1] for at in (size - 2, len(packets) - 2))
+            if self._are_missing(last - first, count - 1):
                 return False
-            gap |= self._stamp is not None and abs(steps[0] - self._period_us) > self._period_us / 4
-            self._stamp = packets[-2] << 8 | packets[-1]
+            gap |= self._stamp is not None and self._are_missing(first - self._stamp, 1)
+            self._stamp = last
         times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1])
-        table = np.frombuffer(packets, np.uint8).reshape(count, size)
         for half, reader in self._readers.items():
-            columns = table[:, 1:8] if size == self.LONE else table[:, self.COLUMNS[half]]
-            reader.put(columns.tobytes(), times, gap=gap)
+            reader.put(packets if size > self.LONE else self._widened(packets, half), times, gap=gap)
         return True
 
     @property
@@ -237,14 +232,18 @@ class Icm42688Queue(DieQueue):
         """Bits 7:4 of a header: not empty, accelerometer, gyroscope, 16 bits (TDK-81)."""
         return sum({"acc": 0x40, "gyro": 0x20}[half] for half in self.halves)
 
-    def _steps(self, packets: bytes) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(n,) microseconds by the chip's clock from the packet before to each packet, the nearest to the period that
-        the 16 bits of the stamps allow.
-        """
-        stamps = np.frombuffer(packets, ">u2")[7::8].astype(np.int64)
-        before = stamps[0] - round(self._period_us) if self._stamp is None else self._stamp
-        steps = np.diff(stamps, prepend=before) - self._period_us
-        return np.asarray((steps + 0x8000) % 0x10000 - 0x8000 + self._period_us, np.float64)
+    def _are_missing(self, stamps: int, periods: int) -> bool:
+        """Whether a difference of time stamps, known to 16 bits, is not so many periods."""
+        off_us = (stamps - periods * self._period_us + 0x8000) % 0x10000 - 0x8000
+        return abs(off_us) > self._period_us / 4
+
+    def _widened(self, packets: bytes, half: str) -> bytes:
+        """Packets of one half as packets of both, with nothing in the place of the other."""
+        table = np.frombuffer(packets, np.uint8).reshape(-1, self.LONE)
+        wide = np.zeros((len(table), 2 * self.LONE), np.uint8)
+        first = 1 if half == "acc" else 7
+        wide[:, first : first + 6], wide[:, 13] = table[:, 1:7], table[:, 7]
+        return wide.tobytes()
 
 
 class MpuQueue(DieQueue):
