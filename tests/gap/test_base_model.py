@@ -240,6 +240,21 @@ def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
     assert found.cutoff_hz == pytest.approx(35.0, rel=0.06)
 
 
+@pytest.mark.parametrize("samples_a_row", [0.5, 0.8])
+def test_a_filter_is_fitted_to_samples_that_are_read_again(samples_a_row: float) -> None:
+    """Noise behind 20 Hz, sampled at 160 or 100 Hz and read 200 times a second: its correlation is that of samples,
+    exp(-2 pi 20 / 160) = 0.46 or 0.28, not that of rows (0.53).
+    """
+    data_rate_hz = 200 * samples_a_row
+    phi = math.exp(-2 * math.pi * 20 / data_rate_hz)
+    white = np.random.default_rng(8).normal(size=(20_000, 3))
+    samples = lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], white, axis=0)
+    latest = np.floor(np.arange(20_000) * samples_a_row + 1e-9).astype(int)
+    fitted = fitted_to_rows(samples[latest], data_rate_hz=data_rate_hz, bandwidth_hz=25.0)
+    assert fitted.poles == 1.0
+    assert fitted.cutoff_hz == pytest.approx(20.0, rel=0.06)
+
+
 def test_a_digital_filter_is_told_from_an_analogue_one() -> None:
     """Noise that a converter samples at 200 Hz, the rate of the rows, ends at 100 Hz: behind one pole at 50 Hz the
     transform of 1 / (1 + f^2 / 50^2) up to there has correlations of 0.335, 0.048 and 0.019.

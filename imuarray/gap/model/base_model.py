@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -70,6 +70,9 @@ _SAMPLES_A_ROW = 8
 
 _LAGS, _CUTOFFS = 3, 101
 """Lags of the correlations to which a filter is fitted, and cutoffs tried for each number of poles."""
+
+_MOST_REPEATED = 0.9
+"""Share of repeated rows up to which a filter is fitted to them."""
 
 _FILTER_MISFIT = 0.1
 """Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more."""
@@ -333,49 +336,79 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
     By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
-    samples at the chip's data rate), and noise without a memory. Repeated readings are taken out: a share r of them
-    makes correlations r + (1 - r) rho; and so is rounding, which no filter passes.
+    samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
+    are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
+    rounding adds no filter passes.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if configured_hz <= 0 or not rests:
         return None
-    rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
-    repeated = np.array([_repeated_share(phase, _is_flagged(rests)) for phase in rests])[:, None]
+    reads = tuple(_reads(phase, _is_flagged(rests)) for phase in rests)
+    again = np.array(
+        [[_samples_apart(read.samples_a_row, lag).get(0, 0.0) for lag in range(1, _LAGS + 1)] for read in reads]
+    )
     lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
     passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
-    seen = (lags - repeated) / np.maximum(1 - repeated, 0.1) / max(float(passed), 0.1)
+    seen = (lags - again) / max(float(passed), 0.1)
     if not np.isfinite(seen).all() or np.abs(seen).max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
     white = float(np.square(seen).sum())
-    rates, of_rate = np.unique(np.round(rows_per_s, 2), return_inverse=True)
+    kinds = tuple(dict.fromkeys(reads))
+    of_kind = [kinds.index(read) for read in reads]
     best, least = None, white
-    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * float(rows_per_s.max())
+    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(read.rows_per_s for read in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
-    for effect, expected in _filter_correlations(configured_hz, sampled_hz, tuple(rates.tolist())):
-        misfit = float(np.square(seen - expected[of_rate]).sum())
+    for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
+        misfit = float(np.square(seen - expected[of_kind]).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
 
 
+class _Reads(NamedTuple):
+    """The reads of a sensor: how many a second, and the samples of the chip from one to the next, at most 1."""
+
+    rows_per_s: float
+    samples_a_row: float
+
+
+def _reads(phase: Summary, is_flagged: bool) -> _Reads:
+    """The reads of a phase, rounded so that phases of one rate share what is computed for it."""
+    return _Reads(
+        round(1 / phase.intervals.mean_s, 2),
+        round(1 - min(max(_repeated_share(phase, is_flagged), 0.0), _MOST_REPEATED), 2),
+    )
+
+
+def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
+    """The shares of rows `lag` apart that lie 0, 1, ... samples of the chip apart, if both clocks are even."""
+    least, rest = divmod(lag * samples_a_row, 1.0)
+    return {int(least): 1 - rest, int(least) + 1: rest}
+
+
 @lru_cache(maxsize=64)
 def _filter_correlations(
-    configured_hz: float, sampled_hz: float, rates: tuple[float, ...]
+    configured_hz: float, sampled_hz: float, kinds: tuple[_Reads, ...]
 ) -> tuple[tuple[Bandwidth, Floats], ...]:
-    """The filters that the chip may have, and the correlations (r, k) at the first k lags of rows of these `rates`,
-    which are the same for all replicates.
+    """The filters that the chip may have, and what the correlations (r, k) of each kind of reads at the first k lags
+    have beyond those of noise without a memory; the same for all replicates.
     """
-    found = []
+    filters = []
     for effect in _filters(configured_hz, sampled_hz):
-        decays = 2 * math.pi * effect.cutoff_hz / np.array(rates) / math.sqrt(effect.poles)
         band = effect.sampled_hz / 2 / effect.cutoff_hz
-        expected = [
-            [correlation(decay * lag, effect.poles, band) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()
-        ]
-        found.append((effect, np.array(expected)))
-    return tuple(found)
+        expected = np.zeros((len(kinds), _LAGS))
+        for at, (rows_per_s, samples_a_row) in enumerate(kinds):
+            decay = 2 * math.pi * effect.cutoff_hz / (rows_per_s * samples_a_row) / math.sqrt(effect.poles)
+            for column, lag in enumerate(range(1, _LAGS + 1)):
+                expected[at, column] = sum(
+                    share * correlation(decay * samples, effect.poles, band)
+                    for samples, share in _samples_apart(samples_a_row, lag).items()
+                    if samples
+                )
+        filters.append((effect, expected))
+    return tuple(filters)
 
 
 def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Place
 
 _FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
@@ -36,6 +37,9 @@ class Bandwidth(Effect):
     A digital filter behind a converter that samples at `sampled_hz` passes noise that is white up to half of that and
     ends there (infinite: noise has no end): correlations are those of that part of the filter's response, which
     `_MEMORY` rows before each row reproduce (Yule and Walker).
+
+    Of a chip that is polled faster than it samples the noise remembers the sample before, not the row before: rows that
+    read one sample again have its noise.
 
     `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
     1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so
@@ -73,18 +77,25 @@ class Bandwidth(Effect):
         """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
         if math.isinf(self.cutoff_hz):
             return analog
+        decay = self._decay(at)
+        value = self._passed(analog.value, decay)
+        if self.signal_only:
+            return replace(analog, value=value)
+        if not 0 < (1 + AT_ITS_RATE) * analog.rate_hz < at.rows_per_s:
+            return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
+        is_new = np.concatenate([[True], np.diff(analog.instant_ns) > 0])
+        samples = self._coloured(analog.noise[is_new], decay * at.rows_per_s / analog.rate_hz)
+        return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
+
+    def _coloured(self, white: Reals, decay: float) -> Reals:
+        """The noise (n, 3) behind the filter, `decay` time constants from one row to the next."""
         from scipy.signal import lfilter  # its weight is for those who filter anything
 
-        decay = self._decay(at)
-        if self.signal_only:
-            return replace(analog, value=self._passed(analog.value, decay))
         over, under = _noise_filter(decay, self.poles, self._band)
-        white = analog.noise.astype(float)
         first = np.zeros((len(under) - 1, white.shape[1]))
         first[0] = (1 - over[0]) * white[0]
-        noise, _ = lfilter(over, under, white, axis=0, zi=first)
-        noise = np.asarray(self.noise_share * noise, analog.noise.dtype)
-        return replace(analog, value=self._passed(analog.value, decay), noise=noise)
+        noise, _ = lfilter(over, under, white.astype(float), axis=0, zi=first)
+        return np.asarray(self.noise_share * noise, white.dtype)
 
     def _passed(self, value: Reals, decay: float) -> Reals:
         """The signal (n, 3) after the filter, exactly so for straight lines between rows."""

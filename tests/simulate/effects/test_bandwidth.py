@@ -9,9 +9,13 @@ import pytest
 from scipy import signal
 from scipy.linalg import toeplitz
 
+from imuarray.log.format import STALE
 from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.signal import Analog
-from tests.simulate.conftest import MakePlace, furthest
+from imuarray.simulate.simulation import Plan, Simulation
+from imuarray.simulate.timeline import PollTimes
+from tests.simulate.conftest import Constant, MakePlace, furthest, header
 
 MakeAnalog = Callable[..., Analog]
 
@@ -23,6 +27,19 @@ def test_same_rms_and_exponential_correlation_from_the_first_row_on(place: MakeP
     runs = [effect.analog(analog(0, 6, noise=rng.normal(0, 0.3, (6, 3))), at).noise.T for _ in range(3000)]
     # 27 numbers beyond 5 standard errors: 2e-5
     assert furthest(np.concatenate(runs), 0.09 * toeplitz(np.exp(-np.arange(6) / 2))) < 5
+
+
+def test_noise_of_a_chip_that_is_read_again_remembers_samples(constant: type[Constant]) -> None:
+    """100 samples a second, read 160 times: behind 10 Hz successive samples correlate by exp(-2 pi 10 / 100) = 0.53,
+    and not by exp(-2 pi 10 / 160) = 0.68, as rows would. Standard error 0.005.
+    """
+    lines = PollTimes(60_000, 6_250_000)
+    plan = Plan({"S1": (header("l3g4200d", rate_hz=100.0), lines)}, lines)
+    block = Simulation(plan, constant(), {"S1": (WhiteNoise(0.5), Bandwidth(10.0))}).sensors["S1"].block(0, 60_000)
+    is_again = (block.status & STALE) != 0
+    assert np.count_nonzero(is_again) == pytest.approx(0.375 * 60_000, abs=1)
+    samples = block.counts[~is_again, 0]
+    assert np.corrcoef(samples[1:], samples[:-1])[0, 1] == pytest.approx(0.533, abs=0.02)
 
 
 def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) -> None:
