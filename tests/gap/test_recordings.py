@@ -427,9 +427,16 @@ def test_the_noise_of_a_reference_is_no_motion(tmp_path: Path, noise: float) -> 
     assert np.ptp(felt.force_box, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
-@pytest.mark.parametrize(("drifting", "is_left_out"), [(3, True), (1, False), (0, False)])
-def test_a_heating_that_nobody_recorded_is_left_out(tmp_path: Path, drifting: int, is_left_out: bool) -> None:
-    """Most of three sensors drift by 60 counts in a minute beside a noise of 5; one alone may wander."""
+@pytest.mark.parametrize(
+    ("drifting", "shape", "is_left_out"),
+    [(3, "line", True), (3, "warm-up", True), (3, "step", False), (1, "line", False), (0, "line", False)],
+)
+def test_a_heating_that_nobody_recorded_is_left_out(
+    tmp_path: Path, drifting: int, shape: str, is_left_out: bool
+) -> None:
+    """Most of three sensors drift by 60 counts in a minute beside a noise of 5, evenly or with a time constant of a
+    quarter of that; one alone may wander, and sensors that are exchanged step.
+    """
     sensors = [replace(FOREIGN[0], name=name, has_temperature=False) for name in ("A", "B", "C")]
     plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], sensors)
     path, rows = tmp_path / "warm.h5", 3000
@@ -437,7 +444,9 @@ def test_a_heating_that_nobody_recorded_is_left_out(tmp_path: Path, drifting: in
     rng = np.random.default_rng(0)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:01:00Z") as log:
         for number, sensor in enumerate(sensors):
-            drift = np.linspace(0, 60 * (number < drifting), rows)[:, None]
+            share = np.linspace(0, 1, rows)
+            course = {"line": share, "warm-up": 1 - np.exp(-4 * share), "step": share > 0.43}[shape]
+            drift = 60 * (number < drifting) * course[:, None]
             counts = np.rint(rng.normal([0, 0, 2048], 5, (rows, 3)) + drift).astype(np.int16)
             log.append(sensor.name, Block(time, counts, np.zeros(rows, np.uint16)))
         log.phase(phase(0, 60, "static", "+Z"))

@@ -239,12 +239,30 @@ def test_odds_count_what_is_independent_with_the_best() -> None:
         (5.0, ACCEPTED - 0.1, -9.0, False),
         (5.0, ACCEPTED + 1.9, 2.0, False),
         (5.0, ACCEPTED + 2.1, 2.0, True),
-        (WORTH - 0.1, 99.0, 0.0, False),  # nothing to be seen where it was fitted
     ],
 )
 def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_taken: bool) -> None:
     found, _ = round_of({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, placebo)}, Bias(1.0))
     assert (found.taken is not None) == is_taken
+
+
+@pytest.mark.parametrize(
+    ("free", "train", "gain", "is_taken"),
+    [
+        (("offset",), WORTH - 0.1, 99.0, False),  # nothing to be seen where it was fitted
+        ((), WORTH - 0.1, 99.0, True),  # nothing was fitted
+        ((), -0.1, 99.0, False),
+        ((), 0.0, 2 * (ACCEPTED + 4.1), True),  # the mean of both parts, less 4
+        ((), 0.0, 2 * (ACCEPTED + 3.9), False),
+    ],
+)
+def test_a_cause_that_only_the_held_out_part_shows(
+    free: tuple[str, ...], train: float, gain: float, is_taken: bool
+) -> None:
+    run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
+    trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), free)]}, {UNIT: Hypothesis((LINE,))}
+    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    assert (result.taken is not None) == is_taken
 
 
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])

@@ -335,15 +335,25 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
     if known:
         return Round(standing, ranked, bar, next((evaluation for evaluation in ranked if evaluation.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
-    # what happens once has no more than one reason to show: all of its gain counts
-    good = [
-        evaluation
-        for evaluation in ranked
-        if evaluation.closes
-        and (1.0 if evaluation.trial.needs_both else _tempering(standing, evaluation)) * evaluation.gain > least
-        and (max(_tempering(standing, evaluation), 1.0) * evaluation.train_gain > WORTH or evaluation.trial.needs_both)
-    ]
+    good = [evaluation for evaluation in ranked if evaluation.closes and _counted_gain(standing, evaluation) > least]
     return Round(standing, ranked, bar, good[0] if good else None)
+
+
+def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
+    """The gain in nats by which a trial is taken.
+
+    It has to show in the training part too, to which its numbers are fitted. A trial without such numbers (an exchange
+    of axes) may show in the held-out part alone, which has all of the faces, or the only motion: it is judged as one
+    that happens once, by the mean of both parts, less the cost of that choice.
+    """
+    if evaluation.trial.needs_both:
+        return evaluation.gain  # what happens once has no more than one reason to show: all of its gain counts
+    temper = _tempering(standing, evaluation)
+    if max(temper, 1.0) * evaluation.train_gain > WORTH:
+        return temper * evaluation.gain
+    if evaluation.factors or evaluation.train_gain < 0:
+        return -math.inf
+    return temper * ((evaluation.train_gain + evaluation.gain) / 2 - _BRIEF)
 
 
 def _squares(scores: Floats) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +49,11 @@ Temperature = Callable[[Times], Reals]
 _DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 12.0, 100_000, 16
 """Standard errors by which a sensor drifts in a phase at rest; most rows of either end that are read, and fewest that
 say anything.
+"""
+
+_SECTIONS, _STEP_SHARE = 12, 0.8
+"""Sections of a phase, and the share of its change within two of them from which on it is a step and no drift: heat
+takes a time constant.
 """
 
 
@@ -191,7 +197,21 @@ def _drift_sigmas(sensor: SensorLog, phase: Phase) -> float:
     if min(len(begin), len(end)) < _LEAST_DRIFT_ROWS:
         return 0.0
     variance = sum(np.maximum(np.diff(part, axis=0).var(axis=0) / 2, 1 / 12) / len(part) for part in (begin, end))
-    return float(np.max(np.abs(end.mean(axis=0) - begin.mean(axis=0)) / np.sqrt(variance)))
+    change = end.mean(axis=0) - begin.mean(axis=0)
+    axis = int(np.argmax(np.abs(change) / np.sqrt(variance)))
+    return 0.0 if _is_step(sensor, phase, axis) else float(abs(change[axis]) / np.sqrt(variance[axis]))
+
+
+def _is_step(sensor: SensorLog, phase: Phase, axis: int) -> bool:
+    """True if nearly all of an axis's change lies between a section of the phase and the next but one, which a step
+    within the section between them does.
+    """
+    edges_ns = np.linspace(phase.start_ns, phase.end_ns, _SECTIONS + 1).astype(np.int64).tolist()
+    sections = [sensor.counts[sensor.between(*ends)][:_DRIFT_ROWS, axis] for ends in pairwise(edges_ns)]
+    if not all(len(section) for section in sections):
+        return False
+    means = np.array([float(np.mean(section)) for section in sections])
+    return bool(np.abs(means[2:] - means[:-2]).max() > _STEP_SHARE * np.ptp(means))
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:

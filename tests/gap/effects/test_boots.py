@@ -89,6 +89,19 @@ def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) 
 
 
 @pytest.mark.slow
+def test_another_range_from_a_row_of_a_tumble_on() -> None:
+    """The faces show the ratio, 4 / 3, whichever face follows the step, and the log after it is in that range too."""
+    put_in = (RangeReset(3.0, onset_s=70.0, run=0.0), RangeReset(3.0, runs=(1.0,)))
+    evidence = evidence_of(("tumble", "static"), "A1", {"A1": put_in}, seed=7)
+    lasting, *_ = [trial for trial in RANGE_RESET.guesses(evidence) if len(trial.effects) == 2 and trial.is_brief]
+    first, then = lasting.effects
+    assert isinstance(first, RangeReset)
+    assert isinstance(then, RangeReset)
+    assert (first.range, first.run, then.range, then.runs) == (3.0, 0.0, 3.0, (1.0,))
+    assert first.onset_s == pytest.approx(70.0, abs=1.0)
+
+
+@pytest.mark.slow
 def test_another_range_from_another_row_on_in_each_log() -> None:
     """A supply that dips now and then: the second log has its own moment, the same range."""
     dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]

@@ -42,6 +42,11 @@ _OFFSET = 0.005
 _NOISE_TOO = 0.3
 """Of what another range makes of noise that comes before its amplifier, in the log: some of it comes behind."""
 
+_AS_CLEAR = 0.5
+"""Least share of the nats of the clearest range's step: the faces show which range it is. A slope over temperature that
+was fitted to the step too disturbs all of them.
+"""
+
 _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
 
@@ -63,30 +68,42 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         logs, means, errors = log_levels(levels(evidence))
         rare = rarer(means, errors) if len(means) > 1 else None
         if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
-            yield from _reset(evidence, states, 0.0, float(rare.mean()))
+            yield from _in_some_boots(evidence, states, float(rare.mean()))
             yield from _just_in(evidence, states, logs[rare].tolist())
     if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
         yield from _noticed(evidence)
-    if evidence.is_odd(*_WITHIN, beyond=_BEYOND) and (found := onsets(evidence)):
-        yield from _within(evidence, found)
-
-
-def _within(evidence: Evidence, onsets: Sequence[Onset]) -> Iterator[Hypothesis]:
-    """A reset in the log with the clearest step; and in all others in which the same range is left of one."""
-    clearest, *more = onsets
-    for trial in _reset(evidence, clearest.states, 0.0, 1.0):
-        (first,) = (effect for effect in trial.effects if isinstance(effect, RangeReset))
-        alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
-        others = [
-            replace(effect, onset_s=onset.onset_s, run=float(onset.log))
-            for onset in more
-            for other in _reset(evidence, onset.states, 0.0, 1.0)
-            for effect in other.effects
-            if isinstance(effect, RangeReset) and effect.range == first.range
+    if evidence.is_odd(*_WITHIN, beyond=_BEYOND):
+        steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
+        guesses = [
+            (guess, own)
+            for other, own in steps.items()
+            for guess in (_guesses(evidence, [own[0].states]) if own else ())
+            if guess.effect.range == other
         ]
-        if others:
-            yield Hypothesis((alone, *others))
-        yield replace(trial, effects=(alone,))
+        least = _AS_CLEAR * max((own[0].nats for _, own in guesses), default=0.0)
+        guesses = [(guess, own) for guess, own in guesses if own[0].nats >= least]
+        for guess, own in sorted(guesses, key=lambda pair: pair[0].cost)[:_RANGES]:
+            yield from _within(evidence, guess.effect, own)
+
+
+def _within(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
+    """A reset in the log with the clearest step; one that lasts in the logs after it, since nothing sets the chip up
+    again; and resets in all logs in which the same range is left of one.
+    """
+    clearest, *more = steps
+    alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
+    others = [
+        replace(guess.effect, onset_s=step.onset_s, run=float(step.log))
+        for step in more
+        for guess in _cheapest(_guesses(evidence, [step.states]))
+        if guess.effect.range == first.range
+    ]
+    if others:
+        yield Hypothesis((alone, *others))
+    later = sorted({float(phase.log) for phase in evidence.seen if phase.log > clearest.log})
+    if later:
+        yield Hypothesis((alone, replace(first, runs=tuple(later))), _FREE[:2])
+    yield Hypothesis((alone,), _FREE[:2])
 
 
 def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
@@ -168,11 +185,11 @@ class _Guess(NamedTuple):
     effect: RangeReset
 
 
-def _reset(evidence: Evidence, states: States, onset_s: float, probability: float) -> Iterator[Hypothesis]:
+def _in_some_boots(evidence: Evidence, states: States, probability: float) -> Iterator[Hypothesis]:
     """By the levels and noises before and after, of the true ones: r (x + offset), r share noise."""
     free = _FREE if probability < 1 else _FREE[:2]
     for guess in _cheapest(_guesses(evidence, [states])):
-        yield Hypothesis((replace(guess.effect, onset_s=onset_s, probability=probability),), free)
+        yield Hypothesis((replace(guess.effect, probability=probability),), free)
 
 
 def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:

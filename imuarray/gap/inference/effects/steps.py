@@ -52,18 +52,21 @@ class _Series(NamedTuple):
     variance: Floats
 
 
-def onsets(evidence: Evidence) -> list[Onset]:
-    """The clearest step of level and noise within each log that has a clear one, the clearest first."""
-    found: list[Onset] = []
-    for log in dict.fromkeys(one.log for one in evidence.still):
-        series = _series(evidence, [one for one in evidence.still if one.log == log])
+def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
+    """The clearest step of level and noise within each log that has a clear one, the clearest first.
+
+    From the step on a reading is `ratio` times what it would be, so that each face has another step.
+    """
+    steps: list[Onset] = []
+    for log in dict.fromkeys(phase.log for phase in evidence.still):
+        series = _series(evidence, [phase for phase in evidence.still if phase.log == log])
         if len(series.time_s) < 2 * _LEAST + 2:
             continue
-        gains = np.array([_gain(series, at) for at in range(_LEAST, len(series.time_s) - _LEAST)])
+        gains = np.array([_gain(series, at, ratio) for at in range(_LEAST, len(series.time_s) - _LEAST)])
         at = int(gains.argmax()) + _LEAST
         if gains.max() > _CLEAR:
-            found.append(Onset(log, _time(series, at), _states(series, at), float(gains.max())))
-    return sorted(found, key=lambda one: -one.nats)
+            steps.append(Onset(log, _time(series, at, ratio), _states(series, at, ratio), float(gains.max())))
+    return sorted(steps, key=lambda step: -step.nats)
 
 
 def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
@@ -100,32 +103,41 @@ def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
     return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _gain(series: _Series, at: int) -> float:
-    """Nats by which two levels and variances explain segments better than one of each."""
+def _unscaled(series: _Series, ratio: float) -> Floats:
+    """(s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
+    return (series.left + series.predicted) / ratio - series.predicted
 
-    values = np.concatenate([series.left, np.log(series.variance)], axis=1)
+
+def _gain(series: _Series, at: int, ratio: float) -> float:
+    """Nats by which two levels and variances explain segments better than one of each."""
+    spread = np.log(series.variance)
+    values = np.concatenate([series.left, spread], axis=1)
+    later = np.concatenate([ratio * _unscaled(series, ratio), spread], axis=1)
     whole = (len(values) * values.var(axis=0)).clip(1e-30)
-    parts = at * values[:at].var(axis=0) + (len(values) - at) * values[at:].var(axis=0)
+    parts = at * values[:at].var(axis=0) + (len(values) - at) * later[at:].var(axis=0)
     return float(len(values) / 2 * np.log(whole / parts.clip(1e-6 * whole)).sum())
 
 
-def _states(series: _Series, at: int) -> States:
+def _states(series: _Series, at: int, ratio: float) -> States:
     """From the segments that are wholly on either side, referred to the face that is up at the step."""
     before, after = slice(None, at - 1), slice(at + 1, None)
     face = series.predicted[at]
     return States(
         face + np.median(series.left[before], axis=0),
-        face + np.median(series.left[after], axis=0),
+        ratio * (face + np.median(_unscaled(series, ratio)[after], axis=0)),
         np.sqrt(np.median(series.variance[before], axis=0)),
         np.sqrt(np.median(series.variance[after], axis=0)),
     )
 
 
-def _time(series: _Series, at: int) -> float:
+def _time(series: _Series, at: int, ratio: float) -> float:
     """Within the segment before or after, by the share of the step that its mean has taken."""
-    low, high = np.median(series.left[: at - 1], axis=0), np.median(series.left[at + 1 :], axis=0)
-    axis = int(np.abs(high - low).argmax())
+    low = np.median(series.left[: at - 1], axis=0)
+    inner = slice(at - 1, at + 1)
+    faces = series.predicted[inner]
+    high = ratio * (faces + np.median(_unscaled(series, ratio)[at + 1 :], axis=0)) - faces
+    axis = int(np.abs(high - low).sum(axis=0).argmax())
     width = float(np.median(np.diff(series.time_s)))
-    inner = series.left[at - 1 : at + 1, axis]
-    shares = np.clip((inner - low[axis]) / (high - low)[axis], 0.0, 1.0) if high[axis] != low[axis] else np.zeros(2)
-    return float(series.time_s[at] + width / 2 - width * shares.sum())
+    step = high[:, axis] - low[axis]
+    taken = np.divide(series.left[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
+    return float(series.time_s[at] + width / 2 - width * np.clip(taken, 0.0, 1.0).sum())
