@@ -134,6 +134,18 @@ def test_readings_of_another_for_a_while(
         assert trial.opposite_fitted.offset == pytest.approx((-1.0,) * 3, abs=0.02)
 
 
+def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
+    """Each face follows once, so that no level comes twice; both logs after the moment are exchanged."""
+    acting = spans_of(((0, 70.0, math.inf), (1, 0.0, math.inf)))
+    effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
+    trials = list(CHANNEL_SWAP.guesses(evidence_of(("tumble", "static"), "A1", effects, seed=7)))
+    trial = next(trial for trial in trials if len(trial.when.spans) == 2)
+    assert (trial.effects[0].name, trial.opposite[0].name) == ("channel_swap", "channel_swap")
+    first, after = trial.when.triples
+    assert (first[0], after[:2]) == (0, (1, 0.0))
+    assert first[1] == pytest.approx(70.0, abs=5.0)
+
+
 def test_a_step_that_is_no_level_of_another_is_no_exchange() -> None:
     """Half way, or to the other's level on one axis only."""
     for offset in ((-0.75,) * 3, (-1.5, 0.0, 0.0)):

@@ -34,6 +34,9 @@ is off by no more of the difference between both.
 _APART = 8.0
 """Standard deviations of a segment's mean by which the levels of two sensors have to differ to tell which is read."""
 
+_LEAST_SEGMENTS, _CLEAR = 3, 15.0
+"""Segments at rest before and after an exchange, and nats by which it makes deviations more constant."""
+
 _LEAST_ROWS = 4
 _LEVELS = ("mean_halves", "mean_return", "wander", "mean", "level", *RUN_TO_RUN)
 """Statistics that change where a sensor's level is another's for a part of the time."""
@@ -57,7 +60,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
             yield _crossed(evidence.header.name, other.name)
     if evidence.is_odd(*_LEVELS, beyond=_BEYOND):
         for name, phases in evidence.twins.items():
-            yield from _for_a_while(evidence, name, phases)
+            lasting = list(_since_a_moment(evidence, name, phases))
+            yield from lasting or _for_a_while(evidence, name, phases)
 
 
 def _crossed(sensor: str, other: str) -> Hypothesis:
@@ -112,6 +116,94 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
         ).at(when),
         whole=True,
     )
+
+
+def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
+    """Both in each other's place from a moment on, to the end of its log or of all logs.
+
+    The levels before and after tell nothing by themselves where the box lies on another face after the moment. But
+    each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it; the
+    moment is the one that makes these deviations most constant.
+    """
+    if phases[0].raw.header.sensitivity != evidence.header.sensitivity:
+        return
+    faces: dict[str, int] = {}
+    own, its = _in_common(_course(evidence.still, faces), _course(phases, faces))
+    if len(own.log) < 2 * _LEAST_SEGMENTS:
+        return
+    predicted, its_predicted = own.mean - own.deviation, its.mean - its.deviation
+    here = np.concatenate([own.deviation, its.deviation], axis=1)
+    there = np.concatenate([its.mean - predicted, own.mean - its_predicted], axis=1)
+    floor = np.square(np.concatenate([own.noise, its.noise]))
+    last = np.searchsorted(own.log, own.log, side="right")  # of each segment's log
+    for ends in (last, np.full(len(last), len(last))):
+        gains = _gains_of_exchange(here, there, ends, floor)
+        begin = int(gains.argmax())
+        if gains[begin] < _CLEAR:
+            continue
+        inside = np.zeros(len(own.log), bool)
+        inside[begin : ends[begin]] = True
+        offsets = np.median(np.where(inside[:, None], there, here), axis=0)
+        way = its_predicted + offsets[3:] - predicted - offsets[:3]
+        error = np.linalg.norm(np.where(inside[:, None], there, here) - offsets, axis=1)
+        if np.sort(error / np.linalg.norm(way, axis=1))[-_LEAST_SEGMENTS] > _NEAR:  # the moment lies within a segment
+            continue
+        along, square = ((own.deviation - offsets[:3]) * way).sum(axis=1), (way**2).sum(axis=1)
+        share = np.divide(along, square, out=np.zeros(len(along)), where=square > 0)
+        name, scale = evidence.header.name, evidence.header.sensitivity
+        yield replace(
+            Hypothesis(
+                (ChannelSwap(other),),
+                shared=True,
+                sensor=name,
+                others=(other,),
+                opposite=(ChannelSwap(name),),
+                fitted=_with_offset(evidence.fitted, offsets[:3] / scale),
+                opposite_fitted=_with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
+            ).at(_when(own, inside, share)),
+            whole=True,
+        )
+
+
+def _in_common(own: _Course, its: _Course) -> tuple[_Course, _Course]:
+    """The segments that both courses have at the same time."""
+    rows = {(log, round(time_s, 1)): at for at, (log, time_s) in enumerate(zip(its.log, its.time_s, strict=True))}
+    pairs = [
+        (at, rows[key])
+        for at, key in enumerate((log, round(time_s, 1)) for log, time_s in zip(own.log, own.time_s, strict=True))
+        if key in rows
+    ]
+    both = np.array(pairs, np.int64).reshape(-1, 2)
+    return _chosen(own, both[:, 0]), _chosen(its, both[:, 1])
+
+
+def _chosen(course: _Course, rows: Integers) -> _Course:
+    """These segments of a course."""
+    log, time_s, face, mean, deviation, noise = course
+    return _Course(log[rows], time_s[rows], face[rows], mean[rows], deviation[rows], noise)
+
+
+def _gains_of_exchange(here: Floats, there: Floats, ends: Integers, floor: Floats) -> Floats:
+    """(s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are `there`
+    instead of `here`; their variances are at least `floor` (6,).
+    """
+    count, begins = len(here), np.arange(len(here))
+    middle = np.median(here, axis=0)
+
+    def total(power: int) -> Floats:
+        own, its = (np.cumsum(np.pad((side - middle) ** power, ((1, 0), (0, 0))), axis=0) for side in (here, there))
+        return np.asarray(own[-1] - own[ends] + own[begins] + its[ends] - its[begins])
+
+    variance = total(2) / count - (total(1) / count) ** 2
+    usual = np.maximum(here.var(axis=0), floor)
+    gains = count / 2 * np.log(usual / np.maximum(variance, floor)).sum(axis=1)
+    return np.where(np.minimum(begins, ends - begins) < _LEAST_SEGMENTS, 0.0, gains)
+
+
+def _with_offset(fitted: FittedParameters, more: Floats) -> FittedParameters:
+    """The parameters with an offset that is larger by `more` (3,), in the unit."""
+    x, y, z = (np.array(fitted.offset) + more).tolist()
+    return replace(fitted, offset=(x, y, z))
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
@@ -190,8 +282,7 @@ def _refitted(fitted: FittedParameters, course: _Course, inside: Booleans, heade
     """The parameters with the offset of the segments that are not inside."""
     if inside.all():
         return fitted
-    x, y, z = (np.array(fitted.offset) + np.median(course.deviation[~inside], axis=0) / header.sensitivity).tolist()
-    return replace(fitted, offset=(x, y, z))
+    return _with_offset(fitted, np.median(course.deviation[~inside], axis=0) / header.sensitivity)
 
 
 def _twins(evidence: Evidence) -> set[str]:
