@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from imuarray.characterise.repeats import STALE_SHARE
+
 SURE = 1e-6
 """A probability below which something is no chance, however many axes were looked at."""
 
@@ -124,6 +126,8 @@ def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
             f"gives {repeats['update_rate_hz']:.4g} new readings a second, but is read {rate_hz:.4g} times; up to"
             f" {repeats['longest']} times the same"
         )
+    elif repeats["new_share"] is not None and repeats["new_share"] < 1 - STALE_SHARE:
+        yield f": {1 - repeats['new_share']:.1%} of its rows repeat the previous row without new readings"
 
 
 def _places(timing: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:

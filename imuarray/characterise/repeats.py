@@ -19,6 +19,9 @@ Counts = npt.NDArray[np.integer]
 APART = 64
 """Rows so far apart are equal by chance only, unless the chip measures less than once in so many rows."""
 
+STALE_SHARE = 0.015
+"""Share of repeated rows, beyond chance, that is reported."""
+
 
 @dataclass(frozen=True)
 class Repeats:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
-from imuarray.characterise.repeats import RepeatTally
+from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.printable import counted
@@ -95,9 +95,6 @@ SAME_SCALE = 1.4
 
 LISTED = 3
 """Maximum number of sensors of a quantity that are reported one by one."""
-
-STALE_SHARE = 0.015
-"""Share of repeated rows, beyond chance, that is reported."""
 
 LOST_ROW = 1.5
 """Shortest gap that a single lost row can leave, in usual intervals."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,9 @@ def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
     assert "G x, y, z: only every 4th code" in told
     assert any(text.startswith("G gives 24") and "is read 350 times" in text for text in told)  # 0.7 * 350 = 245
+    (seldom,) = findings(characterised(NOISE, ("stale_samples", {"probability": 0.03})))
+    share = re.fullmatch(r"G: (.*)% of its rows repeat the previous row without new readings", seldom)
+    assert share is not None and float(share[1]) == pytest.approx(3, abs=0.3)  # of 70,000 rows: four standard errors
     lossy = findings(characterised(NOISE, ("dropped_samples", {"probability": 0.01, "burst_rows": 50.0})))
     assert any("gaps" in text and "s after" in text for text in lossy)
 
