@@ -1,4 +1,4 @@
-"""LIS3MDL magnetometer behind its registers: ST data sheet DocID024204 Rev 6; LIS-01 ... LIS-21, DEC-100 to -103.
+"""LIS3MDL magnetometer behind its registers: ST data sheet DocID024204 Rev 6; LIS-01 ... LIS-21, DEC-100 to -104.
 
 It wakes up powered down. Sub-address bit 7 asks for the next register after every byte. Not modelled: interrupts,
 FAST_READ.
@@ -106,8 +106,10 @@ class Lis3mdl(Chip):
         return super().write(data, at_ns, byte_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register if sub-address bit 7 asked for it (LIS-03)."""
-        return pointer + 1 & 0x7F if self._increment else pointer
+        """The next register if sub-address bit 7 asked for it (LIS-03); x again after z (LIS-18, DEC-104)."""
+        if not self._increment:
+            return pointer
+        return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F
 
     def load(self, address: int, at_ns: int) -> int:
         """A register's byte; with BDU an axis stands still from its first byte to its second (LIS-13)."""

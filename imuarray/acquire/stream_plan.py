@@ -168,7 +168,7 @@ def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: 
     waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
     offsets = [sum(waits[: index + 1]) for index in range(len(waits))]
     chip_rate_hz = route.sensor.chip_rate_hz
-    if len(visits) > 1:
+    if any(waits):
         return offsets, max(offsets[-1] + 1, math.ceil(rate_hz * split / chip_rate_hz), split)
     return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))
 

@@ -1,8 +1,8 @@
 """LIS3MDL magnetometer. ST data sheet DocID024204 Rev 6; facts LIS-*.
 
 Bit 7 of the register address makes it count on (LIS-03). BDU keeps the two bytes of an axis together (LIS-13). It
-averages as many samples as its data rate allows: ultra-high performance (LIS-11). One burst carries status, triad and
-temperature, 0x27 ... 0x2F.
+averages as many samples as its data rate allows: ultra-high performance (LIS-11). The temperature is read on its own,
+before status and triad: a burst does not go on from the triad to the temperature (LIS-18).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Lis3mdl:
 
     burst: ClassVar[int] = 9
     tells_fresh: ClassVar[bool] = True
-    reading: ClassVar[slice] = slice(1, 7)
+    reading: ClassVar[slice] = slice(3, 9)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
@@ -131,8 +131,8 @@ class Lis3mdl:
         return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
 
     def fetch(self) -> bytes:
-        """0x27 ... 0x2F with the count-on bit: status, x, y, z, temperature."""
-        return self._read(facts.STATUS_REG, self.burst)
+        """0x2E and 0x2F, then 0x27 ... 0x2D, with the count-on bit: temperature; status, x, y, z."""
+        return self._read(facts.TEMP_OUT_L, 2) + self._read(facts.STATUS_REG, 7)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, low byte first (LIS-14), as the temperature.
@@ -140,10 +140,10 @@ class Lis3mdl:
         Stale where ZYXDA was clear, overrun where ZYXOR was set (LIS-12).
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
-        temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2").astype(np.int16)[:, 0]
+        temperature = np.ascontiguousarray(bursts[:, 0:2]).view("<i2").astype(np.int16)[:, 0]
         status = saturated(counts, -32768, 32767)
-        status |= flagged(~bursts[:, 0], facts.ZYX_AVAILABLE.mask, STALE)
-        return DecodedBursts(counts, temperature, status | flagged(bursts[:, 0], facts.ZYX_OVERRUN.mask, OVERRUN))
+        status |= flagged(~bursts[:, 2], facts.ZYX_AVAILABLE.mask, STALE)
+        return DecodedBursts(counts, temperature, status | flagged(bursts[:, 2], facts.ZYX_OVERRUN.mask, OVERRUN))
 
     def header(self) -> Mapping[str, int]:
         """No attributes of its own."""

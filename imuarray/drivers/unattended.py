@@ -1,7 +1,7 @@
 """The transactions of one reading, for a microcontroller that knows no chips.
 
-Most readings are one transaction; which it is is found by letting the driver fetch once from a bus that notes it. A
-barometer is asked two or three times, with waits in between. What comes back is put together to the burst that the
+Most readings are one transaction, those of an LIS3MDL two at once; the driver fetches once from a bus that notes them.
+A barometer is asked two or three times, with waits in between. What comes back is put together to the burst that the
 driver's `decode` reads.
 """
 
@@ -63,7 +63,7 @@ def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
     if isinstance(driver, ForcedBarometer):
         return _forced_barometer(sensor.address, driver)
     driver.fetch()
-    return (Visit(tuple(bus.asked)),)
+    return tuple(Visit((request,)) for request in bus.asked)
 
 
 def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...]:

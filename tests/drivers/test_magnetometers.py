@@ -17,9 +17,13 @@ from imuarray.acquire.record import record
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.bus import open_bus
+from imuarray.bus.serial_link import Request
+from imuarray.drivers.unattended import visits_of
 from imuarray.errors import SensorError
 from imuarray.log import open_log
 from imuarray.log.format import OVERRUN, STALE
+from tests.acquire.streams import stream
+from tests.bus.serial_bench import Bench
 
 FIELD = (0.21, -0.33, 0.45)
 OVERRUNS = ("lis3mdl", "ak8963")
@@ -106,6 +110,23 @@ def test_a_lis3mdl_tells_its_temperature(bench: Callable[..., Any]) -> None:
     made.chip.element.temperature_degc = 41.0
     made.driver.configure()
     assert made.read().temperature_counts.tolist() == [128]  # 8 a degC, 0 at 25 degC: LIS-20
+
+
+def test_a_microcontroller_reads_a_lis3mdl_twice_in_a_frame(tmp_path: Path) -> None:
+    """The temperature is a transaction of its own (LIS-18): no frame is left out for it, and it is that of the room."""
+    array = parse_array(
+        '[array]\nname = "one"\n[[sensor]]\nname = "M"\nchip = "lis3mdl"\naddress = 0x1C\nrange = 4\nrate_hz = 80'
+    )
+    first, second = visits_of(array["M"])
+    assert [visit.requests for visit in (first, second)] == [
+        (Request(0x1C, b"\xae", 2),),
+        (Request(0x1C, b"\xa7", 7),),
+    ]
+    for rate_hz in (5.0, 50.0):
+        stream(Bench(array), array, tmp_path / f"{rate_hz:g}.h5", rate_hz=rate_hz, seconds=4)
+        with open_log(tmp_path / f"{rate_hz:g}.h5") as log:
+            assert len(log["M"]) == pytest.approx(4 * rate_hz, abs=1)
+            assert np.abs(np.asarray(log["M"].temperature_counts)).max() <= 8  # of 8 a degC, 0 at 25 degC: LIS-20
 
 
 def test_a_mark_is_kept_and_watched(bench: Callable[..., Any]) -> None:

@@ -116,7 +116,8 @@ class I2C:
 def busio(monkeypatch: pytest.MonkeyPatch) -> type[I2C]:
     """What CircuitPython's drivers import of CircuitPython, so that its whole layer for hardware is not needed."""
     offered = {
-        "busio": {"I2C": I2C},
+        "busio": {"I2C": I2C, "SPI": Any},
+        "digitalio": {"DigitalInOut": Any},
         "micropython": {"const": lambda value: value},
         "circuitpython_typing": {"ReadableBuffer": Any, "WriteableBuffer": Any},
     }
