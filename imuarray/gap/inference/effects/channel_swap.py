@@ -145,8 +145,9 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
         inside[begin : ends[begin]] = True
         offsets = np.median(np.where(inside[:, None], there, here), axis=0)
         way = its_predicted + offsets[3:] - predicted - offsets[:3]
-        error = np.linalg.norm(np.where(inside[:, None], there, here) - offsets, axis=1)
-        if np.sort(error / np.linalg.norm(way, axis=1))[-_LEAST_SEGMENTS] > _NEAR:  # the moment lies within a segment
+        error = np.linalg.norm((np.where(inside[:, None], there, here) - offsets)[:, :3], axis=1)
+        is_far = error > _NEAR * np.linalg.norm(way, axis=1)
+        if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # the moment lies within a segment
             continue
         along, square = ((own.deviation - offsets[:3]) * way).sum(axis=1), (way**2).sum(axis=1)
         share = np.divide(along, square, out=np.zeros(len(along)), where=square > 0)
@@ -167,14 +168,17 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
 
 def _in_common(own: _Course, its: _Course) -> tuple[_Course, _Course]:
     """The segments that both courses have at the same time."""
-    rows = {(log, round(time_s, 1)): at for at, (log, time_s) in enumerate(zip(its.log, its.time_s, strict=True))}
-    pairs = [
-        (at, rows[key])
-        for at, key in enumerate((log, round(time_s, 1)) for log, time_s in zip(own.log, own.time_s, strict=True))
-        if key in rows
-    ]
-    both = np.array(pairs, np.int64).reshape(-1, 2)
-    return _chosen(own, both[:, 0]), _chosen(its, both[:, 1])
+    pairs = [np.zeros((2, 0), np.int64)]
+    for log in np.unique(own.log).tolist():
+        mine, others = np.flatnonzero(own.log == log), np.flatnonzero(its.log == log)
+        if len(mine) < 2 or not len(others):
+            continue
+        apart_s = np.abs(own.time_s[mine, None] - its.time_s[others])
+        nearest = apart_s.argmin(axis=1)
+        is_same = apart_s.min(axis=1) < np.median(np.diff(own.time_s[mine])) / 4
+        pairs.append(np.stack([mine[is_same], others[nearest[is_same]]]))
+    own_rows, its_rows = np.concatenate(pairs, axis=1)
+    return _chosen(own, own_rows), _chosen(its, its_rows)
 
 
 def _chosen(course: _Course, rows: Integers) -> _Course:
