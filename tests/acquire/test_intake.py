@@ -95,10 +95,10 @@ def test_a_queue_that_counts_time_twice_ends_no_recording(
     true_times = FifoClock.times
     calls = 0
 
-    def times(self: FifoClock, level: int, at_ns: int, overrun: bool = False) -> list[int]:
+    def times(self: FifoClock, level: int, at_ns: int, overrun: bool = False, **counted: Any) -> list[int]:
         nonlocal calls
         calls += 1
-        drained = true_times(self, level, at_ns, overrun)
+        drained = true_times(self, level, at_ns, overrun, **counted)
         if calls % 100 == 0:
             self.drained = drained = [time - S for time in drained]
         return drained
