@@ -110,6 +110,19 @@ def told(found: Sequence[SharedSignal]) -> set[tuple[str, str, str]]:
     return {(one.quantity, one.pace, one.axis) for one in found}
 
 
+def test_a_phase_without_common_segments_shows_nothing() -> None:
+    """The sensors' segments lie at different times, as behind a gap of one of them; the thermometers warm up."""
+    (log,) = campaign(Heating()).logs
+    crosses = [part.cross for part in log.phases]
+    phases = [
+        replace(part, cross=replace(cross, slow=cross.slow[:0], windows=0))
+        for part, cross in zip(log.phases, crosses, strict=True)
+        if cross is not None
+    ]
+    assert phases
+    assert environment_of(Campaign((replace(log, phases=tuple(phases)),))) == ()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_slow_tilt_is_of_the_box(seed: int) -> None:
     (one,) = environment_of(campaign(TILTING, seed=seed))

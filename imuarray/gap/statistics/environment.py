@@ -238,10 +238,10 @@ def _temperatures(part: PhaseSummary, count: int) -> Floats:
 
 def _normalised(sensors: Mapping[str, Summary], name: str, count: int) -> list[Floats]:
     """The varying ones of the sensors' values of this name, at `count` equal parts of the phase, less their mean and
-    over their range.
+    over their range; none for no parts.
     """
-    courses = []
-    for summary in sensors.values():
+    courses: list[Floats] = []
+    for summary in sensors.values() if count else ():
         part, values = summary.segments, np.asarray(getattr(summary.segments, name), float)
         is_known = np.isfinite(part.time_s) & np.isfinite(values)
         if is_known.sum() > 2 and np.ptp(values[is_known]) > _STEADY_DEGC:
