@@ -195,12 +195,14 @@ def test_an_interrupt_says_how_to_go_on_and_the_rest_is_done_later(tmp_path: Pat
 
 
 PROGRAM = """
+import signal
 import sys
 from pathlib import Path
 from imuarray.validation.running import executor_of, run_cases
 from tests.validation.jobs import case_of, worked
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
     cases = [case_of(0), *(case_of(number, "wait to be killed") for number in range(1, 9))]
     with executor_of("processes", 2) as executor:
         run_cases(cases, Path(sys.argv[1]), worked, executor)
@@ -218,9 +220,13 @@ def test_ctrl_c_ends_all_processes(tmp_path: Path) -> None:
     with subprocess.Popen(
         command, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True
     ) as process:
-        pids = [read_when_there(folder / f"wait to be killed-{number}") for number in (1, 2)]
-        os.killpg(process.pid, signal.SIGINT)
-        errors = process.communicate(timeout=60)[1]
+        try:
+            pids = [read_when_there(folder / f"wait to be killed-{number}") for number in (1, 2)]
+            os.killpg(process.pid, signal.SIGINT)
+            errors = process.communicate(timeout=60)[1]
+        except BaseException:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
     assert errors.rstrip().endswith("KeyboardInterrupt: 1 of 9 cases are done; the same again goes on with the rest")
     assert [path.name for path in (folder / "outcomes").iterdir()] == [f"{case_of(0).name}.json"]
     for pid in pids:
