@@ -236,6 +236,11 @@ def test_a_barometer_that_is_read_four_times_a_second_is_not_silent(log_path: Pa
                 assert (health.level, health.reason.split(",")[0]) == ("green", "all 4 sensors deliver")
 
 
+def heed_interrupts() -> None:
+    """Ctrl-C is ignored by programs that start where the tests run in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
     """Nothing is cleared before it is written over, a new size is seen at once, Ctrl-C is the usual end."""
@@ -245,7 +250,9 @@ def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
     program = [sys.executable, "-m", "imuarray", "monitor", str(log_path), "--text", "--every", "60"]
     size = {"COLUMNS", "LINES"}  # would be believed before the terminal
     environment = {name: value for name, value in os.environ.items() if name not in size}
-    process = subprocess.Popen(program, cwd=ROOT, stdin=end, stdout=end, stderr=end, env=environment)
+    process = subprocess.Popen(
+        program, cwd=ROOT, stdin=end, stdout=end, stderr=end, env=environment, preexec_fn=heed_interrupts
+    )
 
     def look() -> str:
         """What is drawn once."""

@@ -125,7 +125,7 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
     each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it; the
     moment is the one that makes these deviations most constant.
     """
-    if phases[0].raw.header.sensitivity != evidence.header.sensitivity:
+    if not phases or phases[0].raw.header.sensitivity != evidence.header.sensitivity:
         return
     faces: dict[str, int] = {}
     own, its = _in_common(_course(evidence.still, faces), _course(phases, faces))
