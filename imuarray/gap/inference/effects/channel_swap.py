@@ -18,6 +18,7 @@ from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 
 _NOISE = ("fast_own_axes", "fast_box_axes", "fast_other_chips", "slow_own_axes", "slow_box_axes")
@@ -101,25 +102,37 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
     when = _when(own, inside, _share(own, usual, distance))
     its_inside = np.array([_is_within(when, *moment) for moment in zip(its.log, its.time_s, strict=True)], bool)
     is_exchange = bool(its_inside.any()) and _is_at(its, its_inside, usual, distance)
-    name = evidence.header.name
-    yield replace(
-        Hypothesis(
-            (ChannelSwap(other),),
-            shared=True,
-            sensor=name,
-            others=(other,),
-            opposite=(ChannelSwap(name),) if is_exchange else (),
-            fitted=_refitted(evidence.fitted, own, inside, evidence.header),
-            opposite_fitted=_refitted(evidence.twin_fitted[other], its, its_inside, phases[0].raw.header)
-            if is_exchange
-            else None,
-        ).at(when),
-        whole=True,
+    yield _reading(
+        evidence,
+        other,
+        when,
+        _refitted(evidence.fitted, own, inside, evidence.header),
+        _refitted(evidence.twin_fitted[other], its, its_inside, phases[0].raw.header) if is_exchange else None,
     )
 
 
+def _reading(
+    evidence: Evidence, other: str, when: When, fitted: FittedParameters, opposite: FittedParameters | None
+) -> Hypothesis:
+    """The hypothesis that the other sensor's data stand in this sensor's place then, and, if the parameters of the
+    `opposite` one are given, this sensor's data in the other's.
+    """
+    name = evidence.header.name
+    effects: tuple[Effect, ...] = () if opposite is None else (ChannelSwap(name),)
+    exchange = Hypothesis(
+        (ChannelSwap(other),),
+        shared=True,
+        sensor=name,
+        others=(other,),
+        opposite=effects,
+        fitted=fitted,
+        opposite_fitted=opposite,
+    )
+    return replace(exchange.at(when), whole=True)
+
+
 def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """Both in each other's place from a moment on, to the end of its log or of all logs.
+    """Suggests that both are in each other's place from a moment on, to the end of its log or of all logs.
 
     The levels before and after tell nothing by themselves where the box lies on another face after the moment. But
     each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it; the
@@ -143,26 +156,20 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
             continue
         inside = np.zeros(len(own.log), bool)
         inside[begin : ends[begin]] = True
-        offsets = np.median(np.where(inside[:, None], there, here), axis=0)
+        deviation = np.where(inside[:, None], there, here)
+        offsets = np.median(deviation, axis=0)
         way = its_predicted + offsets[3:] - predicted - offsets[:3]
-        error = np.linalg.norm((np.where(inside[:, None], there, here) - offsets)[:, :3], axis=1)
+        error = np.linalg.norm((deviation - offsets)[:, :3], axis=1)
         is_far = error > _NEAR * np.linalg.norm(way, axis=1)
         if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # the moment lies within a segment
             continue
-        along, square = ((own.deviation - offsets[:3]) * way).sum(axis=1), (way**2).sum(axis=1)
-        share = np.divide(along, square, out=np.zeros(len(along)), where=square > 0)
-        name, scale = evidence.header.name, evidence.header.sensitivity
-        yield replace(
-            Hypothesis(
-                (ChannelSwap(other),),
-                shared=True,
-                sensor=name,
-                others=(other,),
-                opposite=(ChannelSwap(name),),
-                fitted=_with_offset(evidence.fitted, offsets[:3] / scale),
-                opposite_fitted=_with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
-            ).at(_when(own, inside, share)),
-            whole=True,
+        scale = evidence.header.sensitivity
+        yield _reading(
+            evidence,
+            other,
+            _when(own, inside, _part_of_way(own.deviation - offsets[:3], way)),
+            _with_offset(evidence.fitted, offsets[:3] / scale),
+            _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
         )
 
 
@@ -243,8 +250,12 @@ def _usual_levels(course: _Course, faces: int) -> Floats:
 
 def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
     """(s,) share of the way from the usual level to the other sensor's that each segment has gone."""
-    way = distance[course.face]
-    along, square = ((course.mean - usual[course.face]) * way).sum(axis=1), (way**2).sum(axis=1)
+    return _part_of_way(course.mean - usual[course.face], distance[course.face])
+
+
+def _part_of_way(gone: Floats, way: Floats) -> Floats:
+    """(s,) part of each way (s, 3) that lies along the distance `gone` (s, 3); 0 for no way."""
+    along, square = (gone * way).sum(axis=1), (way**2).sum(axis=1)
     return np.asarray(np.divide(along, square, out=np.zeros(len(along)), where=square > 0))
 
 

@@ -73,20 +73,27 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
         yield from _noticed(evidence)
     if evidence.is_odd(*_WITHIN, beyond=_BEYOND):
-        steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
-        guesses = [
-            (guess, own)
-            for other, own in steps.items()
-            for guess in (_guesses(evidence, [own[0].states]) if own else ())
-            if guess.effect.range == other
-        ]
-        least = _AS_CLEAR * max((own[0].nats for _, own in guesses), default=0.0)
-        guesses = [(guess, own) for guess, own in guesses if own[0].nats >= least]
-        for guess, own in sorted(guesses, key=lambda pair: pair[0].cost)[:_RANGES]:
-            yield from _within(evidence, guess.effect, own)
+        yield from _within(evidence)
 
 
-def _within(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
+def _within(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A reset within a log, to each range whose step is about as clear as the clearest one's: those that need the
+    smallest offset and change of noise.
+    """
+    steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
+    guesses = [
+        (guess, own)
+        for other, own in steps.items()
+        for guess in (_guesses(evidence, [own[0].states]) if own else ())
+        if guess.effect.range == other
+    ]
+    least = _AS_CLEAR * max((own[0].nats for _, own in guesses), default=0.0)
+    clear = [(guess, own) for guess, own in guesses if own[0].nats >= least]
+    for guess, own in sorted(clear, key=lambda pair: pair[0].cost)[:_RANGES]:
+        yield from _since(evidence, guess.effect, own)
+
+
+def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
     """A reset in the log with the clearest step; one that lasts in the logs after it, since nothing sets the chip up
     again; and resets in all logs in which the same range is left of one.
     """
