@@ -10,24 +10,7 @@ import pytest
 
 from imuarray import facts
 from imuarray.facts.registers import Register
-
-CHIPS = (
-    "adxl345",
-    "ak8963",
-    "bma180",
-    "bmp180",
-    "bmp280",
-    "bmp388",
-    "hmc5883",
-    "icm42688",
-    "l3g4200d",
-    "lis3mdl",
-    "lsm6dso",
-    "mmc5983",
-    "mpu6050",
-    "mpu6500",
-    "pca9544a",
-)
+from tests.facts.tables import CHIPS
 
 
 def table(**contents: object) -> ModuleType:
