@@ -27,7 +27,7 @@ class Example:
     """An effect with parameters that show what it does, and the simulated run that shows it."""
 
     parameters: Mapping[str, Any]
-    """As the effect's class takes them: the unit is the sensor's, g or dps."""
+    """The parameters as the effect's class takes them, in the sensor's unit, g or dps."""
     caption: str
     sensor: str = "Gyro1"
     axis: int = 2

@@ -29,7 +29,7 @@ from imuarray.facts import mpu6500
 
 TRUNK = ""
 SPI_DEVICE = "/dev/spidev"
-"""What the bus of a sensor on SPI begins with."""
+"""Prefix of the bus of a sensor on SPI."""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)

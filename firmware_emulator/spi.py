@@ -18,7 +18,7 @@ SELECT_NS, RELEASE_NS = 50, 150
 """From the select to the first clock, and from the last clock to the next select: the data sheets ask for less
 (DEC-110)."""
 OPEN_LINE = 0xFF
-"""What is read where no chip drives the line: a pull-up."""
+"""Byte that is read where no chip drives the line: a pull-up."""
 
 
 class Dialect(NamedTuple):
@@ -45,7 +45,7 @@ DIALECTS: dict[str, Dialect] = {
     **{f"icm42688_{half}": _ICM42688 for half in ("acc", "gyro")},
     **{f"lsm6dso_{half}": _LSM6DSO for half in ("acc", "gyro")},
 }
-"""By the name that configurations use."""
+"""Chip by the name that configurations use."""
 
 
 class ChipSelect:

@@ -22,7 +22,7 @@ from imuarray.toml_files import parse_toml, read_text
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 SPI_DEVICE = "/dev/spidev"
-"""What the device file of a chip select begins with: /dev/spidev0.1 is controller 0, chip select 1 (LNX-50)."""
+"""Prefix of the device file of a chip select: /dev/spidev0.1 is controller 0, chip select 1 (LNX-50)."""
 
 
 class MuxConfig(BaseModel):
@@ -42,7 +42,7 @@ class SensorConfig(BaseModel):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
     chip: str
     address: int = 0
-    """Of the chip on its I2C bus; 0 for a chip on SPI, which its chip select tells from others."""
+    """Address of the chip on its I2C bus; 0 for a chip on SPI, which has a chip select instead."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
     bus: str | None = None
     range: float | None = None

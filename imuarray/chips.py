@@ -73,7 +73,7 @@ class ChipSpec:
     default_bandwidth_hz: float = 0.0
     has_fifo: bool = False
     count_bits: int = 16
-    """Of each axis in a log; more than 16 are stored in 32."""
+    """Bits of each axis's counts in a log; more than 16 are stored in 32."""
     fifo_has_temperature: bool = False
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()

@@ -18,7 +18,7 @@ GAUSS_A_COUNT = (0.006, 0.0015)  # 14 and 16 bits: AKM-11
 HIGHEST = (8190, 32760)
 OVERFLOWS_GAUSS = 49.12  # sum of the sizes: AKM-12
 ADJUSTMENT = (176, 178, 167)
-"""Of the fuse ROM, unless told otherwise (DEC-231)."""
+"""Values in the fuse ROM by default (DEC-231)."""
 OWN_FIELD = (0, 0, -2000)
 """Counts of 16 bits, adjusted, that the self-test answers: inside the data sheet's limits (AKM-15, DEC-232)."""
 

@@ -17,7 +17,7 @@ RATES_HZ = (0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0)  # LIS-11
 FAST_HZ = (1000.0, 560.0, 300.0, 155.0)  # by performance: LIS-11
 CODES_PER_GAUSS = (6842.0, 3421.0, 2281.0, 1711.0)  # LIS-10
 PUSH_GAUSS = (2.0, 2.0, 0.5)
-"""What the self-test adds: inside the data sheet's limits (LIS-16, DEC-101)."""
+"""Change of the readings by the self-test, inside the data sheet's limits (LIS-16, DEC-101)."""
 
 _STATUS, _FIRST, _LAST = facts.STATUS_REG.address, facts.OUT_X_L.address, facts.OUT_Z_H.address
 _TEMPERATURE = facts.TEMP_OUT_L.address

@@ -19,7 +19,7 @@ RATES_HZ = (0.0, 1.0, 10.0, 20.0, 50.0, 100.0, 200.0, 1000.0)  # MMC-16
 BRIDGE_GAUSS = (0.11, -0.07, 0.19)
 """Where the bridges stand without a field (DEC-212), within what MMC-20 allows."""
 EXTRA_GAUSS = 1.0
-"""What the extra current adds (DEC-213)."""
+"""Change of the readings by the extra current (DEC-213)."""
 
 _STATUS, _CONTROL0, _CONTROL1 = facts.STATUS.address, facts.CONTROL_0.address, facts.CONTROL_1.address
 _CONTROL2, _CONTROL3 = facts.CONTROL_2.address, facts.CONTROL_3.address

@@ -43,7 +43,7 @@ class Mpu6500(MpuFamily):
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
     on_bypass: Callable[[], None] | None = None
-    """What is told that the bypass has been opened or closed."""
+    """Function that is called when the bypass opens or closes."""
     fifo_bytes: ClassVar[int] = 512  # INV-98
 
     def __init__(

@@ -9,6 +9,7 @@ identity or its configuration tells. The structure of each message is kept, as t
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import os
 from functools import lru_cache
@@ -21,10 +22,11 @@ from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError
 
 READ = 0x80
-"""Of the first byte, for every chip here."""
+"""Bit of the first byte that makes a transfer a read, for every chip here."""
 MAX_MESSAGE = 4096
 """Bytes of one message, unless spidev was loaded with another bufsiz (LNX-52)."""
 KEPT = 256
+"""Messages whose structures are kept."""
 SPI_IOC_WR_MODE = 0x40016B01  # LNX-51
 SPI_IOC_WR_BITS_PER_WORD = 0x40016B03
 SPI_IOC_WR_MAX_SPEED_HZ = 0x40046B04
@@ -196,6 +198,4 @@ class SpiBus:
 
 
 def _refuse() -> NoReturn:
-    import errno
-
     raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")

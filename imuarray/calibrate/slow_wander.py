@@ -29,7 +29,7 @@ from imuarray.calibrate.correlated import weights
 
 _AMPLITUDES = 14
 _FAINTEST = 0.1
-"""Of a wander's amplitude a: the end of a random walk relative to the white noise of a row."""
+"""Amplitudes of a wander: the end of a random walk relative to the white noise of a row."""
 
 _FULL = 20.0
 """Times the root of the rows: a wander that hides all white noise."""

@@ -109,7 +109,7 @@ class Ak8963:
 
     @property
     def factors(self) -> Floats:
-        """By what counts (3,) are to be multiplied: (ASA + 128) / 256 (AKM-16)."""
+        """Factors (3,) of the counts: (ASA + 128) / 256 (AKM-16)."""
         return (np.frombuffer(self.adjustment, np.uint8).astype(float) + 128) / 256
 
     def self_test(self) -> SelfTest:

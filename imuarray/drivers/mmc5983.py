@@ -103,7 +103,7 @@ class Mmc5983:
         return False
 
     def self_test(self) -> SelfTest:
-        """Whether SET and RESET turn the elements over: half the difference of the readings after them is the field,
+        """True if SET and RESET turn the elements over: half the difference of the readings after them is the field,
         their middle is where the bridges stand (MMC-14).
         """
         self.configure()

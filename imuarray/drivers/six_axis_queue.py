@@ -1,8 +1,8 @@
-"""The queue of a six-axis die, which is one, and its readers, which are the drivers of the two halves.
+"""The one queue of a six-axis die, and its two readers, the drivers of the accelerometer and the gyroscope.
 
-Whoever is visited first drains it; what belongs to the other half waits for its visit. Nothing of a doubtful drain is
-kept: when the queue ran over in a way that may have shifted its bytes, a transfer broke off, or a packet is none, the
-queue is emptied, and the next rows of both halves carry the flag "overrun".
+The half that is visited first drains the queue; the rows of the other half wait for its visit. A doubtful drain is
+discarded as a whole: if the queue ran over in a way that may have shifted its bytes, a transfer broke off, or bytes are
+no valid packet, the queue is emptied, and the next rows of both halves carry the flag "overrun".
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ LONGEST_WAIT_NS = 1_000_000
 """... if it takes no longer than this to wait for the best instant."""
 BEFORE_COUNT = 0.4
 """Share of a transaction that has passed before a chip takes its count: three bytes of five or six on I2C, one of three
-or four on SPI."""
+or four on SPI.
+"""
 MOST_ROWS = 4096
 """Rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
 
@@ -233,7 +234,7 @@ class Icm42688Queue(DieQueue):
         return sum({"acc": 0x40, "gyro": 0x20}[half] for half in self.halves)
 
     def _are_missing(self, stamps: int, periods: int) -> bool:
-        """Whether a difference of time stamps, known to 16 bits, is not so many periods."""
+        """True if a difference of time stamps, known to 16 bits, is not so many periods."""
         off_us = (stamps - periods * self._period_us + 0x8000) % 0x10000 - 0x8000
         return abs(off_us) > self._period_us / 4
 
@@ -244,6 +245,12 @@ class Icm42688Queue(DieQueue):
         first = 1 if half == "acc" else 7
         wide[:, first : first + 6], wide[:, 13] = table[:, 1:7], table[:, 7]
         return wide.tobytes()
+
+
+FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
+"""USER_CTRL bits 6 and 2, INT_STATUS bit 4, and FIFO_EN with thermometer, gyroscope and accelerometer, alike in the
+family (INV-24, INV-27, INV-98).
+"""
 
 
 class MpuQueue(DieQueue):
@@ -298,11 +305,6 @@ class MpuQueue(DieQueue):
         for reader in self._readers.values():
             reader.put(records, times, gap=False)
         return True
-
-
-FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
-"""USER_CTRL bits 6 and 2, INT_STATUS bit 4, and FIFO_EN with thermometer, gyroscope and accelerometer, alike in the
-family (INV-24, INV-27, INV-98)."""
 
 
 class Lsm6dsoQueue(DieQueue):

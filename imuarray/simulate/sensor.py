@@ -41,7 +41,7 @@ _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_
 
 
 Counts = npt.NDArray[np.int16] | npt.NDArray[np.int32]
-"""As a log holds them."""
+"""Values as a log holds them."""
 
 
 class Chunk(NamedTuple):
