@@ -6,8 +6,10 @@ what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
@@ -15,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from imuarray.axes import Matrix, orientation_of
-from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, die_of, half_of
+from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, die_of, half_of, kernel_chip
 from imuarray.errors import ConfigError
 from imuarray.spelling import guess
 from imuarray.toml_files import parse_toml, read_text
@@ -23,6 +25,10 @@ from imuarray.toml_files import parse_toml, read_text
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 SPI_DEVICE = "/dev/spidev"
 """Prefix of the device file of a chip select: /dev/spidev0.1 is controller 0, chip select 1 (LNX-50)."""
+IIO = "iio:"
+"""Prefix of a device that a driver of the kernel serves: iio:mpu6050@1-0068 is its name and its place."""
+_IIO_DEVICE = re.compile(r"iio:[^\s@/]{1,64}(@[^\s@/]{1,64})?")
+_TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 
 
 class MuxConfig(BaseModel):
@@ -41,8 +47,11 @@ class SensorConfig(BaseModel):
     model_config = _STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
     chip: str
+    """A chip of `imuarray.chips`; of a sensor that the kernel serves any name."""
+    quantity: Literal["specific_force", "angular_rate", "magnetic_field"] | None = None
+    """Which triad of a device that the kernel serves is meant, where the name of the chip does not tell."""
     address: int = 0
-    """Address of the chip on its I2C bus; 0 for a chip on SPI, which has a chip select instead."""
+    """Address of the chip on its I2C bus; 0 for a chip on SPI and for one that the kernel serves."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
     bus: str | None = None
     range: float | None = None
@@ -51,7 +60,10 @@ class SensorConfig(BaseModel):
     spi_clock_hz: Annotated[int, Field(ge=1)] | None = None
     """Clock of a chip on SPI; the fastest that the chip bears unless told otherwise."""
     fifo: bool = False
-    """Drain the chip's own queue, so that every sample arrives however slowly the array is polled."""
+    """Drain the chip's own queue, or the kernel's buffer, so that every sample arrives however slowly the array is
+    polled."""
+    trigger: str | None = None
+    """What starts each sample of a device that the kernel serves, where its driver does not by itself."""
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
@@ -60,7 +72,9 @@ class SensorConfig(BaseModel):
     def _choose_half(cls, values: Any) -> Any:
         """Take a range of g or of dps for the half of a six-axis chip that is meant: `chip = "mpu6050"` is either."""
         if isinstance(values, dict) and values.get("chip") in HALVES:
-            return {**values, "chip": half_of(values["chip"], values.get("range"))}
+            halves = {str(CHIPS[half].quantity): half for half in HALVES[values["chip"]]}
+            meant = halves.get(str(values.get("quantity")), half_of(values["chip"], values.get("range")))
+            return {**values, "chip": meant}
         return values
 
     @model_validator(mode="after")
@@ -71,6 +85,7 @@ class SensorConfig(BaseModel):
             self._check_chip,
             self._check_address,
             self._check_spi,
+            self._check_iio,
             self._check_range,
             self._check_rates,
             self._check_place,
@@ -84,14 +99,24 @@ class SensorConfig(BaseModel):
         return self
 
     def _check_chip(self) -> None:
-        if self.chip in HALVES:  # neither half has this range
+        if self.on_iio:
+            known = CHIPS.get(self.chip)
+            if known is not None and known.quantity not in _TRIADS:
+                raise ValueError(
+                    f"chip {self.chip!r}: of what the kernel serves only triads are read: {_choice(_TRIADS)}"
+                )
+            if (known.quantity if known is not None else self.quantity) is None:
+                raise ValueError(f"quantity is missing: allowed are {_choice(_TRIADS)}")
+            if known is not None and self.quantity not in (None, known.quantity):
+                raise ValueError(f"quantity {self.quantity!r}: the {self.chip} measures {known.quantity}")
+        elif self.chip in HALVES:  # neither half has this range
             ranges = tuple(limit for half in HALVES[self.chip] for limit in CHIPS[half].sensitivity)
             _one_of("range", self.range, ranges, "g")
         elif self.chip not in CHIPS:
             raise ValueError(f"chip {self.chip!r}: allowed are {', '.join((*CHIPS, *HALVES))}")
 
     def _check_address(self) -> None:
-        if (spec := CHIPS.get(self.chip)) is not None and not self.on_spi:
+        if (spec := CHIPS.get(self.chip)) is not None and not self.on_spi and not self.on_iio:
             _one_of("address", self.address or None, spec.addresses, "#x")
 
     def _check_spi(self) -> None:
@@ -111,13 +136,37 @@ class SensorConfig(BaseModel):
         if self.spi_clock_hz is not None and self.spi_clock_hz > spec.spi.clock_hz:
             raise ValueError(f"spi_clock_hz {self.spi_clock_hz}: the {self.chip} bears up to {spec.spi.clock_hz}")
 
+    def _check_iio(self) -> None:
+        """Refuse what only a device that the kernel serves has, and for such a one what the kernel sets itself."""
+        if not self.on_iio:
+            for key in ("quantity", "trigger"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f'{key}: only for a sensor that the kernel serves, as with bus = "iio:mpu6050"')
+            return
+        if not _IIO_DEVICE.fullmatch(str(self.bus)):
+            raise ValueError(
+                f'bus {self.bus!r}: allowed are "iio:NAME" and "iio:NAME@PLACE", as in "iio:mpu6050@1-0068"'
+            )
+        if self.address:
+            raise ValueError(
+                "address: the kernel's driver has it, leave it out; name the place, as in iio:mpu6050@1-0068"
+            )
+        if self.rate_hz is None or not 0 < self.rate_hz < math.inf:
+            raise ValueError(
+                "rate_hz is missing or not positive: the data rate of the kernel's driver, or of its trigger"
+            )
+        if self.range is not None and not 0 < self.range < math.inf:
+            raise ValueError(f"range {self.range:g}: a positive number is required")
+        if self.trigger is not None and not self.fifo:
+            raise ValueError("trigger: only with fifo = true, which captures into the kernel's buffer")
+
     def _check_range(self) -> None:
-        spec = CHIPS.get(self.chip)
+        spec = None if self.on_iio else CHIPS.get(self.chip)
         if spec is not None and (spec.sensitivity or self.range is not None):
             _one_of("range", self.range, tuple(spec.sensitivity), "g")
 
     def _check_rates(self) -> None:
-        spec = CHIPS.get(self.chip)
+        spec = None if self.on_iio else CHIPS.get(self.chip)
         if spec is None:
             return
         if self.rate_hz is not None:
@@ -135,7 +184,9 @@ class SensorConfig(BaseModel):
 
     @property
     def spec(self) -> ChipSpec:
-        """The data of this chip's data sheet."""
+        """The data of this chip's data sheet; of a chip that only the kernel knows, what it measures."""
+        if self.on_iio and self.chip not in CHIPS and self.quantity is not None:
+            return kernel_chip(self.quantity)
         return CHIPS[self.chip]
 
     @property
@@ -145,7 +196,11 @@ class SensorConfig(BaseModel):
 
     @property
     def sensitivity(self) -> float:
-        """Typical counts per unit at the configured range; 0 for a chip that has no range."""
+        """Typical counts per unit at the configured range; 0 for a chip that has no range, and where only the kernel
+        knows.
+        """
+        if self.on_iio:
+            return 0.0 if self.range is None else self.spec.sensitivity.get(self.range, 0.0)
         return 0.0 if self.range is None else self.spec.sensitivity[self.range]
 
     @property
@@ -155,7 +210,9 @@ class SensorConfig(BaseModel):
 
     @property
     def chip_bandwidth_hz(self) -> float:
-        """-3 dB bandwidth in Hz; 0 where the data sheet names none that can be set."""
+        """-3 dB bandwidth in Hz; 0 where the data sheet names none that can be set, or the kernel sets it."""
+        if self.on_iio:
+            return self.bandwidth_hz or 0.0
         allowed, default = self.spec.allowed_bandwidths_hz(self.chip_rate_hz), self.spec.default_bandwidth_hz
         return self.bandwidth_hz or (default if default in allowed else (*allowed, 0.0)[0])
 
@@ -163,6 +220,11 @@ class SensorConfig(BaseModel):
     def on_spi(self) -> bool:
         """True if its bus is a chip select of an SPI controller."""
         return self.bus is not None and self.bus.startswith(SPI_DEVICE)
+
+    @property
+    def on_iio(self) -> bool:
+        """True if a driver of the kernel serves it."""
+        return self.bus is not None and self.bus.startswith(IIO)
 
     @property
     def spi_rules(self) -> SpiRules:
@@ -175,7 +237,7 @@ class SensorConfig(BaseModel):
     @property
     def place(self) -> str:
         """The location for messages: "channel 1 address 0x40"."""
-        if self.on_spi:
+        if self.on_spi or self.on_iio:
             return str(self.bus)
         where = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
         return f"{where} address {self.address:#04x}"
@@ -278,8 +340,27 @@ def _check_places(array: ArrayConfig, where: str) -> None:
             raise ConfigError(f"{where}: sensor {sensor.name!r}: channel {sensor.channel}, but [array] has no mux")
         _check_against_trunk(array, sensor, where)
         rival = taken.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
-        if rival is not sensor:
+        if rival is not sensor and sensor.on_iio:
+            _check_device(rival, [other for other in array.sensors if other.bus == sensor.bus], where)
+        elif rival is not sensor:
             _check_halves(rival, sensor, where, halves.setdefault(id(rival), [rival.chip]))
+
+
+def _check_device(first: SensorConfig, members: Sequence[SensorConfig], where: str) -> None:
+    """Refuse sensors of one device of the kernel that mean the same triad, or want other settings of the device."""
+    for member in members:
+        pair = f"{where}: sensors {first.name!r} and {member.name!r} are both of {first.bus}"
+        for key in ("rate_hz", "fifo", "trigger"):
+            if getattr(first, key) != getattr(member, key):
+                raise ConfigError(f"{pair}: {key} is the same for both")
+    counts = Counter(member.spec.quantity for member in members)
+    quantity, count = counts.most_common(1)[0]
+    if count > 1:
+        raise ConfigError(f"{where}: {count} sensors are the {quantity} of {first.bus}; each is read once")
+
+
+def _choice(words: Iterable[str]) -> str:
+    return ", ".join(words)
 
 
 def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: list[str]) -> None:

@@ -457,6 +457,23 @@ HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
 
 
+_UNITS: Mapping[Quantity, str] = MappingProxyType(
+    {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
+)
+
+
+def kernel_chip(quantity: Quantity) -> ChipSpec:
+    """The data of a chip that only a driver of the kernel knows: what it measures, and nothing that could be set."""
+    return ChipSpec(
+        quantity=quantity,
+        unit=_UNITS[quantity],
+        addresses=(),
+        identity=Register(0x00, "r"),  # of a chip whose registers nobody reads
+        label="IIO{}",
+        burst_bytes=0,
+    )
+
+
 def die_of(chip: str) -> str:
     """The name of the die of which `chip` is a half; `chip` itself where it is a whole one."""
     return next((die for die, halves in HALVES.items() if chip in halves), chip)

@@ -17,7 +17,6 @@ from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.missed_frames import duration_s
-from imuarray.log.preamble import header_of
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import LogWriter
 
@@ -48,7 +47,7 @@ def record(
         bus.begins(epoch)
     if hasattr(bus, "stopping"):
         stopped = bus.stopping(stopped)
-    headers = [header_of(route.sensor, route.driver.header()) for route in routes]
+    headers = [route.header for route in routes]
     service = options.service or Service()
     options.begun(_iso(epoch), headers)
     with _writer(path, headers, options, epoch=_iso(epoch), source=bus.source, config=array.text) as log:

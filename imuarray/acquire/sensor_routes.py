@@ -10,14 +10,18 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from imuarray.array import ArrayConfig, SensorConfig
+from imuarray.array import IIO, ArrayConfig, SensorConfig
+from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
 from imuarray.bus.spi import SpiChip
 from imuarray.chips import die_of
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
+from imuarray.drivers.iio import IioCapture, IioSensor, iio_sensor
 from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts.registers import Setting
+from imuarray.log.format import SensorHeader
+from imuarray.log.preamble import header_of
 
 
 def _nobody_asks() -> None:
@@ -34,6 +38,12 @@ class SensorRoute:
     claim: Callable[[], None] = _nobody_asks
     """SensorError when a driver of the kernel has the sensor's address now."""
 
+    @property
+    def header(self) -> SensorHeader:
+        """The header of the sensor in a log; once it is configured."""
+        header = header_of(self.sensor, self.driver.header())
+        return self.driver.described(header) if isinstance(self.driver, IioSensor) else header
+
 
 class Witness(NamedTuple):
     """One register of one chip, and what it would read on the other channels: nothing where the chip has no twin."""
@@ -49,8 +59,13 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     routes = []
     halves: dict[tuple[int, int | str | None], QueuedHalf] = {}
+    captures: dict[str, IioCapture] = {}
     for sensor in array.sensors:
         segment: Bus = bus
+        if sensor.on_iio:
+            capture = captures.setdefault(str(sensor.bus), IioCapture(_device(bus, sensor), bus.clock))
+            routes.append(SensorRoute(sensor, iio_sensor(sensor, capture), sensor.bus))
+            continue
         if sensor.on_spi:
             segment = _chip_select(bus, sensor)
         elif sensor.bus is not None:
@@ -75,6 +90,15 @@ def _chip_select(bus: OpenBus, sensor: SensorConfig) -> Bus:
         return SpiChip(bus.spi_port(str(sensor.bus), rules.mode, rules.clock_hz), rules)
     except OSError as error:
         raise BusUrlError(f"{sensor.name}: chip select {sensor.bus}: {error.strerror or error}") from error
+
+
+def _device(bus: OpenBus, sensor: SensorConfig) -> IioDevice:
+    """The device of the kernel that serves a sensor; BusUrlError for a bus that has none."""
+    if not isinstance(bus, IioBus):
+        raise BusUrlError(
+            f"{sensor.name}: {sensor.bus} is served by the kernel, which --bus iio: reads, without --transcript"
+        )
+    return bus.iio_device(str(sensor.bus).removeprefix(IIO))
 
 
 def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:

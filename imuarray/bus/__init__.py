@@ -1,6 +1,6 @@
 """Ways to reach a chip: Linux, a microcontroller, a recorded transcript, the emulated array. All of them are a `Bus`.
 
-A bus is named by a URL: ``i2c:/dev/i2c-1``, ``spi:``, ``serial:/dev/ttyACM0``, ``replay:T.jsonl``,
+A bus is named by a URL: ``i2c:/dev/i2c-1``, ``spi:``, ``iio:``, ``serial:/dev/ttyACM0``, ``replay:T.jsonl``,
 ``emulated:?clock=real&world=tumble``.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import cast
 from urllib.parse import parse_qsl
 
@@ -40,7 +41,9 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
     """``i2c:/dev/i2c-1``; with no path, the first bus that a sensor names (kernel-driven channels need no root bus)."""
     from imuarray.bus.linux import LinuxBus
 
-    path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi), "")
+    path = rest or next(
+        (sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi and not sensor.on_iio), ""
+    )
     if not path:
         raise BusUrlError("bus 'i2c:': name the device, as in i2c:/dev/i2c-1")
     return LinuxBus(path)
@@ -53,6 +56,13 @@ def _spi(rest: str, array: ArrayConfig) -> OpenBus:
     if rest:
         raise BusUrlError(f'bus \'spi:{rest}\': say "spi:" alone, and bus = "/dev/spidevN.M" of each sensor')
     return SpiBus()
+
+
+def _iio(rest: str, array: ArrayConfig) -> OpenBus:
+    """``iio:``; each sensor names its device. ``iio:/folder`` has the folders sys and dev of another machine."""
+    from imuarray.bus.iio import IioBus
+
+    return IioBus(Path(rest or "/"))
 
 
 def _serial(rest: str, array: ArrayConfig) -> OpenBus:
@@ -87,9 +97,10 @@ def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
 _SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {
     "i2c": _linux,
     "spi": _spi,
+    "iio": _iio,
     "serial": _serial,
     "replay": _replay,
     "emulated": _emulated,
 }
 
-_EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "spi:", "emulated:")
+_EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "spi:", "iio:", "emulated:")

@@ -24,7 +24,7 @@ bus_option = click.option(
     "--bus",
     "bus_url",
     metavar="URL",
-    help="i2c:/dev/i2c-1, spi:, serial:/dev/ttyACM0, replay:T.jsonl or emulated: (default: the configuration's bus)",
+    help="i2c:/dev/i2c-1, spi:, iio:, serial:/dev/ttyACM0, replay:T.jsonl or emulated: (default: that of CONFIG)",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
 rate_option = click.option(

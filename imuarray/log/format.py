@@ -55,7 +55,7 @@ ARRIVAL = "arrival_delay"
 """Column (n,) of a sensor whose rows arrived in bursts and whose `time` was counted out: by how many s each row arrived
 after that. `time` plus it is when the row arrived, to the nanosecond."""
 
-SOURCES = ("i2c", "spi", "serial", "emulated", "simulated", "imported", "replay")
+SOURCES = ("i2c", "spi", "iio", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {
     "specific_force": "specific force along the sensor's axes",

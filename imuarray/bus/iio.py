@@ -1,0 +1,344 @@
+"""Devices of Linux's industrial I/O subsystem (IIO): sensors that a driver of the kernel reads, through sysfs.
+
+A device is a folder of attributes, one small text file each, and a character device that gives the scans of its
+buffer (`imuarray.bus.iio_scan`). Kernel `Documentation/ABI/testing/sysfs-bus-iio` and
+`Documentation/iio/iio_devbuf.rst`; facts LNX-60 to -68. `IioDevice` speaks OSError with the errno and the file, as
+Linux does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import NoReturn, Self
+
+from imuarray.bus.iio_scan import ScanElement, ScanLayout
+from imuarray.bus.protocol import Bus, SpiPort
+from imuarray.bus.spi import SpiBus
+from imuarray.clock import Clock, MonotonicClock
+from imuarray.errors import BusUrlError, SensorError
+from imuarray.printable import printable
+
+DEVICES = "sys/bus/iio/devices"
+DEVICE = re.compile(r"iio:device[0-9]+", re.ASCII)
+LONGEST_TEXT = 4096
+"""Bytes of an attribute: sysfs gives a page at most."""
+MOST_ELEMENTS = 256
+MOST_BYTES = 1 << 20
+"""Bytes of scans that one call of `scans` takes; what is left is taken by the next."""
+
+
+class IioDevice:
+    """The device that `wanted` names, below `root`: the label or name of its driver ("mpu6050"), its number
+    ("device0"), each with ``@`` and its place ("mpu6050@1-0068") where several have the name.
+
+    It is a `Bus` without registers: a transfer only asks whether the device is there, ENODEV if not.
+    """
+
+    def __init__(self, wanted: str, root: Path) -> None:
+        self.wanted = wanted
+        self._root = root
+        self._folder: Path | None = None
+        self._file = -1
+        self._rest = b""
+        self._layout: ScanLayout | None = None
+
+    def __str__(self) -> str:
+        return f"iio:{self.wanted}"
+
+    # The device ---------------------------------------------------------------------------------------------------
+
+    @property
+    def folder(self) -> Path:
+        """Its folder in sysfs; SensorError if no device is called so, or several are, naming those that there are."""
+        if self._folder is None or not self._folder.is_dir():
+            self._folder = self._find()
+        return self._folder
+
+    def _find(self) -> Path:
+        devices = sorted(_devices(self._root), key=lambda folder: int(folder.name.removeprefix("iio:device")))
+        where, _, place = self.wanted.partition("@")
+        fits = [
+            folder
+            for folder in devices
+            if where in (folder.name.removeprefix("iio:"), _text(folder / "label"), _text(folder / "name"))
+            and place in ("", _place(folder))
+        ]
+        if len(fits) == 1:
+            return fits[0]
+        names = ", ".join(_name(folder) for folder in fits or devices)
+        if fits:
+            raise SensorError(f"{self}: {len(fits)} devices are called so; allowed are {names}")
+        if not devices:
+            raise SensorError(
+                f"{self}: there is no device in /{DEVICES}; load the module of the sensor's driver, and let it bind"
+            )
+        raise SensorError(f"{self}: no such device; allowed are {names}")
+
+    @property
+    def name(self) -> str:
+        """The name that its driver gives it."""
+        return printable(_text(self.folder / "name") or self.folder.name)
+
+    @property
+    def place(self) -> str:
+        """The place of the chip on its bus, as the kernel names it: 1-0068 is address 0x68 of /dev/i2c-1."""
+        return printable(_place(self.folder))
+
+    @property
+    def device_file(self) -> Path:
+        """The character device of its buffer."""
+        return self._root / "dev" / self.folder.name
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """Ask whether the device is there: OSError with ENODEV if not, with ENXIO for any register."""
+        try:
+            found = self.folder
+        except SensorError as error:
+            raise OSError(errno.ENODEV, f"{self} was removed") from error
+        if write or read:
+            raise OSError(errno.ENXIO, "the kernel's driver owns the registers", str(found))
+        return b""
+
+    # Attributes ---------------------------------------------------------------------------------------------------
+
+    def read(self, attribute: str) -> str | None:
+        """The text of an attribute; None if the device has no such one, or several devices have. OSError."""
+        path = self.folder / attribute
+        try:
+            return _read(path)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise _at(error, path) from error
+
+    def write(self, attribute: str, text: str) -> None:
+        """Write an attribute; OSError."""
+        path = self.folder / attribute
+        try:
+            fd = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
+            try:
+                os.write(fd, text.encode())
+            finally:
+                os.close(fd)
+        except OSError as error:
+            raise _at(error, path) from error
+
+    def keep(self, attribute: str, text: str) -> None:
+        """Write an attribute unless it says so already, and read it back; SensorError if it does not keep it."""
+        if self.read(attribute) == text:
+            return
+        self.write(attribute, text)
+        kept = self.read(attribute)
+        if kept != text:
+            raise SensorError(f"{self}: {attribute} says {kept!r} after {text!r} was written; the driver refuses it")
+
+    def triggers(self) -> str:
+        """The names of all triggers that there are, for a message."""
+        texts = (_text(path / "name") for path in sorted((self._root / DEVICES).glob("trigger[0-9]*")))
+        return ", ".join(printable(text) for text in texts if text)
+
+    # The buffer ---------------------------------------------------------------------------------------------------
+
+    def _buffer(self, attribute: str) -> str:
+        """The path of an attribute of its first buffer (since kernel 5.11 in buffer0, LNX-64)."""
+        return f"{'buffer0' if (self.folder / 'buffer0').is_dir() else 'buffer'}/{attribute}"
+
+    def _elements_folder(self) -> str:
+        return "scan_elements" if (self.folder / "scan_elements").is_dir() else "buffer0"
+
+    def elements(self) -> dict[str, ScanElement]:
+        """The channels that its buffer can have, by name; none without a buffer. SensorError for a wrong type."""
+        where = self._elements_folder()
+        names = sorted(path.name.removesuffix("_en") for path in (self.folder / where).glob("*_en"))
+        if len(names) > MOST_ELEMENTS:
+            raise SensorError(f"{self}: {where} has {len(names)} channels; at most {MOST_ELEMENTS} are read")
+        try:
+            return {
+                name: ScanElement.parse(
+                    name, self.read(f"{where}/{name}_index") or "", self.read(f"{where}/{name}_type") or ""
+                )
+                for name in names
+            }
+        except ValueError as error:
+            raise SensorError(f"{self}: {where}/{printable(str(error))}") from None
+
+    def hold(self) -> None:
+        """Open the buffer, which then is nobody else's, and stop it; OSError with EBUSY if another program has it."""
+        if self._file < 0:
+            path = self.device_file
+            try:
+                self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            except OSError as error:
+                raise _at(error, path) from error
+        self.stop()
+
+    def start(self, wanted: set[str], length: int, watermark: int) -> ScanLayout:
+        """Enable the channels `wanted` and no others, and start the capture into `length` scans; their layout.
+
+        Channels that the driver enables with them are in it, too. OSError, SensorError.
+        """
+        elements, where = self.elements(), self._elements_folder()
+        for name in elements:
+            if name not in wanted and self.read(f"{where}/{name}_en") != "0":
+                self.write(f"{where}/{name}_en", "0")
+        for name in sorted(wanted):
+            self.keep(f"{where}/{name}_en", "1")
+        self.write(self._buffer("length"), str(length))
+        with contextlib.suppress(OSError):  # read-only, or missing, where the chip has a queue of its own way
+            self.write(self._buffer("watermark"), str(watermark))
+        self.write(self._buffer("enable"), "1")
+        enabled = [element for name, element in elements.items() if self.read(f"{where}/{name}_en") == "1"]
+        try:
+            self._layout = ScanLayout.of(enabled)
+        except ValueError as error:
+            raise SensorError(f"{self}: {where}: {error}") from None
+        self._rest = b""
+        return self._layout
+
+    def stop(self) -> None:
+        """Stop the capture, whoever started it; OSError."""
+        if self.read(self._buffer("enable")) not in ("0", None):
+            self.write(self._buffer("enable"), "0")
+        self._layout = None
+
+    def scans(self) -> bytes:
+        """The whole scans that wait, oldest first; OSError with ENODEV if the device was removed."""
+        if self._layout is None or self._file < 0:
+            raise OSError(errno.ENODEV, f"{self} is not set up")
+        size, parts = self._layout.size, [self._rest]
+        most = MOST_BYTES // size * size
+        taken = 0
+        while taken < most:
+            try:
+                part = os.read(self._file, most - taken)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if error.errno == errno.ENODEV:
+                    self._forget()
+                raise OSError(error.errno, error.strerror, str(self)) from error
+            if not part:
+                break
+            parts.append(part)
+            taken += len(part)
+        if not taken and (self._folder is None or not self._folder.is_dir()):
+            self._forget()
+            raise OSError(errno.ENODEV, f"{self} was removed")
+        data = b"".join(parts)
+        whole = len(data) // size * size
+        self._rest = data[whole:]
+        return data[:whole]
+
+    def release(self) -> None:
+        """Stop the capture and give the buffer back."""
+        if self._file >= 0:
+            with contextlib.suppress(OSError, SensorError):
+                self.stop()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Close the buffer, of a device that may be gone."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file, self._layout = -1, None
+
+
+def _devices(root: Path) -> Iterator[Path]:
+    """The folders of all devices."""
+    with contextlib.suppress(OSError):
+        for path in (root / DEVICES).iterdir():
+            if DEVICE.fullmatch(path.name):
+                yield path
+
+
+def devices(root: Path = Path("/")) -> list[str]:
+    """The names of all devices, each as the `bus` of a sensor is written: "iio:mpu6050@1-0068"."""
+    return sorted(_name(folder) for folder in _devices(root))
+
+
+def _name(folder: Path) -> str:
+    name = printable(_text(folder / "name") or folder.name.removeprefix("iio:"))
+    return f"iio:{name}@{printable(_place(folder))}"
+
+
+def _place(folder: Path) -> str:
+    """The name of the device of which the kernel made this one: the chip on its bus (LNX-63)."""
+    return folder.resolve().parent.name
+
+
+def _read(path: Path) -> str:
+    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        return os.read(fd, LONGEST_TEXT).decode(errors="replace").strip().strip("\0")
+    finally:
+        os.close(fd)
+
+
+def _text(path: Path) -> str:
+    """The text of an attribute; "" if it can't be read."""
+    try:
+        return _read(path)
+    except OSError:
+        return ""
+
+
+def _at(error: OSError, path: Path) -> OSError:
+    """The same error, which names its file."""
+    return OSError(error.errno, error.strerror or str(error), str(path))
+
+
+class IioBus:
+    """The bus ``iio:`` of an array whose sensors are devices of the kernel; others name an I2C bus or a chip select.
+
+    `root` is the folder that has `sys` and `dev`; BusUrlError if it has not.
+    """
+
+    source = "iio"
+
+    def __init__(self, root: Path = Path("/"), *, clock: Clock | None = None) -> None:
+        if not (root / "sys").is_dir():
+            raise BusUrlError(f"iio:{root}: no folder sys in it; say iio: alone for this machine's own")
+        self.clock: Clock = MonotonicClock() if clock is None else clock
+        self._root = root
+        self._devices: dict[str, IioDevice] = {}
+        self._wired = SpiBus(clock=self.clock)
+
+    def iio_device(self, wanted: str) -> IioDevice:
+        """The device that `wanted` names, made once; it need not be there yet."""
+        return self._devices.setdefault(wanted, IioDevice(wanted, self._root))
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """There is no I2C bus at the root: OSError with ENXIO."""
+        _refuse()
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, opened once."""
+        return self._wired.spi_port(path, mode, clock_hz)
+
+    def channel_bus(self, path: str) -> Bus:
+        """The I2C adapter at `path`, opened once."""
+        return self._wired.channel_bus(path)
+
+    def claim(self, address: int, path: str | None = None) -> None:
+        """See `LinuxBus.claim`."""
+        self._wired.claim(address, path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for device in self._devices.values():
+            device.release()
+        self._wired.__exit__(kind, error, trace)
+
+
+def _refuse() -> NoReturn:
+    raise OSError(errno.ENXIO, "iio: has no I2C bus of its own")

@@ -1,0 +1,517 @@
+"""Sensors that a driver of the kernel serves as devices of the IIO subsystem: any chip that Linux has a driver for.
+
+A sensor is one triad of a device (its accelerometer, gyroscope or magnetometer): two sensors may share a device, as the
+halves of a six-axis chip do. With `fifo = true` the kernel captures into its buffer, and every sample arrives with the
+time that the kernel gave it; without it the three attributes `in_..._raw` are read in each frame, one after the other.
+
+The log holds raw counts. What a count means comes from the kernel's `scale`, which is the log's sensitivity, and its
+`offset`, which is added to the counts as a whole number. The mounting matrix gives the axes where the configuration
+does not. Register read-back is lost: nobody but the kernel reads the chip's registers, and a chip that fell back to its
+defaults is only noticed if its samples stop. Facts LNX-60 to -68.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.axes import orientation_of
+from imuarray.bus.iio import IioDevice
+from imuarray.bus.iio_scan import ScanElement, ScanLayout
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, DecodedBursts, Registers, SelfTest, carry_out
+from imuarray.drivers.fifo_clock import FifoClock
+from imuarray.errors import SensorError
+from imuarray.facts.registers import Setting
+from imuarray.log.format import COUNT_BITS, SATURATED, SensorHeader, ThermometerScale
+from imuarray.units import SI_PER_UNIT
+
+AXES = ("x", "y", "z")
+CHANNELS: Mapping[str, tuple[str, float]] = {
+    "specific_force": ("in_accel", SI_PER_UNIT["g"]),
+    "angular_rate": ("in_anglvel", SI_PER_UNIT["dps"]),
+    "magnetic_field": ("in_magn", 1.0),
+}
+"""By quantity: the channel's name, and how much of the kernel's unit (m/s2, rad/s, gauss: LNX-65) the log's unit is."""
+TIMESTAMP = "in_timestamp"
+TEMPERATURE = "in_temp"
+MOST_BITS = 31
+"""Of a count in a log, which is 32 bits wide and signed."""
+RANGE_MARGIN = 0.98
+"""A full scale of so much of the wanted range is that range: 32767 counts of 0.488 mg are 15.99 g."""
+RATE_MARGIN = 0.01
+"""A driver that rounds the data rate by less keeps it."""
+SCALE_MARGIN = 1e-3
+"""Axes whose scales differ by less have one: sysfs prints six digits after the point."""
+BUFFER_S = 4.0
+SHORTEST_BUFFER = 128
+LONGEST_BUFFER = 1 << 15
+WATERMARK_S = 0.05
+"""Samples of so long wait in the chip's own queue, where the driver uses one."""
+GAP_PERIODS = 1.6
+"""Samples further apart than that have others missing between them: oscillators are off by some percent."""
+BURST = np.dtype("<i4")
+_WORDS = 4  # x, y, z and the temperature
+
+
+class Conversion(NamedTuple):
+    """What the counts of one sensor mean: physical = (raw + `offset`) x `scale` in the kernel's unit."""
+
+    scale: float
+    offset: int
+    bits: int
+    """Bits of a signed number that holds every count."""
+    full_scale: float
+    """Largest value in the log's unit."""
+    thermometer: ThermometerScale | None = None
+
+
+class IioQueue:
+    """Samples of one sensor that wait until it is visited. `drained` and `overrun` tell of what `take` gave last."""
+
+    def __init__(self, period_ns: float) -> None:
+        self.drained: list[int] = []
+        self.overrun = False
+        self._period_ns = period_ns
+        self._rows = bytearray()
+        self._times_ns: list[int] = []
+        self._newest_ns: int | None = None
+        self._gap = False
+
+    def restart(self) -> None:
+        """The device was set up again: forget everything."""
+        self._rows, self._times_ns = bytearray(), []
+        self._newest_ns, self._gap = None, False
+
+    def put(self, rows: bytes, times_ns: Sequence[int], *, gap: bool = False) -> None:
+        """Let these rows wait, one for each time; with `gap` samples are missing before them."""
+        if len(self._times_ns) > LONGEST_BUFFER:
+            self._rows, self._times_ns, gap = bytearray(), [], True
+        self._gap |= gap
+        self._rows += rows
+        self._times_ns += times_ns
+
+    def take(self) -> bytes:
+        """What waits up to the next gap; the rest is taken next time, and flagged."""
+        times, longest_ns = self._times_ns, GAP_PERIODS * self._period_ns
+        if not times:
+            self.drained, self.overrun = [], False
+            return b""
+        self.overrun = self._gap or (self._newest_ns is not None and times[0] - self._newest_ns > longest_ns)
+        self._gap = False
+        count = next((row for row, (a, b) in enumerate(pairwise(times), 1) if b - a > longest_ns), len(times))
+        self.drained, self._newest_ns = times[:count], times[count - 1]
+        size = _WORDS * BURST.itemsize
+        taken = bytes(self._rows[: count * size])
+        del self._rows[: count * size], self._times_ns[:count]
+        return taken
+
+
+class IioSensor:
+    """One triad of a device, read attribute by attribute; shares `capture` with the other sensors of the device."""
+
+    burst: ClassVar[int] = _WORDS * BURST.itemsize
+    tells_fresh: ClassVar[bool] = False
+    reading: ClassVar[slice] = slice(0, 3 * BURST.itemsize)
+
+    def __init__(self, sensor: SensorConfig, capture: IioCapture) -> None:
+        self.sensor = sensor
+        self.channel, self.unit_si = CHANNELS[sensor.spec.quantity]
+        self.watched: tuple[Setting, ...] = ()
+        self.registers = Registers(capture.device, 0, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
+        self.conversion = Conversion(1.0, 0, 16, 0.0)
+        self.axes = sensor.axes
+        self._capture = capture
+        capture.join(self)
+
+    @property
+    def device(self) -> IioDevice:
+        """The device that it is a part of."""
+        return self._capture.device
+
+    @property
+    def names(self) -> list[str]:
+        """The names of its channels in sysfs."""
+        return [f"{self.channel}_{axis}" for axis in AXES]
+
+    # Set-up -------------------------------------------------------------------------------------------------------
+
+    def identify(self) -> None:
+        """SensorError unless the device is there and has all three axes of this quantity."""
+        folder = self.device.folder
+        missing = [name for name in self.names if not (folder / f"{name}_raw").exists()]
+        if missing:
+            others = sorted(
+                {quantity for quantity, (name, _) in CHANNELS.items() if (folder / f"{name}_x_raw").exists()}
+            )
+            has = f"it has {', '.join(others)}" if others else "it has no triad"
+            raise self.error(f"{self.device.name} has no {', '.join(missing)}; {has}")
+
+    def error(self, text: str) -> SensorError:
+        """An error of this sensor."""
+        return SensorError(f"{self.registers.label}: {text}")
+
+    def steps(self) -> Iterator[float]:
+        """Set the device up; SensorError names the attribute that can't be set, and what is allowed."""
+        self.identify()
+        try:
+            self._capture.set_up(self)
+        except OSError as error:
+            raise self.error(_advice(error)) from error
+        except SensorError as error:
+            raise self.error(str(error).removeprefix(f"{self.device}: ")) from error
+        yield 0.0
+
+    def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self._capture.clock, self.steps())
+
+    def set_scale(self, elements: Mapping[str, ScanElement]) -> None:
+        """Choose the scale of the wanted range and read what counts mean; while nothing is captured."""
+        bits = max((elements[name].range_bits for name in self.names if name in elements), default=16)
+        is_signed = all(elements[name].is_signed for name in self.names if name in elements)
+        wanted = self.sensor.range
+        attribute = self._attribute("scale")
+        if wanted is not None:
+            self._choose_scale(attribute, wanted, bits)
+        scale, offset = self._common("scale"), self._common("offset", 0.0)
+        if not 0 < scale < math.inf or not abs(offset) < 2**MOST_BITS:
+            raise SensorError(f"{self.device}: {attribute} {scale:g}, offset {offset:g}: allowed is a positive scale")
+        whole = round(offset)
+        if whole and not is_signed:
+            bits += 1
+        elif whole:
+            bits = max(bits, abs(whole).bit_length() + 1) + 1
+        if bits > MOST_BITS:
+            raise SensorError(f"{self.device}: counts of {bits} bits; a log holds at most {MOST_BITS}")
+        full_scale = 2 ** (bits - 1) * scale / self.unit_si
+        if wanted is not None and full_scale < RANGE_MARGIN * wanted:
+            raise SensorError(
+                f"{self.device}: range {wanted:g}: the scale is {scale:g}, which reaches {full_scale:.4g}"
+            )
+        self.conversion = Conversion(scale, whole, bits, full_scale, self._thermometer(elements))
+        self.axes = self._mounting()
+
+    def _choose_scale(self, attribute: str, wanted: float, bits: int) -> None:
+        """Set the smallest full scale that has the wanted range; SensorError names those that there are."""
+        available = _numbers(self._text("scale_available"))
+        full = {text: 2 ** (bits - 1) * float(text) / self.unit_si for text in available if float(text) > 0}
+        if not full:
+            return
+        enough = [text for text in full if full[text] >= RANGE_MARGIN * wanted]
+        if not enough:
+            reach = ", ".join(f"{value:.4g}" for value in sorted(full.values()))
+            raise SensorError(f"{self.device}: range {wanted:g}: allowed are up to {reach} {self.sensor.spec.unit}")
+        text = min(enough, key=full.__getitem__)
+        self.device.write(attribute, text)
+        kept = _number(attribute, self.device.read(attribute))
+        if not math.isclose(kept, float(text), rel_tol=SCALE_MARGIN):
+            raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
+
+    def _attribute(self, kind: str) -> str:
+        """The name of an attribute that all axes share, or that of x; it may be missing."""
+        for name in (f"{self.channel}_{kind}", f"{self.channel}_x_{kind}"):
+            if self.device.read(name) is not None:
+                return name
+        return f"{self.channel}_{kind}"
+
+    def _text(self, kind: str) -> str:
+        return self.device.read(self._attribute(kind)) or ""
+
+    def _common(self, kind: str, default: float | None = None) -> float:
+        """The value of an attribute that is the same for all axes."""
+        shared = f"{self.channel}_{kind}"
+        text = self.device.read(shared)
+        if text is not None:
+            return _number(shared, text)
+        texts = {name: self.device.read(f"{name}_{kind}") for name in self.names}
+        if default is not None and not any(texts.values()):
+            return default
+        values = [_number(f"{name}_{kind}", text) for name, text in texts.items()]
+        if not all(math.isclose(value, values[0], rel_tol=SCALE_MARGIN) for value in values):
+            said = ", ".join(f"{value:g}" for value in values)
+            raise SensorError(f"{self.device}: {shared} of x, y, z is {said}; a log has one for all axes")
+        return values[0]
+
+    def _thermometer(self, elements: Mapping[str, ScanElement]) -> ThermometerScale | None:
+        """The thermometer that is captured with it, if there is one whose counts are known and fit 16 bits (LNX-65)."""
+        element = elements.get(TEMPERATURE)
+        if element is None or element.range_bits > 16 or not self.sensor.fifo:
+            return None
+        scale = _number("in_temp_scale", self.device.read("in_temp_scale") or "0")
+        offset = _number("in_temp_offset", self.device.read("in_temp_offset") or "0")
+        return ThermometerScale(offset * scale / 1e3, 1e3 / scale) if scale else None
+
+    def _mounting(self) -> str:
+        """The axes of the configuration, or those of the device's mounting matrix (LNX-66)."""
+        text = self.mount_matrix
+        if "axes" in self.sensor.model_fields_set or not text:
+            return self.sensor.axes
+        try:
+            rows = [[float(number) for number in row.split(",")] for row in text.split(";")]
+            if [len(row) for row in rows] != [3, 3, 3]:
+                raise ValueError
+            axes = "".join(_signed_axis([row[column] for row in rows]) for column in range(3))
+            orientation_of(axes)
+        except ValueError:
+            raise SensorError(
+                f"{self.device}: mount_matrix {text!r} is no rotation by quarter turns; give axes in the configuration"
+            ) from None
+        return axes
+
+    @property
+    def mount_matrix(self) -> str:
+        """The device's mounting matrix as sysfs has it; "" if it has none."""
+        names = (f"{self.channel}_mount_matrix", "in_mount_matrix", "mount_matrix")
+        return next((text for name in names if (text := self.device.read(name))), "")
+
+    def mark(self, code: int) -> bool:
+        """There is no register to write to."""
+        return False
+
+    def self_test(self) -> SelfTest:
+        """IIO has none that all drivers share."""
+        return SelfTest(None, "the kernel's driver has none that could be asked for")
+
+    # Reading ------------------------------------------------------------------------------------------------------
+
+    def fetch(self) -> bytes:
+        """The three attributes, read one after the other. OSError."""
+        values = []
+        for name in self.names:
+            text = self.device.read(f"{name}_raw")
+            try:
+                values.append(int(text or ""))
+            except ValueError:
+                raise OSError(5, f"{self.device}: {name}_raw is {str(text)[:40]!r}") from None
+        counts = np.clip(np.array(values, np.float64) + self.conversion.offset, -(2**31), 2**31 - 1)
+        return np.append(counts, 0).astype(BURST).tobytes()
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """See `Driver.decode`."""
+        words = np.ascontiguousarray(bursts).view(BURST).reshape(len(bursts), _WORDS)
+        counts = words[:, :3]
+        has_temperature = self.conversion.thermometer is not None
+        temperature = words[:, 3].astype(np.int16) if has_temperature else None
+        top = 2 ** (self.conversion.bits - 1)
+        at_end = ((counts <= -top) | (counts >= top - 1)).any(axis=1)
+        status = np.where(at_end, SATURATED, 0).astype(np.uint16)
+        narrow = self.conversion.bits <= 16
+        return DecodedBursts(counts.astype(np.int16) if narrow else counts.astype(np.int32), temperature, status)
+
+    # What the log says of it --------------------------------------------------------------------------------------
+
+    def header(self) -> Mapping[str, int] | Mapping[str, float]:
+        """Nothing by itself: `described` has it all."""
+        return {}
+
+    def described(self, header: SensorHeader) -> SensorHeader:
+        """`header` with what the kernel says of the sensor: sensitivity, range, axes, and texts of its own."""
+        conversion, thermometer = self.conversion, self.conversion.thermometer
+        extra: dict[str, int | float | str] = {
+            "iio_name": self.device.name[:255],
+            "iio_place": self.device.place[:255],
+            "iio_offset": conversion.offset,
+            "time_source": self._capture.time_source if self.sensor.fifo else "CLOCK_MONOTONIC of the reader",
+        }
+        if self.mount_matrix:
+            extra["mount_matrix"] = self.mount_matrix[:255]
+        if conversion.bits > 16:
+            extra[COUNT_BITS] = conversion.bits
+        if thermometer is not None:
+            extra |= thermometer.attributes
+        return replace(
+            header,
+            range=self.sensor.range or conversion.full_scale,
+            sensitivity=self.unit_si / conversion.scale,
+            axes=self.axes,
+            has_temperature=thermometer is not None,
+            extra={**header.extra, **extra},
+        )
+
+
+class BufferedIioSensor(IioSensor):
+    """One triad of a device that captures into the kernel's buffer."""
+
+    tells_fresh: ClassVar[bool] = True
+
+    def __init__(self, sensor: SensorConfig, capture: IioCapture) -> None:
+        self.queue = IioQueue(1e9 / sensor.chip_rate_hz)
+        super().__init__(sensor, capture)
+
+    def fetch(self) -> bytes:
+        """All samples that wait, up to the next gap. OSError with ENODEV if the device was removed."""
+        self._capture.drain()
+        return self.queue.take()
+
+
+class IioCapture:
+    """One device and the sensors that it serves, which are set up together."""
+
+    def __init__(self, device: IioDevice, clock: Clock) -> None:
+        self.device = device
+        self.clock = clock
+        self.time_source = ""
+        self._members: list[IioSensor] = []
+        self._set_up: list[IioSensor] = []
+        self._layout: ScanLayout | None = None
+        self._clock: FifoClock | None = None
+
+    def join(self, sensor: IioSensor) -> None:
+        """Make `sensor` one of those that the device serves."""
+        self._members.append(sensor)
+
+    def set_up(self, sensor: IioSensor) -> None:
+        """Set the device up for all its sensors, unless that was done for another of them just now. OSError,
+        SensorError.
+        """
+        if self._set_up and sensor not in self._set_up:
+            self._set_up.append(sensor)
+            return
+        self._set_up = []
+        config = sensor.sensor
+        elements = self.device.elements()
+        if config.fifo:
+            missing = [name for member in self._members for name in member.names if name not in elements]
+            if missing:
+                raise SensorError(
+                    f"{self.device}: its buffer has no {', '.join(missing)}; without fifo it is read through sysfs"
+                )
+            self.device.hold()
+        self._set_rate(config.chip_rate_hz, [member.channel for member in self._members])
+        for member in self._members:
+            member.set_scale(elements)
+        if config.fifo:
+            self._start(config, elements)
+        self._set_up = [sensor]
+
+    def _set_rate(self, rate_hz: float, channels: Sequence[str]) -> None:
+        """Set the data rate, where the driver has one; SensorError names those that there are."""
+        names = ("sampling_frequency", *(f"{channel}_sampling_frequency" for channel in channels))
+        for attribute in names:
+            if self.device.read(attribute) is None:
+                continue
+            texts = _numbers(self.device.read(f"{attribute}_available") or "")
+            fits = [text for text in texts if math.isclose(float(text), rate_hz, rel_tol=RATE_MARGIN)]
+            if texts and not fits:
+                raise SensorError(f"{self.device}: rate_hz {rate_hz:g}: allowed are {', '.join(texts)}")
+            text = fits[0] if fits else f"{rate_hz:.6f}".rstrip("0").rstrip(".")
+            self.device.write(attribute, text)
+            kept = _number(attribute, self.device.read(attribute))
+            if not math.isclose(kept, rate_hz, rel_tol=RATE_MARGIN):
+                raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
+
+    def _start(self, config: SensorConfig, elements: Mapping[str, ScanElement]) -> None:
+        """Choose the clock and the trigger, and start the capture."""
+        wanted = {name for member in self._members for name in member.names}
+        if TIMESTAMP in elements:
+            if self.device.read("current_timestamp_clock") is not None:
+                self.device.keep("current_timestamp_clock", "monotonic")
+            else:
+                raise SensorError(f"{self.device}: no current_timestamp_clock; Linux 4.5 or later is required")
+            wanted.add(TIMESTAMP)
+            self._clock, self.time_source = None, "CLOCK_MONOTONIC of the kernel's driver"
+        else:
+            self._clock, self.time_source = FifoClock(config.chip_rate_hz), "counts of the buffer on CLOCK_MONOTONIC"
+        if any(member.conversion.thermometer is not None for member in self._members):
+            wanted.add(TEMPERATURE)
+        self._choose_trigger(config.trigger)
+        length = min(max(round(BUFFER_S * config.chip_rate_hz), SHORTEST_BUFFER), LONGEST_BUFFER)
+        watermark = max(1, min(round(WATERMARK_S * config.chip_rate_hz), length // 2))
+        self._layout = self.device.start(wanted, length, watermark)
+        for member in self._members:
+            if isinstance(member, BufferedIioSensor):
+                member.queue.restart()
+
+    def _choose_trigger(self, wanted: str | None) -> None:
+        """Set the trigger that the configuration names, or leave the one that is set; SensorError if there is none."""
+        attribute = "trigger/current_trigger"
+        current = self.device.read(attribute)
+        if current is None:
+            if wanted is not None:
+                raise SensorError(f"{self.device}: trigger {wanted!r}: this device has its own pace; leave it out")
+        elif wanted is not None:
+            self.device.keep(attribute, wanted)
+        elif not current:
+            raise SensorError(
+                f"{self.device}: no trigger starts its samples; give trigger, one of {self.device.triggers() or 'none'}"
+                " (the module iio-trig-hrtimer makes them), or leave out fifo"
+            )
+
+    def drain(self) -> None:
+        """Take all scans that wait and give each sensor its share. OSError."""
+        layout = self._layout
+        from_ns = self.clock.now_ns()
+        scans = self.device.scans()
+        if layout is None or not scans:
+            return
+        columns = layout.unpack(scans)
+        count = len(scans) // layout.size
+        if self._clock is None:
+            times = columns[TIMESTAMP].tolist()
+        else:
+            times = self._clock.times(count, from_ns, until_ns=self.clock.now_ns())
+        for member in self._members:
+            if isinstance(member, BufferedIioSensor):
+                member.queue.put(_rows(columns, member), times)
+
+
+def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
+    """(n, 4) words of a sensor: x, y, z with their offset, and the temperature."""
+    counts = [columns[name] + member.conversion.offset for name in member.names]
+    temperature = columns.get(TEMPERATURE)
+    last = np.zeros_like(counts[0]) if temperature is None else temperature
+    return np.stack([*counts, last], axis=1).astype(BURST).tobytes()
+
+
+def _signed_axis(column: Sequence[float]) -> str:
+    """The signed box axis that a column of a rotation by quarter turns is; ValueError for another."""
+    rounded = [round(value) for value in column]
+    if max(abs(value - whole) for value, whole in zip(column, rounded, strict=True)) > 1e-3:
+        raise ValueError
+    (axis,) = [number for number, value in enumerate(rounded) if value]
+    if abs(rounded[axis]) != 1:
+        raise ValueError
+    return ("+" if rounded[axis] > 0 else "-") + "XYZ"[axis]
+
+
+def _number(name: str, text: str | None) -> float:
+    """The number in an attribute; SensorError if there is none."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise SensorError(f"{name} is {str(text)[:40]!r}: a finite number is required")
+    return value
+
+
+def _numbers(text: str) -> list[str]:
+    """The values of an attribute `..._available`, as they are written; none for a span, "[least step most]"."""
+    if text.startswith("["):
+        return []
+    values = text.split()
+    for value in values:
+        _number("available value", value)
+    return values
+
+
+def _advice(error: OSError) -> str:
+    """What went wrong at which file, and what can be done about it."""
+    where = error.filename or "the device"
+    advice = {
+        13: "; let your group write to it by a udev rule, or be root",
+        16: "; another program captures from it: end that program",
+    }.get(error.errno or 0, "")
+    return f"{where}: {error.strerror or error}{advice}"
+
+
+def iio_sensor(sensor: SensorConfig, capture: IioCapture) -> IioSensor:
+    """The driver of a sensor that the kernel serves: by its buffer with `fifo`, else by its attributes."""
+    return BufferedIioSensor(sensor, capture) if sensor.fifo else IioSensor(sensor, capture)

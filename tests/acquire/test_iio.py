@@ -1,0 +1,437 @@
+"""Sensors that the kernel serves: configured, captured and logged from a tree like sysfs, or refused."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.acquire import connect, record
+from imuarray.acquire.detect import detect
+from imuarray.array import ArrayConfig, parse_array
+from imuarray.bus import open_bus
+from imuarray.bus.iio import IioBus
+from imuarray.cli import main
+from imuarray.errors import BusUrlError, ConfigError, SensorError
+from imuarray.log import open_log
+from imuarray.log.format import LOST_BEFORE, OVERRUN, SATURATED, STALE
+from tests.bus.iio_machine import ACCEL, KernelDevice, KernelMachine, scan
+
+START_NS = 5_000_000_000
+PERIOD_NS = 20_000_000
+
+
+class SteppedClock:
+    """A clock that only sleeping advances; `passed(now_ns)` is called whenever it has."""
+
+    def __init__(self, passed: Callable[[int], None] = lambda now_ns: None) -> None:
+        self.time_ns = START_NS
+        self.passed = passed
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def sleep_until(self, at_ns: int) -> None:
+        self.time_ns = max(self.time_ns, at_ns)
+        self.passed(self.time_ns)
+
+
+def sensor(name: str, keys: str) -> str:
+    return f'[[sensor]]\nname = "{name}"\n{keys}\n'
+
+
+def array_of(*sensors: str) -> ArrayConfig:
+    return parse_array('[array]\nname = "a"\nbus = "iio:"\n' + "".join(sensors))
+
+
+ACC = 'chip = "kx023"\nquantity = "specific_force"\nbus = "iio:kx023"\nrate_hz = 50\n'
+BUFFERED = ACC + "fifo = true\n"
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> KernelMachine:
+    return KernelMachine(tmp_path)
+
+
+def played(
+    device: KernelDevice, scans: Callable[[int], bytes], *, leave_out: range = range(0)
+) -> Callable[[int], None]:
+    """Let scan k wait from its time on, START + (k + 0.5) periods, while the buffer is enabled."""
+    given = [0]
+
+    def passed(now_ns: int) -> None:
+        while START_NS + (given[0] + 0.5) * PERIOD_NS <= now_ns:
+            if device.read("buffer/enable") == "1" and given[0] not in leave_out:
+                device.feed(scans(given[0]))
+            given[0] += 1
+
+    return passed
+
+
+def time_of(k: int) -> int:
+    return START_NS + round((k + 0.5) * PERIOD_NS)
+
+
+def counts_of(k: int) -> tuple[int, int, int]:
+    return 100 + k, -200 - k, 16384 - 3 * k
+
+
+def small_scan(k: int) -> bytes:
+    return scan([*((value, 2, "little") for value in counts_of(k)), (time_of(k), 8, "little")])
+
+
+def log_of(machine: KernelMachine, array: ArrayConfig, clock: SteppedClock, seconds: float = 1.2) -> Path:
+    path = machine.root / "run.h5"
+    with IioBus(machine.root, clock=clock) as bus:
+        record(array, bus, path, rate_hz=10, seconds=seconds)
+    return path
+
+
+def test_a_buffer_is_logged_count_by_count_at_the_kernels_times(machine: KernelMachine) -> None:
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    path = log_of(machine, array_of(sensor("A", BUFFERED)), SteppedClock(played(device, small_scan)))
+    assert device.read("buffer/enable") == "0"
+    assert device.read("current_timestamp_clock") == "monotonic"
+    assert int(device.read("buffer/length")) >= 100
+    with open_log(path) as log:
+        assert log.source == "iio"
+        rows = log["A"]
+        number = np.round((rows.time[:] + START_NS - time_of(0)) / PERIOD_NS).astype(int)
+        assert (np.diff(number) == 1).all()
+        assert len(number) >= 55
+        assert rows.time[:].tolist() == [time_of(k) - START_NS for k in number.tolist()]
+        assert rows.counts[:].tolist() == [list(counts_of(k)) for k in number.tolist()]
+        assert rows.counts[:].dtype == np.int16
+        assert not (rows.status[:] & (STALE | OVERRUN | LOST_BEFORE | SATURATED)).any()
+        assert rows.sensitivity == pytest.approx(9.80665 / 0.000598205)
+        assert rows.range == pytest.approx(32768 * 0.000598205 / 9.80665)
+        assert (rows.chip, rows.unit, rows.rate_hz) == ("kx023", "g", 50)
+        assert rows.attributes["iio_name"] == "kx023"
+        assert rows.attributes["iio_place"] == "1-001e"
+        assert rows.attributes["time_source"] == "CLOCK_MONOTONIC of the kernel's driver"
+        assert rows.temperature_counts is None
+
+
+def test_samples_that_the_buffer_dropped_are_flagged(machine: KernelMachine) -> None:
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    clock = SteppedClock(played(device, small_scan, leave_out=range(30, 33)))
+    with open_log(log_of(machine, array_of(sensor("A", BUFFERED)), clock)) as log:
+        number = np.round((log["A"].time[:] + START_NS - time_of(0)) / PERIOD_NS).astype(int)
+        assert set(range(10, 50)) - set(number.tolist()) == {30, 31, 32}
+        assert number[(log["A"].status[:] & OVERRUN) != 0].tolist() == [33]
+        assert any(event.kind == "overrun" for event in log.events)
+
+
+IMU = {
+    "in_accel_x_scale": "0.00119641",
+    "in_accel_y_scale": "0.00119641",
+    "in_accel_z_scale": "0.00119641",
+    "in_accel_x_offset": "-2048",
+    "in_accel_y_offset": "-2048",
+    "in_accel_z_offset": "-2048",
+    "in_anglvel_scale": "0.000133231",
+    "in_temp_scale": "2.941176",
+    "in_temp_offset": "12420",
+    "mount_matrix": "0, 1, 0; -1, 0, 0; 0, 0, 1",
+    "sampling_frequency": "50.000000",
+    "current_timestamp_clock": "monotonic",
+    "trigger/current_trigger": "imu-dev0",
+    **{f"in_{kind}_{axis}_raw": "0" for kind in ("accel", "anglvel") for axis in "xyz"},
+    **{f"buffer0/{name}": text for name, text in {"enable": "0", "length": "2", "watermark": "1"}.items()},
+    **{
+        f"buffer0/{name}_{key}": text
+        for name, index, kind in (
+            ("in_anglvel_y", 1, "be:s16/16>>0"),
+            ("in_anglvel_z", 0, "be:s16/16>>0"),
+            ("in_anglvel_x", 4, "be:s20/32>>12"),
+            ("in_temp", 6, "le:s16/16>>0"),
+            ("in_accel_z", 11, "le:u12/16>>4"),
+            ("in_accel_x", 12, "le:u12/16>>4"),
+            ("in_accel_y", 13, "le:u12/16>>4"),
+            ("in_timestamp", 20, "le:s64/64>>0"),
+            ("in_voltage0", 2, "le:u8/8>>0"),
+        )
+        for key, text in {"en": "1" if name == "in_voltage0" else "0", "index": str(index), "type": kind}.items()
+    },
+}
+IMU_ACC = 'chip = "bmi"\nquantity = "specific_force"\nbus = "iio:imu@spi0.0"\nrate_hz = 50\nfifo = true\n'
+IMU_GYRO = (
+    'chip = "bmi"\nquantity = "angular_rate"\nbus = "iio:imu@spi0.0"\nrate_hz = 50\nfifo = true\naxes = "+X-Y-Z"\n'
+)
+
+
+def imu_scan(k: int) -> bytes:
+    """In the order of indices: z, y and x of the rate, temperature, z, x and y of unsigned acceleration, time."""
+    return scan(
+        [
+            (-k, 2, "big"),
+            (2 * k, 2, "big"),
+            ((500_000 - k) << 12 | 0xABC, 4, "big"),
+            (-521 + k, 2, "little"),
+            ((2048 + 512) << 4 | 5, 2, "little"),
+            (k << 4, 2, "little"),
+            ((4095 - k) << 4 | 15, 2, "little"),
+            (time_of(k), 8, "little"),
+        ]
+    )
+
+
+def test_two_sensors_of_one_device_share_its_buffer(machine: KernelMachine) -> None:
+    """Other orders, widths, signs and byte orders; axes from the mounting matrix, or from the configuration."""
+    device = machine.add("imu", "spi0/spi0.0", IMU)
+    machine.add("imu", "spi0/spi0.1", IMU)
+    array = array_of(sensor("Acc", IMU_ACC), sensor("Gyro", IMU_GYRO))
+    with open_log(log_of(machine, array, SteppedClock(played_in(device, imu_scan)))) as log:
+        acc, gyro = log["Acc"], log["Gyro"]
+        number = np.round((acc.time[:] + START_NS - time_of(0)) / PERIOD_NS).astype(int)
+        assert len(number) >= 55
+        assert acc.time[:].tolist() == [time_of(k) - START_NS for k in number.tolist()]
+        assert acc.counts[:].tolist() == [[k - 2048, 2047 - k, 512] for k in number.tolist()]
+        assert acc.counts[:].dtype == np.int16
+        assert gyro.counts[: len(number)].tolist() == [[500_000 - k, 2 * k, -k] for k in number.tolist()]
+        assert gyro.counts[:1].dtype == np.int32
+        assert (gyro.count_bits, acc.count_bits) == (20, 16)
+        assert gyro.sensitivity == pytest.approx(np.radians(1) / 0.000133231)
+        assert acc.temperature_counts is not None
+        assert acc.temperature_counts[:].tolist() == [-521 + k for k in number.tolist()]
+        assert acc.thermometer is not None
+        assert acc.thermometer.zero_degc == pytest.approx(36.53, abs=0.01)
+        assert acc.thermometer.lsb_per_degc == pytest.approx(340, abs=0.1)
+        assert (acc.axes, gyro.axes) == ("-Y+X+Z", "+X-Y-Z")
+        assert np.array_equal(acc.orientation, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+        assert acc.attributes["mount_matrix"] == gyro.attributes["mount_matrix"] == IMU["mount_matrix"]
+    assert device.read("buffer0/in_voltage0_en") == "0"
+
+
+def played_in(device: KernelDevice, scans: Callable[[int], bytes]) -> Callable[[int], None]:
+    """As `played`, of a device whose buffer is in buffer0."""
+    device.write("buffer/enable", "1")
+    play = played(device, scans)
+
+    def passed(now_ns: int) -> None:
+        device.write("buffer/enable", device.read("buffer0/enable"))
+        play(now_ns)
+
+    return passed
+
+
+def test_without_fifo_the_attributes_are_read_in_each_frame(machine: KernelMachine) -> None:
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+
+    def passed(now_ns: int) -> None:
+        device.write("in_accel_x_raw", str((now_ns - START_NS) // 10_000_000))
+
+    with open_log(log_of(machine, array_of(sensor("A", ACC + "range = 4\n")), SteppedClock(passed))) as log:
+        rows = log["A"]
+        assert rows.counts[5].tolist() == [50, -2, 16384]
+        assert len(rows) == 12
+        assert rows.range == 4
+        assert rows.sensitivity == pytest.approx(9.80665 / 0.00119641)
+        assert rows.attributes["time_source"] == "CLOCK_MONOTONIC of the reader"
+    assert device.read("in_accel_scale") == "0.001196410"
+    assert device.read("buffer/enable") == "0"
+
+
+def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -> None:
+    keys = {name: text for name, text in ACCEL.items() if "timestamp" not in name}
+    device = machine.add("kx023", "i2c-1/1-001e", keys)
+    clock = SteppedClock(played(device, lambda k: scan([(value, 2, "little") for value in counts_of(k)])))
+    with open_log(log_of(machine, array_of(sensor("A", BUFFERED)), clock, 4.0)) as log:
+        rows = log["A"]
+        number = rows.counts[:, 0].astype(int) - 100
+        assert (np.diff(number) == 1).all()
+        late_ns = rows.time[100:] + START_NS - np.array([time_of(k) for k in number.tolist()])[100:]
+        assert np.abs(late_ns).max() < PERIOD_NS
+        assert rows.attributes["time_source"].startswith("counts")
+
+
+def test_a_device_that_was_removed_and_is_there_again_goes_on(machine: KernelMachine) -> None:
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    play = played(device, small_scan)
+    target = device.link.readlink()
+
+    def passed(now_ns: int) -> None:
+        s = (now_ns - START_NS) / 1e9
+        if 1.0 <= s < 2.0 and device.link.is_symlink():
+            device.link.unlink()
+            device.file.unlink()
+        elif s >= 2.0 and not device.link.is_symlink():
+            device.write("buffer/enable", "0")
+            device.link.symlink_to(target)
+            os.mkfifo(device.file)
+        if device.link.is_symlink():
+            play(now_ns)
+
+    with open_log(log_of(machine, array_of(sensor("A", BUFFERED)), SteppedClock(passed), 5.0)) as log:
+        time_s = log["A"].time[:] * 1e-9
+        assert ((time_s > 0.2) & (time_s < 0.8)).sum() > 25
+        assert not ((time_s > 1.3) & (time_s < 2.0)).any()
+        assert (time_s > 4.0).sum() > 40
+
+
+# What can't be done is said in one line ---------------------------------------------------------------------------
+
+
+def connected(machine: KernelMachine, array: ArrayConfig) -> None:
+    with IioBus(machine.root, clock=SteppedClock()) as bus:
+        connect(array, bus)
+
+
+@pytest.mark.parametrize(
+    ("changes", "keys", "said"),
+    [
+        ({}, BUFFERED.replace("kx023", "kx022"), r"iio:kx022: no such device; allowed are iio:kx023@1-001e"),
+        ({}, BUFFERED.replace("rate_hz = 50", "rate_hz = 60"), r"rate_hz 60: allowed are 10, 50, 100, 200"),
+        ({}, BUFFERED + "range = 17\n", r"range 17: allowed are up to 1.999, 3.998, 7.995, 15.99 g"),
+        ({}, BUFFERED.replace("specific_force", "angular_rate"), r"has no in_anglvel_x, .*; it has specific_force"),
+        ({}, BUFFERED + 'trigger = "t0"\n', r"trigger 't0': this device has its own pace"),
+        ({"trigger/current_trigger": ""}, BUFFERED, r"no trigger starts its samples; give trigger"),
+        ({"in_accel_scale": "0"}, ACC, r"in_accel_scale 0, offset 0: allowed is a positive scale"),
+        ({"in_accel_scale": "-1"}, ACC, r"allowed is a positive scale"),
+        ({"in_accel_scale": "nan"}, ACC, r"in_accel_scale is 'nan': a finite number is required"),
+        ({"in_accel_scale": "\x1b[2J" + "9" * 9000}, ACC, r"a finite number is required"),
+        ({"in_accel_scale_available": "1e999 2"}, ACC + "range = 4\n", r"a finite number is required"),
+        ({"in_accel_offset": "1e30"}, ACC, r"allowed is a positive scale"),
+        ({"in_accel_offset": "2e9"}, ACC, r"counts of 33 bits; a log holds at most 31"),
+        ({"mount_matrix": "0.6, 0.8, 0; -0.8, 0.6, 0; 0, 0, 1"}, ACC, r"no rotation by quarter turns; give axes"),
+        ({"mount_matrix": "1, 0, 0; 0, 1, 0; 0, 0, -1"}, ACC, r"no rotation by quarter turns"),
+        ({"mount_matrix": "1;2"}, ACC, r"no rotation by quarter turns"),
+        ({"scan_elements/in_accel_y_type": "le:s16/24>>0"}, BUFFERED, r"in_accel_y_type is 'le:s16/24>>0': allowed is"),
+        ({"scan_elements/in_accel_y_index": "0"}, BUFFERED, r"in_accel_x_index and in_accel_y_index are both 0"),
+        ({"scan_elements/in_accel_x_type": "le:s64/64>>0"}, BUFFERED, r"counts of 64 bits; a log holds at most 31"),
+    ],
+)
+def test_what_the_device_cannot_do_is_said(machine: KernelMachine, changes: Any, keys: str, said: str) -> None:
+    machine.add("kx023", "i2c-1/1-001e", {**ACCEL, **changes})
+    with pytest.raises(SensorError, match=said) as raised:
+        connected(machine, array_of(sensor("A", keys)))
+    text = str(raised.value)
+    assert text.startswith(("A (kx02", "iio:"))
+    assert "\n" not in text
+    assert "\x1b" not in text
+
+
+def test_two_axes_are_no_triad(machine: KernelMachine) -> None:
+    machine.add("kx023", "i2c-1/1-001e", {name: text for name, text in ACCEL.items() if "accel_z" not in name})
+    with pytest.raises(SensorError, match="has no in_accel_z; it has specific_force"):
+        connected(machine, array_of(sensor("A", BUFFERED)))
+
+
+def test_axes_of_different_scales_are_refused(machine: KernelMachine) -> None:
+    scales = {f"in_accel_{axis}_scale": text for axis, text in zip("xyz", ("0.1", "0.1", "0.2"), strict=True)}
+    machine.add("kx023", "i2c-1/1-001e", {**{k: v for k, v in ACCEL.items() if "_scale" not in k}, **scales})
+    with pytest.raises(SensorError, match=r"in_accel_scale of x, y, z is 0.1, 0.1, 0.2; a log has one"):
+        connected(machine, array_of(sensor("A", ACC)))
+
+
+def test_two_devices_of_one_name_are_told_apart_by_their_place(machine: KernelMachine) -> None:
+    for address in ("1-001e", "1-001f"):
+        machine.add("kx023", f"i2c-1/{address}", ACCEL)
+    with pytest.raises(SensorError, match="2 devices are called so; allowed are iio:kx023@1-001e, iio:kx023@1-001f"):
+        connected(machine, array_of(sensor("A", ACC)))
+    connected(machine, array_of(sensor("A", ACC.replace("iio:kx023", "iio:kx023@1-001f"))))
+    connected(machine, array_of(sensor("A", ACC.replace("iio:kx023", "iio:device1"))))
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (
+            errno.EBUSY,
+            r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Device or resource busy; another program captures",
+        ),
+        (errno.EACCES, r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Permission denied; let your group"),
+    ],
+)
+def test_a_buffer_that_cannot_be_had_is_named(
+    machine: KernelMachine, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+) -> None:
+    machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    opened = os.open
+
+    def refuse(path: Any, *words: Any, **more: Any) -> int:
+        if "/dev/iio:" in str(path):
+            raise OSError(number, os.strerror(number), str(path))
+        return opened(path, *words, **more)
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(SensorError, match=said):
+        connected(machine, array_of(sensor("A", BUFFERED)))
+
+
+def test_a_bus_without_devices_and_a_folder_that_is_no_machine(tmp_path: Path) -> None:
+    array = array_of(sensor("A", ACC))
+    with pytest.raises(BusUrlError, match="no folder sys in it"):
+        open_bus(f"iio:{tmp_path}", array)
+    (tmp_path / "sys").mkdir()
+    with (
+        open_bus(f"iio:{tmp_path}", array) as bus,
+        pytest.raises(SensorError, match="there is no device in /sys/bus/iio/devices; load the module"),
+    ):
+        connect(array, bus)
+    with open_bus("spi:", array) as bus, pytest.raises(BusUrlError, match="A: iio:kx023 is served by the kernel"):
+        connect(array, bus)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (ACC + "address = 0x1e\n", "address: the kernel's driver has it"),
+        (ACC.replace("rate_hz = 50", ""), "rate_hz is missing"),
+        (
+            ACC.replace('quantity = "specific_force"', ""),
+            "quantity is missing: allowed are specific_force, angular_rate",
+        ),
+        (ACC.replace("kx023", "bmp280", 1), "only triads are read"),
+        (ACC.replace("kx023", "lsm6dso_gyro", 1), "quantity 'specific_force': the lsm6dso_gyro measures angular_rate"),
+        (ACC.replace("iio:kx023", "iio:../x"), 'allowed are "iio:NAME" and "iio:NAME@PLACE"'),
+        (ACC + 'trigger = "t"\n', "trigger: only with fifo = true"),
+        (ACC + "range = -1\n", "range -1: a positive number"),
+        (
+            'chip = "bma180"\naddress = 0x40\nrange = 2\ntrigger = "t"\n',
+            "trigger: only for a sensor that the kernel serves",
+        ),
+    ],
+)
+def test_configurations_that_cannot_be_meant(keys: str, said: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        array_of(sensor("A", keys))
+    assert said in str(raised.value)
+
+
+def test_sensors_of_one_device_agree_about_it() -> None:
+    with pytest.raises(ConfigError, match=r"'Acc' and 'Gyro' are both of iio:imu@spi0.0: rate_hz is the same for both"):
+        array_of(sensor("Acc", IMU_ACC), sensor("Gyro", IMU_GYRO.replace("50", "100")))
+    with pytest.raises(ConfigError, match=r"2 sensors are the specific_force of iio:imu@spi0.0"):
+        array_of(sensor("Acc", IMU_ACC), sensor("Acc2", IMU_ACC))
+
+
+def test_a_die_of_two_halves_is_told_by_the_quantity() -> None:
+    array = array_of(sensor("G", 'chip = "mpu6050"\nquantity = "angular_rate"\nbus = "iio:mpu6050"\nrate_hz = 50\n'))
+    assert array["G"].chip == "mpu6050_gyro"
+    assert array["G"].spec.unit == "dps"
+
+
+def test_detect_says_what_is_there(machine: KernelMachine, capsys: pytest.CaptureFixture[str]) -> None:
+    machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    array = array_of(sensor("A", ACC), sensor("B", ACC.replace("iio:kx023", "iio:gone")))
+    with IioBus(machine.root) as bus:
+        lines = {line.sensor: line for line in detect(array, bus)}
+    assert lines["A"].ok
+    assert not lines["B"].ok
+    assert "allowed are iio:kx023@1-001e" in lines["B"].found
+
+
+def test_the_command_logs_a_device(machine: KernelMachine, tmp_path: Path) -> None:
+    machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    config = tmp_path / "array.toml"
+    config.write_text('[array]\nname = "a"\n' + sensor("A", ACC))
+    words = ["log", str(config), "--bus", f"iio:{tmp_path}", "--seconds", "0.1", "--rate-hz", "100"]
+    assert main([*words, "-o", str(tmp_path / "run.h5")]) == 0
+    with open_log(tmp_path / "run.h5") as log:
+        assert log["A"].counts[0].tolist() == [1, -2, 16384]
