@@ -38,6 +38,22 @@ acknowledged, FFFE that the clock was held too long, and the bytes are 0. A micr
 frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
 
 A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
+
+Firmware that can do more says so behind the four bytes of its answer to HELLO: features u8 (bit 0 RESEND, bit 1
+STATUS), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands::
+
+    06 RESEND    first u16, count u16                         result, frames u16, next u16
+    07 STATUS                                                 result, and the numbers below
+    08 SELECT    chip select, mode, clock u32 (Hz)            result
+
+DATA is kept until it is acknowledged or newer DATA needs its room. RESEND acknowledges the frame numbers before `first`
+and has DATA of the numbers `first` ... `first + count - 1` sent again, the very same bytes, before it is answered with
+the number of frames sent and the frame number to go on with if the line had no room for all. STATUS tells, each a u32
+unless said otherwise: u8 1 after a reset by the watchdog, u64 microseconds since the start, then the numbers of DATA
+sent, frames left out for want of time, DATA for which the line had no room, DATA overwritten before it was
+acknowledged, requests of lists that failed, bytes received that belonged to no frame. An address from 80 on, in
+TRANSFER and LIST, is chip select `address - 80` of SPI: what is to be written goes out, then zeros while the bytes to
+be read come in; nobody acknowledges there.
 """
 
 from __future__ import annotations

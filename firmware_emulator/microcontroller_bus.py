@@ -1,0 +1,74 @@
+"""The buses of a microcontroller on the emulated array: I2C, and chip selects of SPI under addresses from 0x80 on."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any, Protocol
+
+FIRST_SELECT = 0x80
+SELECTS = 8
+SPI_PATH = "/dev/spidev0."
+"""A sensor that an array has on chip select N of controller 0 is on chip select N of the microcontroller."""
+SLOWEST_HZ = 1_000_000
+"""Clock of a chip select that nobody has set."""
+
+
+class SelectPort(Protocol):
+    """A chip select, clocked as it was set."""
+
+    def exchange(self, sent: bytes) -> bytes:
+        """Send bytes; as many that came back."""
+
+
+class Buses(Protocol):
+    """What the emulated array offers."""
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """One I2C transaction; OSError as the emulated wire gives it."""
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> Any:
+        """The chip select of that name; OSError when no sensor is on it."""
+
+
+class MicrocontrollerBus:
+    """The buses of a microcontroller that is connected to `array`.
+
+    An SPI transaction of no chip reads FF, as an open line does.
+    """
+
+    def __init__(self, array: Buses) -> None:
+        self._array = array
+        self._ports: dict[int, SelectPort | None] = {}
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        """Set mode and clock of a chip select; ValueError for what no controller can do."""
+        if select not in range(SELECTS):
+            raise ValueError(f"chip select {select}: allowed are 0 to {SELECTS - 1}")
+        try:
+            self._ports[select] = self._array.spi_port(f"{SPI_PATH}{select}", mode, clock_hz)
+        except FileNotFoundError:
+            self._ports[select] = None
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """One transaction; on SPI the bytes that came after `write`, while zeros were sent.
+
+        OSError as the emulated wire gives it; ValueError for a chip select that there isn't.
+        """
+        if address < FIRST_SELECT:
+            return self._array.transfer(address, write, read)
+        select = address - FIRST_SELECT
+        if select not in self._ports:
+            self.set_select(select, 0, SLOWEST_HZ)
+        port = self._ports[select]
+        if not write and not read:
+            raise ValueError("an SPI transfer of no bytes")
+        if port is None:
+            return b"\xff" * read
+        return port.exchange(write + bytes(read))[len(write) :]
+
+
+def result_of(error: OSError | ValueError) -> int:
+    """What firmware says of a transaction that failed: 1 nobody, 2 held, 3 refused."""
+    if isinstance(error, OSError):
+        return 2 if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else 1
+    return 3

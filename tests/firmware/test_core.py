@@ -1,0 +1,315 @@
+"""What the firmware's core answers and sends: the tests of the emulated firmware, and what only the core can do."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_emulator.clock import VirtualClock
+from firmware_emulator.serial_firmware import Firmware
+from tests.emulator import test_serial_firmware as emulated
+from tests.emulator.test_serial_firmware import (  # the same tests, of the core
+    MS,
+    NOBODY,
+    ONE,
+    ask,
+    bench,
+    framed,
+    run,
+    said,
+    started,
+    test_a_transaction,
+    test_drift_is_of_the_counter_and_of_the_period,
+    test_frames_for_which_there_was_no_time_are_left_out,
+    test_hello_and_stop_end_it,
+    test_lists_in_their_frames,
+    test_the_same_command_again_is_answered_again_and_not_done_again,
+    test_times_and_ages,
+    test_what_it_refuses,
+    test_what_nobody_acknowledges_is_tried_twice,
+)
+from tests.firmware.build import CoreFirmware
+from tests.selection import examples
+
+__all__ = [
+    "test_a_transaction",
+    "test_drift_is_of_the_counter_and_of_the_period",
+    "test_frames_for_which_there_was_no_time_are_left_out",
+    "test_hello_and_stop_end_it",
+    "test_lists_in_their_frames",
+    "test_the_same_command_again_is_answered_again_and_not_done_again",
+    "test_times_and_ages",
+    "test_what_it_refuses",
+    "test_what_nobody_acknowledges_is_tried_twice",
+]
+
+LISTS, REQUEST_BYTES, LINE_BYTES, KEPT_BYTES = 128, 4096, 8192, 32768
+RESEND, STATUS, SELECT = 6, 7, 8
+
+
+@pytest.fixture(autouse=True)
+def _the_core(core_firmware: type[CoreFirmware], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The tests of the emulated firmware are handed the core."""
+    monkeypatch.setattr(emulated, "Firmware", core_firmware)
+    yield
+
+
+def counts(firmware: Any, sequence: int = 500) -> dict[str, int]:
+    names = ("result", "watchdog", "now_us", "sent", "late", "dropped", "overwritten", "failures", "skipped")
+    answer = ask(firmware, STATUS, sequence=sequence)
+    return dict(zip(names, struct.unpack("<BBQ6I", answer), strict=True))
+
+
+def test_hello_tells_version_room_and_what_it_can_do() -> None:
+    assert ask(bench()[0], 1) == struct.pack("<BBHBBI", 1, LISTS, REQUEST_BYTES, 3, 0, KEPT_BYTES)
+
+
+def test_memory_is_finite() -> None:
+    firmware, _, _ = bench()
+    body = ONE * 250  # 1000 bytes, of which 4 lists have room; every answer has 1 + 1000 bytes
+    results = [ask(firmware, 3, bytes([number, 1, 0, 0, 0]) + body, number) for number in range(5)]
+    assert results == [b"\x00"] * 4 + [b"\x03"]
+    assert ask(firmware, 3, bytes([1, 1, 0, 0, 0]) + ONE, 9) == b"\x00"  # in place of list 1
+    assert ask(firmware, 3, bytes([4, 1, 0, 0, 0]) + body, 10) == b"\x00"
+
+
+def test_a_list_in_place_of_another_leaves_the_others_as_they_are() -> None:
+    firmware, _, clock = started(5000, "00 0100 0000 53010130", "01 0100 0000 53010231", "02 0100 0000 53010332")
+    assert ask(firmware, 3, bytes.fromhex("00 0100 0000 53010430"), 20) == b"\x00"
+    sizes = [len(frame[3]) for frame in run(firmware, clock, 1)]
+    assert sizes == [1 + 2 + 4, 1 + 2 + 2, 1 + 2 + 3]
+
+
+def test_counters_wrap() -> None:
+    firmware, _, clock = started(1000, "00 0100 0000" + ONE.hex(), counter_us=(1 << 32) - 3000)
+    assert [frame[2] for frame in run(firmware, clock, 5)] == [2**32 - 2900, 2**32 - 1900, 2**32 - 900, 100, 1100]
+    firmware.skip_to(65_535)  # type: ignore[attr-defined]
+    assert [frame[1] for frame in run(firmware, clock, 3)] == [65_535, 0, 1]
+    assert counts(firmware)["now_us"] > 1 << 32
+
+
+def test_its_own_answers_on_an_echoing_line_are_no_commands() -> None:
+    firmware, _, _ = bench()
+    answer = firmware.feed(framed(1, 1))
+    assert firmware.feed(answer) == b""
+    assert firmware.feed(framed(0x50, 1)) == b""  # its answer would look like DATA
+    assert firmware.feed(framed(0xD0, 1)) == b""
+
+
+def test_a_command_behind_a_damaged_length_is_heard_after_a_pause() -> None:
+    firmware, _, clock = bench()
+    assert firmware.feed(b"\xa5\x5a\xff\x03" + framed(1, 1)) == b""  # 1023 bytes are announced
+    clock.advance(99 * MS)
+    assert firmware.tick() == []
+    clock.advance(MS)
+    (answer,) = firmware.tick()
+    assert said(answer)[:2] == (0x81, 1)
+    firmware.feed(b"\xa5\x5a\xff\x03")
+    clock.advance(250 * MS)  # the host asks again
+    assert said(firmware.feed(framed(1, 2)))[:2] == (0x81, 2)
+    assert counts(firmware)["skipped"] == 8
+
+
+class TestKeptData:
+    """DATA is kept until it is acknowledged, and sent again when it is asked for."""
+
+    def the(self, frames: int, size: int = 8) -> tuple[Any, VirtualClock, list[bytes]]:
+        firmware, _, clock = started(5000, f"00 0100 0000 5301{size:02x}30")
+        sent = []
+        for _ in range(frames):
+            assert firmware.due_ns is not None
+            clock.sleep_until(firmware.due_ns)
+            sent += firmware.tick()
+        return firmware, clock, sent
+
+    def again(self, firmware: Any, first: int, count: int, sequence: int = 300) -> tuple[list[bytes], tuple[int, ...]]:
+        """The frames that are sent again, and the answer: result, number of frames, number to go on with."""
+        data = firmware.feed(framed(RESEND, sequence, struct.pack("<HH", first, count)))
+        pieces = []
+        while data:
+            size = 15 + int.from_bytes(data[2:4], "little")
+            pieces.append(data[:size])
+            data = data[size:]
+        return pieces[:-1], struct.unpack("<BHH", said(pieces[-1])[3])
+
+    def test_the_very_same_bytes(self) -> None:
+        firmware, _, sent = self.the(20)
+        assert self.again(firmware, 5, 3) == (sent[5:8], (0, 3, 8))
+
+    def test_what_is_acknowledged_is_forgotten(self) -> None:
+        firmware, _, sent = self.the(20)
+        assert self.again(firmware, 12, 0) == ([], (0, 0, 12))
+        assert self.again(firmware, 0, 20, 301)[0] == sent[12:]
+
+    def test_numbers_that_have_wrapped(self) -> None:
+        firmware, clock, _ = self.the(1)
+        firmware.skip_to(65_530)
+        sent = []
+        for _ in range(12):
+            clock.sleep_until(firmware.due_ns)
+            sent += firmware.tick()
+        assert self.again(firmware, 65_534, 5) == (sent[4:9], (0, 5, 3))
+
+    def test_the_oldest_makes_room_and_that_is_counted(self) -> None:
+        frames, record = 200, 4 + 15 + 1 + 2 + 200
+        firmware, _, sent = self.the(frames, 200)
+        room = KEPT_BYTES // record
+        assert counts(firmware)["overwritten"] == frames - room
+        # The line holds fewer at once; `next` says where to go on.
+        received: list[bytes] = []
+        first = 0
+        for sequence in range(300, 340):
+            pieces, (_, count, following) = self.again(firmware, first, frames - first, sequence)
+            assert count == len(pieces)
+            received += pieces
+            first = following
+            if first == frames:
+                break
+        assert received == sent[frames - room :]
+
+    def test_what_found_no_room_on_the_line_can_still_be_had(self) -> None:
+        firmware, clock, _ = self.the(1, 200)
+        firmware.room = 0
+        for _ in range(60):
+            clock.sleep_until(firmware.due_ns)
+            assert firmware.tick() == []
+        firmware.room = 1 << 30
+        on_the_line = firmware.tick()
+        dropped = counts(firmware)["dropped"]
+        assert len(on_the_line) + dropped == 60
+        assert dropped > 20
+        assert (len(on_the_line) + 1) * 218 <= LINE_BYTES - 1039 + 218
+        pieces, _ = self.again(firmware, 1, 60)
+        later, _ = self.again(firmware, 1 + len(pieces), 60, 302)
+        later_still, _ = self.again(firmware, 1 + len(pieces) + len(later), 60, 303)
+        numbers = [said(piece)[1] for piece in pieces + later + later_still]
+        assert numbers == list(range(1, 61))
+        assert (pieces + later)[: len(on_the_line)] == on_the_line
+
+    def test_a_new_stream_has_none_of_the_old_one(self) -> None:
+        firmware, _, _ = self.the(20)
+        ask(firmware, 4, struct.pack("<I", 1000), 400)
+        assert self.again(firmware, 0, 20)[0] == []
+
+    @settings(max_examples=examples(40), deadline=None)
+    @given(frames=st.integers(1, 400), size=st.integers(0, 255), data=st.data())
+    def test_what_is_sent_again_was_sent_before(self, frames: int, size: int, data: st.DataObject) -> None:
+        firmware, _, sent = self.the(frames, size)
+        acknowledged = 0
+        for sequence in range(300, 303):
+            first, count = data.draw(st.integers(0, frames)), data.draw(st.integers(0, 500))
+            pieces, (_, number, following) = self.again(firmware, first, count, sequence)
+            assert number == len(pieces)
+            numbers = [said(piece)[1] for piece in pieces]
+            assert pieces == [sent[place] for place in numbers]
+            begins = max(first, acknowledged, counts(firmware)["overwritten"])
+            assert numbers == list(range(begins, begins + len(numbers)))
+            assert following == first + count or following == begins + len(numbers)
+            acknowledged = max(first, acknowledged)
+
+
+def test_status_counts_what_went_wrong() -> None:
+    firmware, board, clock = started(1000, "00 0100 0000" + ONE.hex() + NOBODY.hex(), counter_us=7)
+    run(firmware, clock, 3)  # of 0.3 ms, until 2.3 ms
+    clock.advance(3 * MS + MS // 2)  # frames 3 and 4 should have begun and ended
+    run(firmware, clock, 2)
+    firmware.feed(b"noise")
+    found = counts(firmware)
+    assert {name: found[name] for name in ("result", "watchdog", "dropped", "overwritten", "skipped")} == {
+        "result": 0,
+        "watchdog": 0,
+        "dropped": 0,
+        "overwritten": 0,
+        "skipped": 5,
+    }
+    assert (found["sent"], found["late"], found["failures"]) == (5, 2, 5)
+    assert found["now_us"] == firmware.time_us()
+    assert len(board.asked) == 5 * 3
+
+
+class Selects:
+    """Chip selects that echo what is sent, inverted."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.asked: list[tuple[int, bytes, int]] = []
+        self.settings: list[tuple[int, int, int]] = []
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        self.asked.append((address, write, read))
+        return bytes(~value & 0xFF for value in (write + bytes(read))[-read:]) if read else b""
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        if clock_hz > 24_000_000:
+            raise ValueError(clock_hz)
+        self.settings.append((select, mode, clock_hz))
+
+
+def test_spi(core_firmware: type[CoreFirmware]) -> None:
+    clock = VirtualClock(0)
+    selects = Selects(clock)
+    firmware: Any = core_firmware(selects, clock)
+    assert ask(firmware, 1)[5] == 8
+    assert ask(firmware, SELECT, struct.pack("<BBI", 3, 3, 10_000_000), 2) == b"\x00"
+    assert ask(firmware, SELECT, struct.pack("<BBI", 3, 0, 25_000_000), 3) == b"\x03"
+    assert ask(firmware, SELECT, struct.pack("<BBI", 8, 0, 1_000_000), 4) == b"\x03"
+    assert ask(firmware, SELECT, struct.pack("<BBI", 3, 4, 1_000_000), 5) == b"\x03"
+    assert selects.settings == [(3, 3, 10_000_000)]
+    assert ask(firmware, 2, bytes.fromhex("83 0200 f5"), 6) == bytes.fromhex("00 ff ff")
+    assert selects.asked == [(0x83, b"\xf5", 2)]
+    assert ask(firmware, 2, bytes.fromhex("88 0200 f5"), 7) == b"\x03"  # chip select 8 of 8
+    assert ask(firmware, 3, bytes.fromhex("00 0100 0000 83 01 04 f5  53 01 01 00"), 8) == b"\x00"
+    assert ask(firmware, 3, bytes.fromhex("01 0100 0000 88 01 04 f5"), 9) == b"\x03"
+    ask(firmware, 4, struct.pack("<I", 1000), 10)
+    (frame,) = run(firmware, clock, 1)
+    assert frame[3].hex(" ") == "00 00 00 ff ff ff ff 00 00 ff"
+
+
+def test_what_the_core_and_the_emulated_firmware_do_is_the_same(core_firmware: type[CoreFirmware]) -> None:
+    """The same commands at the same times: the same bytes on the line, HELLO's room aside."""
+    both = [kind(emulated.Board(clock := VirtualClock(5 * MS)), clock) for kind in (core_firmware, Firmware)]
+    commands = [
+        framed(3, 1, bytes.fromhex("00 0100 0000") + ONE * 3 + NOBODY),
+        framed(3, 2, bytes.fromhex("05 0300 0100") + ONE),
+        framed(9, 3),
+        framed(4, 4, struct.pack("<I", 2500)),
+    ]
+    heard = [[firmware.feed(command) for command in commands] for firmware in both]
+    assert heard[0] == heard[1]
+    for _ in range(50):
+        sent = []
+        for firmware in both:
+            assert firmware.due_ns is not None
+            firmware.clock.sleep_until(firmware.due_ns)
+            sent.append(firmware.tick())
+        assert sent[0] == sent[1]
+        assert sent[0]
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(
+    data=st.lists(
+        st.one_of(
+            st.binary(max_size=50),
+            st.builds(framed, st.integers(0, 9), st.integers(0, 3), st.binary(max_size=20)),
+            st.builds(framed, st.sampled_from([2, 3, 6, 8]), st.integers(0, 3), st.binary(max_size=1024)),
+        ),
+        max_size=12,
+    )
+)
+def test_no_bytes_upset_it(data: list[bytes]) -> None:
+    firmware, _, clock = bench()
+    for piece in data:
+        firmware.feed(piece)
+        if firmware.due_ns is not None:
+            clock.sleep_until(firmware.due_ns)
+            for frame in firmware.tick():
+                said(frame)
+    clock.advance(100 * MS)
+    firmware.tick()
+    ask(firmware, 1, sequence=77)

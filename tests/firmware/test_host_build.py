@@ -1,0 +1,226 @@
+"""The firmware as a process behind a pseudo-terminal, and the logger at its other end: what is stored was read, and
+what was acknowledged was done, whatever happens on the line. The process is compiled with the compiler's sanitizers.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_emulator.array import open_bus
+from imuarray.acquire import connect
+from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.stream import Streaming, streams
+from imuarray.array import parse_array
+from imuarray.bus import serial_session
+from imuarray.bus.serial_bus import SerialBus
+from imuarray.bus.serial_link import LinkError, PollList, Request
+from imuarray.bus.serial_port import usual_port
+from imuarray.cli import main
+from imuarray.log import open_log
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
+from imuarray.log.preamble import header_of
+from imuarray.log.writer import LogWriter
+from tests.firmware.hosted import ADXL345, BURST, BadLine, HostBuild, NumberedBus, damage, reading
+from tests.selection import some
+
+CONFIG = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'
+RATE_HZ = 100.0
+
+
+@contextmanager
+def hosted(program: Path, folder: Path, *options: str) -> Iterator[tuple[HostBuild, NumberedBus]]:
+    bus = NumberedBus(open_bus({"clock": "real"}, parse_array(CONFIG)))
+    with HostBuild(program, bus, folder / "ttyACM0", *options) as host:
+        yield host, bus
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """These tests ask nothing of the clock fit."""
+    monkeypatch.setattr(serial_session, "PING_S", 0.0)
+
+
+def record(line: BadLine, path: Path, seconds: float) -> Summary:
+    """Log the array behind `line`, as the command does."""
+    with SerialBus(line, patience_s=3.0) as bus:
+        routes = connect(parse_array(CONFIG), bus)
+        assert streams(bus, routes)
+        headers = [header_of(route.sensor, route.driver.header()) for route in routes]
+        with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
+            recording = Streaming(routes, bus, log, RecordingOptions(RATE_HZ), bus.clock.now_ns())
+            recording.run(seconds, lambda: False)
+    return recording.summary
+
+
+def check_rows(path: Path, bus: NumberedBus) -> np.ndarray:
+    """Each row is one burst of the wire, in order and none twice; a gap is flagged. The numbers of the bursts (n,).
+
+    A busy machine makes the process late, which then reads nothing: flagged, and no gap on the wire. That nothing else
+    is flagged is tested on the emulator's clock (`test_streams`).
+    """
+    with open_log(path) as log:
+        time_ns, counts, status = log["A"].time[:], log["A"].counts[:], np.asarray(log["A"].status[:])
+    number_of = {tuple(reading(number).tolist()): number for number in range(len(bus.bursts))}
+    numbers = np.array([number_of[tuple(row)] for row in counts.tolist()])
+    steps = np.diff(numbers)
+    assert (steps > 0).all()
+    flagged = (status & LOST_BEFORE) != 0
+    assert flagged[1:][steps > 1].all()
+    wire_ns = np.array(bus.bursts)[numbers]
+    spacing = (time_ns - time_ns[0]) - (wire_ns - wire_ns[0])
+    assert np.median(np.abs(spacing)) < 5_000_000  # of 10 ms; a busy machine delays what we note, too
+    return numbers
+
+
+def test_a_transaction_through_the_process(host_program: Path, tmp_path: Path, hasty: None) -> None:
+    with (
+        hosted(host_program, tmp_path) as (host, _),
+        SerialBus(BadLine(host.path)) as bus,
+    ):
+        assert bus.transfer(ADXL345, b"\x00", 1) == b"\xe5"
+        with pytest.raises(OSError, match="address 0x1d") as refused:
+            bus.transfer(0x1D)
+        assert refused.value.errno == 121
+        assert bus.capacity == (1, 128, 4096)
+
+
+@pytest.mark.parametrize("seed", some(range(4), 1))
+def test_hostile_bytes_upset_nothing(host_program: Path, tmp_path: Path, hasty: None, seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    with hosted(host_program, tmp_path) as (host, _):
+        port: Any = usual_port(str(host.path), 115_200)
+        for _ in range(60):
+            head = [b"", b"\xa5\x5a", b"\xa5\x5a\xff\xff", b"\xa5\x5a\x00\x04", b"\xa5\x5a\x00\x00"]
+            port.write(head[int(draw.integers(5))] + draw.bytes(int(draw.integers(200))))
+            port.read(port.in_waiting)
+        port.close()
+        with SerialBus(BadLine(host.path)) as bus:
+            assert bus.transfer(ADXL345, b"\x00", 1) == b"\xe5"
+
+
+@pytest.mark.parametrize("seed", some(range(3), 1))
+def test_what_is_acknowledged_was_done_once(
+    host_program: Path, tmp_path: Path, hasty: None, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Commands and answers get lost, are spoiled, and come late, behind the question that was asked again."""
+    monkeypatch.setattr(serial_session, "ANSWER_S", 0.02)
+    draw = np.random.default_rng(seed)
+    worse = False
+
+    def late(piece: bytes) -> bytes:
+        if worse and draw.random() < 0.2:
+            time.sleep(0.03)
+        return spoiled_read(piece) if worse else piece
+
+    spoiled_read, spoiled_write = damage(seed, 0.2), damage(seed + 100, 0.2)
+    with hosted(host_program, tmp_path) as (host, wire):
+        line = BadLine(host.path, late, lambda piece: spoiled_write(piece) if worse else piece)
+        acknowledged = []
+        with SerialBus(line) as bus:
+            worse = True
+            for value in range(60):
+                try:
+                    bus.transfer(ADXL345, bytes([0x1E, value]))  # OFSX: any value is allowed
+                except LinkError:
+                    bus._lost = False  # asked no further: the line is as bad as before
+                except OSError:
+                    pass
+                else:
+                    acknowledged.append(value)
+            worse = False
+        done = [write[1] for address, write in wire.written if write[:1] == b"\x1e"]
+        assert len(acknowledged) > 30
+        assert set(acknowledged) <= set(done)
+        assert len(done) == len(set(done))
+        assert done == sorted(done)
+
+
+def test_what_nobody_takes_is_dropped_whole(host_program: Path, tmp_path: Path, hasty: None) -> None:
+    with hosted(host_program, tmp_path) as (host, wire), SerialBus(BadLine(host.path)) as bus:
+        bus.start([PollList(1, 0, (Request(ADXL345, BURST, 8), *[Request(ADXL345, b"\x00", 57)] * 12))], 5000)
+        until_s = time.monotonic() + 10
+        while len(wire.bursts) < 40 and time.monotonic() < until_s:
+            time.sleep(0.01)
+        received = [bus.receive() for _ in range(3)]
+        numbers = np.concatenate([samples[0].numbers for samples in received if samples])
+        assert bus.skipped == 0
+        assert (np.diff(numbers) > 0).all()
+        assert numbers[0] == 0
+
+
+@pytest.mark.slow
+def test_a_log_by_the_command(host_program: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(CONFIG)
+    run = tmp_path / "run.h5"
+    with hosted(host_program, tmp_path, "--counter-us", str((1 << 32) - 900_000)) as (host, bus):
+        words = ["log", str(tmp_path / "a.toml"), "--bus", f"serial:{host.path}", "-o", str(run)]
+        assert main([*words, "--seconds", "2", "--rate-hz", "100"]) == 0
+        assert len(check_rows(run, bus)) >= 180
+        with open_log(run) as log:
+            assert log.source == "serial"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bad_line_costs_readings_and_makes_none(host_program: Path, tmp_path: Path, seed: int) -> None:
+    with hosted(host_program, tmp_path) as (host, bus):
+        spoiled = damage(seed, 0.1)
+        # Its chips are set up and the stream runs, with a good deal of luck, on a line that loses a tenth: not tested.
+        line = BadLine(host.path, lambda piece: spoiled(piece) if len(bus.bursts) > 20 else piece)
+        summary = record(line, tmp_path / "r.h5", 4.0)
+        numbers = check_rows(tmp_path / "r.h5", bus)
+    assert len(numbers) + summary.lost["A"] == summary.frames
+    assert 5 < summary.lost["A"] < summary.frames / 2
+
+
+@pytest.mark.slow
+def test_it_is_unplugged_restarted_and_plugged_in_again(host_program: Path, tmp_path: Path) -> None:
+    """The process is killed in the middle of a stream, and another boot begins, counting from elsewhere."""
+    with hosted(host_program, tmp_path, "--counter-us", "5000000") as (host, bus):
+
+        def accident() -> None:
+            time.sleep(2.0)
+            host.kill()
+            time.sleep(0.5)
+            host.start()
+
+        thread = threading.Thread(target=accident)
+        thread.start()
+        summary = record(BadLine(host.path), tmp_path / "r.h5", 6.0)
+        thread.join()
+        numbers = check_rows(tmp_path / "r.h5", bus)
+    with open_log(tmp_path / "r.h5") as log:
+        status = np.asarray(log["A"].status[:])
+        kinds = {event.kind for event in log.events}
+    assert len(numbers) + summary.lost["A"] == pytest.approx(summary.frames, abs=2)
+    assert "link" in kinds
+    (again,) = np.flatnonzero(status & RECONFIGURED)
+    assert not (status[again:] & SUSPECT).any()
+    assert len(numbers) > 250
+
+
+def test_it_ends_with_whoever_serves_its_bus(host_program: Path) -> None:
+    ours, theirs = os.pipe()
+    os.close(theirs)
+    try:
+        ended = subprocess.run([host_program, "--bus", str(ours)], pass_fds=[ours], capture_output=True, timeout=20)
+    finally:
+        os.close(ours)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("words", [[], ["--bus"], ["--bus", "x"], ["--bus", "99999"]])
+def test_arguments_that_are_refused(host_program: Path, words: list[str]) -> None:
+    ended = subprocess.run([host_program, *words], capture_output=True, timeout=20)
+    assert ended.returncode == 2
+    assert len(ended.stderr.splitlines()) == 1
