@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar, get_args
-
-from pydantic import BaseModel, ValidationError
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from imuarray.errors import ConfigError
 from imuarray.spelling import closest, guess_file
 
-File = TypeVar("File", bound=BaseModel)
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+File = TypeVar("File", bound="BaseModel")
 
 _TOLD = 12
 """Maximum number of mistakes that are listed; a file with more is another kind of file."""
@@ -72,6 +73,8 @@ def parse_toml(text: str, model: type[File], where: str) -> File:
 
 
 def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
+    from pydantic import ValidationError  # its weight is for those who read such a file
+
     try:
         return model.model_validate(table)
     except ValidationError as error:
@@ -88,6 +91,8 @@ def complaints(error: ValidationError, table: Mapping[str, Any], model: type[Bas
 
 def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Any]:
     """The mistakes of a table, also those that are looked for only where no key is unknown."""
+    from pydantic import ValidationError  # its weight is for those who read such a file
+
     mistakes: list[Any] = list(error.errors())
     unknown = [mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"]
     if not unknown:
@@ -153,6 +158,8 @@ def _model_at(path: Sequence[int | str], model: type[BaseModel]) -> type[BaseMod
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
     """The models that an annotation names: `list[Model]`, `Model | None`, ..."""
+    from pydantic import BaseModel  # its weight is for those who read such a file
+
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models_in(part)]

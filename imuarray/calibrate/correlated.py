@@ -20,8 +20,6 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dpttrf, dpttrs
-from scipy.special import fdtrc
 
 from imuarray.arrays import Floats
 
@@ -66,6 +64,8 @@ def products(columns: Floats, gaps_s: Floats, noise: Noise) -> tuple[Floats, flo
 
     `gaps_s` (n - 1,) are the times between neighbours; an infinite one begins anew.
     """
+    from scipy.linalg.lapack import dpttrf, dpttrs  # their weight is for those who ask
+
     kept = np.exp(-gaps_s / noise.correlation_s)
     steps = columns.copy()
     steps[1:] -= kept[:, None] * columns[:-1]
@@ -140,6 +140,8 @@ class MeanVariance:
         """Probability that run means that differ by this noise alone have so large a variance or a larger one: the
         upper tail of F under each noise, by its share.
         """
+        from scipy.special import fdtrc  # its weight is for those who ask
+
         ratios = variance / np.maximum(self.values, 1e-300)
         return float(self.share @ fdtrc(freedom, self.own_freedom, ratios))
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.pose_readings import Pose, PoseReadings
@@ -96,6 +95,8 @@ def chance_of_misfit(with_it: float, without: float, number: int, freedom: float
     if freedom <= 0 or number <= 0:
         return 1.0
     ratio = max(with_it - without, 0.0) / number / max(without / freedom, 1e-300)
+    from scipy.special import fdtrc  # its weight is for those who ask
+
     return float(fdtrc(number, freedom, ratio))
 
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
@@ -103,6 +102,8 @@ def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
     """Return whether residuals are larger than noise makes them in one of a hundred cases, if the largest of `among` is
     tested.
     """
+    from scipy.special import chdtrc  # its weight is for those who ask
+
     return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among
 
 

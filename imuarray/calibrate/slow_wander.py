@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import dct
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.correlated import weights
@@ -55,6 +54,8 @@ class SlowFit:
 
 def cosines(columns: Floats) -> Floats:
     """Return the cosine transform (n - 1, ...) of columns (n, ...), without the constant."""
+    from scipy.fft import dct  # its weight is for those who ask
+
     return np.asarray(dct(columns, axis=0, norm="ortho")[1:])
 
 

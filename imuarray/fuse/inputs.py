@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.noise import with_noise_of
 from imuarray.calibrate.start_up import came_up
 from imuarray.errors import FusionError
 from imuarray.fuse.element_temperature import (
@@ -77,6 +76,8 @@ def prepare_inputs(
     lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]
     if lacking and (technique is None or technique in NEEDS_NOISE):
         which = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
+        from imuarray.calibrate.noise import with_noise_of  # its weight is for those who lack it
+
         remarks.append(f"no noise{which} in the calibration; measured where this log stands still")
         calibration = with_noise_of(log, calibration, lacking)
     mismatch = temperature_mismatch(log, sensors, calibration)

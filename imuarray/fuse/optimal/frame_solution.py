@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import erfcx
 
 from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, patterns
@@ -173,6 +172,8 @@ def truncated(distance: Floats) -> tuple[Floats, Floats]:
 
     Johnson, Kotz, Balakrishnan, "Continuous univariate distributions", volume 1, 1994, section 13.10.1.
     """
+    from scipy.special import erfcx  # its weight is for those who ask
+
     with np.errstate(over="ignore"):
         mean = np.sqrt(2 / np.pi) / erfcx(distance / np.sqrt(2))
     far = np.maximum(distance, _FAR)
