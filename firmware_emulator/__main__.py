@@ -15,6 +15,7 @@ from urllib.parse import parse_qsl
 import click
 
 from firmware_emulator.array import EmulatedBus, open_bus
+from firmware_emulator.microcontroller_bus import SELECTS, MicrocontrollerBus
 from firmware_emulator.serial_firmware import Firmware
 from firmware_emulator.serial_port import SerialPort
 from firmware_emulator.serve import DEFAULT_HOST, DEFAULT_PORT, UsbipServer
@@ -61,7 +62,7 @@ def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
 
 def serve_serial(array: ArrayConfig, bus: EmulatedBus) -> None:
     """Say where it is, and serve until interrupted."""
-    with SerialPort(Firmware(bus, bus.clock)) as port:
+    with SerialPort(Firmware(MicrocontrollerBus(bus), bus.clock, selects=SELECTS)) as port:
         click.echo(f"{array.name}: serial:{port.path}")
         port.serve_forever()
 

@@ -18,16 +18,23 @@ DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
 FAILED_AGES = {NOBODY: 0xFFFF, HELD: 0xFFFE}
 LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
+FIRST_SELECT = 0x80
+"""Address of chip select 0."""
 LISTS = 128
 REQUEST_BYTES = 1536
 """What fits into 2.5 KiB of memory beside everything else; the paper's microcontroller has no more."""
 
 
 class Transfers(Protocol):
-    """The I2C bus of the microcontroller."""
+    """The buses of the microcontroller, as `firmware_emulator.microcontroller_bus` has them."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """One transaction; OSError as the emulated wire gives it."""
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        """Set mode and clock of a chip select; ValueError for what no controller can do. Without SPI it is not
+        called.
+        """
 
 
 class Request(NamedTuple):
@@ -49,10 +56,13 @@ class PollList:
 
 class Firmware:
     """One microcontroller on `bus`. Its counter stands at `counter_us` as it starts and runs fast by `drift` (1e-4: by
-    100 parts in a million); `clock` is true time.
+    100 parts in a million); `clock` is true time. With `selects` chip selects it speaks of SPI, and otherwise as
+    firmware did before there was any.
     """
 
-    def __init__(self, bus: Transfers, clock: Clock, *, counter_us: int = 0, drift: float = 0.0) -> None:
+    def __init__(
+        self, bus: Transfers, clock: Clock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0
+    ) -> None:
         self.clock = clock
         self.bus = bus
         self.rate = 1 + drift
@@ -64,7 +74,10 @@ class Firmware:
         self._period_ns = 0.0
         self._begun_ns = 0
         self._number = 0
+        self._selects = selects
         self._commands = {1: self._hello, 2: self._transfer, 3: self._list, 4: self._start, 5: self._stop}
+        if selects:
+            self._commands[8] = self._select
 
     def time_us(self) -> int:
         """The counter, which has no end here."""
@@ -130,13 +143,14 @@ class Firmware:
 
     def _hello(self, payload: bytes) -> bytes:
         self._stop(b"")
-        return struct.pack("<BBH", VERSION, LISTS, REQUEST_BYTES)
+        further = struct.pack("<BBI", 0, self._selects, 0) if self._selects else b""
+        return struct.pack("<BBH", VERSION, LISTS, REQUEST_BYTES) + further
 
     def _transfer(self, payload: bytes) -> bytes:
         if len(payload) < 3:
             return bytes([REFUSED])
         address, read = struct.unpack_from("<BH", payload)
-        if read + 1 > LONGEST:
+        if read + 1 > LONGEST or address >= FIRST_SELECT + self._selects:
             return bytes([REFUSED])
         result, data = self._transaction(address, payload[3:], read)
         return bytes([result]) + (data if result == DONE else b"")
@@ -145,7 +159,7 @@ class Firmware:
         if len(payload) < 5:
             return bytes([REFUSED])
         number, every, offset = struct.unpack_from("<BHH", payload)
-        asked = requests_in(payload[5:])
+        asked = requests_in(payload[5:], self._selects)
         others = [request for name, other in self._lists.items() if name != number for request in other.requests]
         if asked is None or not offset < every or number >= LISTS or size_of(others + asked) > REQUEST_BYTES:
             return bytes([REFUSED])
@@ -161,17 +175,28 @@ class Firmware:
         self._begun_ns, self._number = self.clock.now_ns(), 0
         return bytes([DONE])
 
+    def _select(self, payload: bytes) -> bytes:
+        if len(payload) != 6 or payload[0] >= self._selects:
+            return bytes([REFUSED])
+        try:
+            self.bus.set_select(*struct.unpack("<BBI", payload))
+        except ValueError:
+            return bytes([REFUSED])
+        return bytes([DONE])
+
     def _stop(self, payload: bytes) -> bytes:
         self._lists.clear()
         self._period_ns = 0.0
         return bytes([DONE])
 
 
-def requests_in(body: bytes) -> list[Request] | None:
-    """The requests of a LIST; None if they don't fill it exactly or no bus can carry them."""
+def requests_in(body: bytes, selects: int) -> list[Request] | None:
+    """The requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI with so
+    many chip selects.
+    """
     requests = []
     while body:
-        if len(body) < 3 or len(body) < 3 + body[1] or body[0] > 0x7F:
+        if len(body) < 3 or len(body) < 3 + body[1] or body[0] >= FIRST_SELECT + selects:
             return None
         requests.append(Request(body[0], body[3 : 3 + body[1]], body[2]))
         body = body[3 + body[1] :]

@@ -23,14 +23,17 @@ from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.arrays import Integers
 from imuarray.bus.protocol import MuxChannel
-from imuarray.bus.serial_bus import Samples
+from imuarray.bus.serial_bus import Samples, SerialSpiPort
 from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, PollList, Request
+from imuarray.bus.spi import SpiChip
 from imuarray.drivers import OnDemandDriver
 from imuarray.drivers.unattended import Visit, visits_of
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
 
 SWEEP_S = 0.84
+MAX_TURNS = 64
+"""Read-backs share lists where there are more of them: firmware has room for 128 lists."""
 _SLACK = 1.1
 """By how much a chip's own clock may be fast without its readings getting lost between ours."""
 _SLACK_NS = 500_000
@@ -86,13 +89,14 @@ class _Lists:
         self._numbers: dict[tuple[int, int], int] = {}
         self._sizes: dict[tuple[int, int], int] = {}
         self._selected: dict[tuple[int, int], tuple[int, int, int]] = {}
+        self._newest: dict[tuple[int, int], tuple[Request, int]] = {}
 
     def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> Place:
         """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
         key = every, offset
         number = self._numbers.setdefault(key, len(self._numbers))
         ages = [self._select(key, route)] if isinstance(route.driver.registers.bus, MuxChannel) else []
-        own = [self._ask(key, request) for request in visit.requests]
+        own = [self._ask(key, _on_the_bus(route, request)) for request in visit.requests]
         first = own[0] + 2
         stop = first + visit.requests[0].read
         return Place(
@@ -112,15 +116,29 @@ class _Lists:
         return age
 
     def _ask(self, key: tuple[int, int], request: Request) -> int:
-        """Position of the age of this request."""
+        """Position of the age of this request. The two halves of a six-axis chip, one after the other, want the same
+        bytes: they are read once.
+        """
+        newest, position = self._newest.get(key, (None, 0))
+        if newest == request and request.read:
+            return position
         position = self._sizes.get(key, 0)
         self._asked.setdefault(key, []).append(request)
         self._sizes[key] = position + 2 + request.read
+        self._newest[key] = request, position
         return position
 
     def finished(self) -> tuple[PollList, ...]:
         """All of them, by number."""
         return tuple(PollList(*key, tuple(self._asked[key])) for key in self._numbers)
+
+
+def _on_the_bus(route: SensorRoute, request: Request) -> Request:
+    """Return a request as the microcontroller carries it out: on SPI its address is the chip select."""
+    bus = route.driver.registers.bus
+    if not isinstance(bus, SpiChip) or not isinstance(bus.port, SerialSpiPort):
+        return request
+    return Request(bus.port.address, bus.message(request.write, request.read), request.read)
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
@@ -139,13 +157,21 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
         )
     wanted = [(route, setting) for route in ordered for setting in route.driver.watched]
     sweep = max(1, math.floor(SWEEP_S / 2 * period_rate_hz))
+    turns = min(sweep, len(wanted), MAX_TURNS)
     watched = tuple(
         ReadbackPlace(
-            route, setting, lists.visit(route, _read_back(route, setting), sweep, index * sweep // len(wanted))
+            route,
+            setting,
+            lists.visit(route, _read_back(route, setting), sweep, _turn(index, len(wanted), turns, sweep)),
         )
         for index, (route, setting) in enumerate(wanted)
     )
     return Plan(split, lists.finished(), tuple(places[id(route)] for route in routes), watched)
+
+
+def _turn(index: int, count: int, turns: int, sweep: int) -> int:
+    """Return the frame of a sweep in which read-back `index` of `count` has its turn, one of `turns`."""
+    return (index * turns // count) * sweep // turns
 
 
 def _read_back(route: SensorRoute, setting: Setting) -> Visit:

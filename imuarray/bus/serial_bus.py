@@ -28,6 +28,8 @@ from imuarray.bus.serial_session import PATIENCE_S, Data, Session
 from imuarray.clock import Clock, MonotonicClock, sleep_for
 from imuarray.errors import BusUrlError
 
+SPI_CONTROLLER = "/dev/spidev0"
+"""What a configuration calls the controller of the microcontroller, as on a computer with one."""
 NAP_S = 0.02
 """Between two pieces of a stream: what comes in the meantime is read at once."""
 SEARCH_NS = 1_000_000_000
@@ -64,6 +66,7 @@ class SerialBus:
         self._behind = False
         self._lost = False
         self._search_ns = 0
+        self._selects: dict[int, tuple[int, int]] = {}
 
     @property
     def fit(self) -> ClockFit:
@@ -96,14 +99,24 @@ class SerialBus:
         After that it is looked for, at most every `SEARCH_NS`, and until it is there OSError has ENODEV.
         """
         payload = link.transfer_payload(address, write, read)
+        return self._transact(link.TRANSFER, payload, read, f"address {address:#04x} over the link")
+
+    def exchange(self, select: int, write: bytes, read: int) -> bytes:
+        """One transaction on a chip select of SPI: bytes out, then zeros while `read` bytes come in; errors as of
+        `transfer`.
+        """
+        payload = link.exchange_payload(select, write, read)
+        return self._transact(link.TRANSFER, payload, read, f"chip select {select} over the link")
+
+    def _transact(self, kind: int, payload: bytes, read: int, what: str) -> bytes:
         if self._lost:
             self._find_again()
         try:
-            answer = self._session.ask(link.TRANSFER, payload)
+            answer = self._session.ask(kind, payload)
         except LinkError:
             self._lost, self._search_ns = True, self.clock.now_ns() + SEARCH_NS
             raise
-        return link.outcome_of(answer.payload, read, f"address {address:#04x} over the link")
+        return link.outcome_of(answer.payload, read, what)
 
     def _find_again(self) -> None:
         """Open the port anew; OSError with ENODEV if nobody who speaks the link is there."""
@@ -121,8 +134,19 @@ class SerialBus:
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """Raise an error: OSError, as for a device file that isn't there."""
-        raise FileNotFoundError(errno.ENOENT, "a microcontroller has no chip selects of the kernel", path)
+        """The chip select N of the microcontroller, for /dev/spidev0.N; OSError if there is none or it refuses."""
+        prefix, _, number = path.rpartition(".")
+        if prefix != SPI_CONTROLLER or not number.isdecimal() or int(number) >= self.capacity.selects:
+            raise FileNotFoundError(
+                errno.ENOENT, f"this microcontroller has {self.capacity.selects} chip selects, {SPI_CONTROLLER}.N", path
+            )
+        self._set_select(int(number), mode, clock_hz)
+        self._selects[int(number)] = mode, clock_hz
+        return SerialSpiPort(self, int(number))
+
+    def _set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        payload = link.select_payload(select, mode, clock_hz)
+        self._transact(link.SELECT, payload, 0, f"chip select {select} in mode {mode} at {clock_hz} Hz")
 
     def start(self, lists: Sequence[PollList], period_us: int) -> None:
         """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room."""
@@ -165,6 +189,8 @@ class SerialBus:
         self._period_us = 0
         self._session.reconnect(patience_s)
         self._lost = False
+        for select, (mode, clock_hz) in self._selects.items():
+            self._do(link.SELECT, link.select_payload(select, mode, clock_hz), f"chip select {select}")
 
     def _do(self, kind: int, payload: bytes, what: str) -> None:
         link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
@@ -192,6 +218,22 @@ class SerialBus:
             if self.streaming:
                 self.stop()
         self._session.port.close()
+
+
+class SerialSpiPort:
+    """A chip select of the microcontroller, as a `SpiPort`; `address` is its address in the lists of the link."""
+
+    def __init__(self, bus: SerialBus, select: int) -> None:
+        self.address = link.FIRST_SELECT + select
+        self._bus = bus
+        self._select = select
+
+    def exchange(self, sent: bytes) -> bytes:
+        """See `SpiPort.exchange`. What comes back before the zeros at the end of `sent`, and before its second byte, is
+        not carried by the link and reads FF: no chip of an array says anything while it is told what is meant.
+        """
+        told = max(1, len(sent.rstrip(b"\0")))
+        return b"\xff" * told + self._bus.exchange(self._select, sent[:told], len(sent) - told)
 
 
 def open_serial(rest: str) -> SerialBus:

@@ -70,6 +70,10 @@ VERSION = 1
 SYNC = b"\xa5\x5a"
 MAX_PAYLOAD = 1024
 HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
+RESEND, STATUS, SELECT = 0x06, 0x07, 0x08
+CAN_RESEND, CAN_STATUS = 0x01, 0x02
+FIRST_SELECT = 0x80
+"""Address of chip select 0 of SPI."""
 ANSWER = 0x80
 DATA = 0xD0
 DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
@@ -83,6 +87,8 @@ _CRC = struct.Struct("<I")
 OVERHEAD = _BODY + _CRC.size
 """Bytes of a frame that are not payload."""
 _HELLO = struct.Struct("<BBH")
+_FEATURES = struct.Struct("<BBI")
+_SELECT = struct.Struct("<BBI")
 _LIST = struct.Struct("<BHH")
 _TRANSFER = struct.Struct("<BH")
 
@@ -107,11 +113,16 @@ class Frame(NamedTuple):
 
 
 class Capacity(NamedTuple):
-    """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that fit."""
+    """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that fit; then what
+    older firmware does not tell: CAN_RESEND and CAN_STATUS, chip selects of SPI, bytes of DATA that are kept.
+    """
 
     version: int
     lists: int
     request_bytes: int
+    features: int = 0
+    selects: int = 0
+    kept_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -184,11 +195,27 @@ def transfer_payload(address: int, write: bytes, read: int) -> bytes:
     """Payload of TRANSFER; ValueError for what no adapter can send or no frame can carry."""
     if not 0 <= address <= 0x7F or read < 0:
         raise ValueError(f"transfer({address:#x}, read={read}): allowed are addresses of 7 bits and counts from 0")
+    return _transfer_payload(address, write, read)
+
+
+def exchange_payload(select: int, write: bytes, read: int) -> bytes:
+    """Payload of TRANSFER on SPI: bytes out, then zeros while `read` bytes come in; ValueError for what no frame can
+    carry.
+    """
+    return _transfer_payload(FIRST_SELECT + select, write, read)
+
+
+def _transfer_payload(address: int, write: bytes, read: int) -> bytes:
     if max(len(write) + _TRANSFER.size, read + 1) > MAX_PAYLOAD:
         raise ValueError(
             f"address {address:#04x}: {max(len(write), read)} bytes; a frame of the link holds {MAX_PAYLOAD}"
         )
     return _TRANSFER.pack(address, read) + write
+
+
+def select_payload(select: int, mode: int, clock_hz: int) -> bytes:
+    """Payload of SELECT."""
+    return _SELECT.pack(select, mode, clock_hz)
 
 
 def list_payload(number: int, asked: PollList) -> bytes:
@@ -215,7 +242,8 @@ def capacity_of(payload: bytes) -> Capacity:
     """Decode the answer to HELLO; LinkError for a payload that can't be one."""
     if len(payload) < _HELLO.size:
         raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are required")
-    return Capacity(*_HELLO.unpack_from(payload))
+    further = _FEATURES.unpack_from(payload, _HELLO.size) if len(payload) >= _HELLO.size + _FEATURES.size else ()
+    return Capacity(*_HELLO.unpack_from(payload), *further)
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:

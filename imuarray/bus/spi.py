@@ -48,17 +48,20 @@ class SpiChip:
         """Write a register's address and bytes for it, or read bytes from it on. With neither a register is read and
         forgotten: there is no acknowledge, only the controller can fail.
         """
-        if read and len(write) != 1:
-            raise ValueError("SPI: a read begins with the address of one register")
-        if not write:
+        if not read and not write:
             self.port.exchange(bytes([READ, 0]))
             return b""
+        message = self.message(write, read)
+        answer = self.port.exchange(message + bytes(read))
+        return answer[len(message) :]
+
+    def message(self, write: bytes, read: int) -> bytes:
+        """Return what is sent for this transfer before `read` bytes come back; ValueError as of `transfer`."""
+        if len(write) != 1 if read else not write:
+            raise ValueError("SPI: a read begins with the address of one register")
         several = read > 1 or len(write) > 2  # an address and one byte
         first = write[0] & self._rules.address_bits | (self._rules.count_on if several else 0)
-        if not read:
-            self.port.exchange(bytes([first]) + write[1:])
-            return b""
-        return self.port.exchange(bytes([first | READ]) + bytes(read))[1:]
+        return bytes([first | READ if read else first]) + write[1:]
 
 
 class SpiTransfer(ctypes.Structure):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from firmware_emulator.array import EmulatedBus
+from firmware_emulator.microcontroller_bus import MicrocontrollerBus
 from firmware_emulator.serial_firmware import Firmware
 from imuarray.array import ArrayConfig
 from imuarray.bus import open_bus
@@ -36,6 +37,8 @@ class Bench:
             raise TypeError(url)
         self.emulated = emulated
         self.clock: Any = self.emulated.clock
+        self.buses = MicrocontrollerBus(self.emulated)
+        self.set_select = self.buses.set_select
         self.taps: list[Tapped] = []
         self.fails: Callable[[int, bytes], bool] = lambda address, write: False
         self.answered: Callable[[int, bytes, bytes], bytes] = lambda address, write, answer: answer
@@ -73,7 +76,7 @@ class Bench:
             if self.fails(address, write):
                 self.clock.advance(30_000)
                 raise OSError(121, "nobody")
-            answer = self.answered(address, write, self.emulated.transfer(address, write, read))
+            answer = self.answered(address, write, self.buses.transfer(address, write, read))
         finally:
             self.taps.append(Tapped(begun_ns, address, write, answer))
         return answer

@@ -180,6 +180,7 @@ def test_what_no_frame_can_carry_is_refused() -> None:
 
 
 def test_the_answer_to_hello() -> None:
-    assert link.capacity_of(struct.pack("<BBH", 1, 128, 1536)) == (1, 128, 1536)
+    assert link.capacity_of(struct.pack("<BBH", 1, 128, 1536)) == (1, 128, 1536, 0, 0, 0)
+    assert link.capacity_of(struct.pack("<BBHBBI", 1, 128, 1536, 3, 8, 65536)) == (1, 128, 1536, 3, 8, 65536)
     with pytest.raises(LinkError, match="has 3 bytes"):
         link.capacity_of(b"\x01\x02\x03")

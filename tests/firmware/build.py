@@ -176,12 +176,12 @@ class CoreReceiver:
 class CoreFirmware:
     """The core in the place of `firmware_emulator.serial_firmware.Firmware`: the same arguments, methods and clock.
 
-    `bus` may have `set_select`. An error of another kind that the bus raises is raised by the call that led to it.
+    An error of another kind that the bus raises is raised by the call that led to it.
     """
 
     core: Core
 
-    def __init__(self, bus: Any, clock: Clock, *, counter_us: int = 0, drift: float = 0.0) -> None:
+    def __init__(self, bus: Any, clock: Clock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0) -> None:
         self.clock, self.bus, self.rate = clock, bus, 1 + drift
         self._counter_us, self._started_ns = counter_us, clock.now_ns()
         self._functions = self.core.functions
@@ -197,7 +197,7 @@ class CoreFirmware:
             SET(self._set),
             SEND(self._send),
             FEED(lambda context: None),
-            8 if hasattr(bus, "set_select") else 0,
+            selects,
             False,
         )
         self._self = ctypes.create_string_buffer(self._functions.probe_size())

@@ -253,7 +253,7 @@ class Selects:
 def test_spi(core_firmware: type[CoreFirmware]) -> None:
     clock = VirtualClock(0)
     selects = Selects(clock)
-    firmware: Any = core_firmware(selects, clock)
+    firmware: Any = core_firmware(selects, clock, selects=8)
     assert ask(firmware, 1)[5] == 8
     assert ask(firmware, SELECT, struct.pack("<BBI", 3, 3, 10_000_000), 2) == b"\x00"
     assert ask(firmware, SELECT, struct.pack("<BBI", 3, 0, 25_000_000), 3) == b"\x03"

@@ -91,7 +91,7 @@ def test_a_transaction_through_the_process(host_program: Path, tmp_path: Path, h
         with pytest.raises(OSError, match="address 0x1d") as refused:
             bus.transfer(0x1D)
         assert refused.value.errno == 121
-        assert bus.capacity == (1, 128, 4096)
+        assert bus.capacity == (1, 128, 4096, 3, 8, 32768)
 
 
 @pytest.mark.parametrize("seed", some(range(4), 1))

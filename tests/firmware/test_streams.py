@@ -18,6 +18,11 @@ from tests.acquire.test_stream import (
     test_the_papers_array_is_logged_as_it_went_over_the_wire,
     test_the_port_is_pulled_out_and_put_back,
 )
+from tests.acquire.test_stream_spi import (
+    test_after_a_reset_the_chip_selects_are_set_again,
+    test_eight_chips_at_1_khz,
+    test_two_chips_are_logged_as_they_went_over_the_wires,
+)
 from tests.bus import serial_bench
 from tests.firmware.build import CoreFirmware
 
@@ -25,11 +30,14 @@ __all__ = [
     "an_array",
     "test_a_bad_line_costs_readings_and_never_makes_any",
     "test_a_sensor_that_is_unplugged_for_a_while",
+    "test_after_a_reset_the_chip_selects_are_set_again",
+    "test_eight_chips_at_1_khz",
     "test_pulled_out_for_good_it_still_ends",
     "test_stopped_while_it_is_pulled_out_what_it_missed_is_counted",
     "test_the_microcontroller_is_reset",
     "test_the_papers_array_is_logged_as_it_went_over_the_wire",
     "test_the_port_is_pulled_out_and_put_back",
+    "test_two_chips_are_logged_as_they_went_over_the_wires",
 ]
 
 
