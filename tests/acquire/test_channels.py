@@ -6,11 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
 from imuarray.acquire.bus_segment import channel_of
 from imuarray.acquire.sensor_routes import routes_of, there_and_back
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.log import open_log
+from imuarray.log.format import LOST_BEFORE
 
 
 @pytest.fixture
@@ -104,3 +109,24 @@ def test_route_alone_changes_nothing(an_array: Callable[..., Any], tapped: Calla
     bus = tapped(array)
     routes_of(array, bus)
     assert bus.calls == []
+
+
+def test_queues_that_were_drained_in_anothers_place_are_lost_and_no_others(tmp_path: Path) -> None:
+    """For 0.2 s the other channel is connected: what was in the queues of both gyroscopes at 0x68 is lost
+    or another's. The queue of the accelerometer on the trunk was read as ever.
+    """
+    gyroscope = 'chip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=100\nbandwidth_hz=12.5\nfifo=true\n'
+    array = parse_array(
+        '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'
+        f'[[sensor]]\nname="G"\nchannel=0\n{gyroscope}[[sensor]]\nname="H"\nchannel=1\n{gyroscope}'
+        '[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=100\nfifo=true\n'
+    )
+    (tmp_path / "f.toml").write_text('[[fault]]\nkind="wrong_channel"\nat_s=3.0\nfor_s=0.2\n')
+    with open_bus(f"emulated:?faults={tmp_path / 'f.toml'}", array) as bus:
+        record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=6)
+    with open_log(tmp_path / "r.h5") as log:
+        begun_s = min(event.time_ns for event in log.events if event.kind == "channel") * 1e-9
+        lost = {name: log[name].time[:][(np.asarray(log[name].status) & LOST_BEFORE) != 0] * 1e-9 for name in "GHA"}
+    assert not len(lost["A"])
+    for name in "GH":
+        assert len(lost[name]) and ((lost[name] > begun_s - 0.1) & (lost[name] < begun_s + 0.4)).all()

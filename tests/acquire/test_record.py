@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
+from imuarray.acquire.poll import Poll
 from imuarray.acquire.sensor_routes import routes_of, there_and_back
 from imuarray.acquire.service import Service
 from imuarray.array import load_array, parse_array
@@ -310,6 +311,27 @@ def test_late_frames_are_counted_and_not_skipped(
     assert done.frames + done.missed == pytest.approx(100, abs=2)
     for name in "ABG":
         assert len(logged(tmp_path / "r.h5", name)[0]) == done.frames
+
+
+@pytest.mark.parametrize(("longer_ns", "late"), [(0, 0), (1, 10)])
+def test_a_frame_that_ends_when_the_next_one_is_due_is_not_late(
+    an_array: Callable[..., Any],
+    tapped: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    longer_ns: int,
+    late: int,
+) -> None:
+    """Ten frames that take exactly their 10 ms, and ten that take a nanosecond more."""
+
+    def frame(poll: Poll) -> None:
+        poll.clock.sleep_until(poll.clock.now_ns() + 10 * MS + longer_ns)
+        poll.summary.frames += 1
+
+    monkeypatch.setattr(Poll, "frame", frame)
+    array = an_array(A=0)
+    done = record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=0.1)
+    assert (done.frames, done.late, done.missed) == (10, late, 0)
 
 
 def test_stopped(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:

@@ -121,6 +121,28 @@ def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night
         assert not np.asarray(log["A"].status).any()
 
 
+@pytest.mark.parametrize(
+    ("frames", "messages"),
+    [
+        (198, ["the same reading until the end"]),
+        (201, ["the same reading for 1.10 s", "still so when the log ended, after 0.0 s"]),
+    ],
+)
+def test_what_stands_still_at_the_end_is_reported_once(
+    bad_night: Callable[..., Any], frames: int, messages: list[str]
+) -> None:
+    """A reading that stands still for a second, 50 rows, is frozen; a look for it every ten frames. Of the first log
+    54 rows stand still, of which the last look saw 46; of the second the last look saw 56, and the sensor is set up.
+    """
+    done, log = bad_night('[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n', frames / 50, A=0, B=0)
+    with log:
+        assert done.frames == frames
+        assert [(event.sensor, event.message) for event in log.events] == [("B", message) for message in messages]
+        status = np.asarray(log["B"].status)
+        np.testing.assert_array_equal(np.flatnonzero(status & SUSPECT), np.arange(144, min(frames, 200)))
+        assert not np.asarray(log["A"].status).any()
+
+
 def test_at_the_end_nothing_unseen_is_called_good(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ HMC-31, BMP-47), and timed by the emulated clock.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,21 @@ def test_pulled_out_for_good_it_still_ends(an_array: Callable[..., ArrayConfig],
     assert 195 <= len(time) <= 205
     assert status[-1] & SUSPECT  # nobody could vouch for the last rows
     assert not status[0] & SUSPECT
+
+
+def test_pulled_out_after_its_last_frame_nothing_is_lost(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stream can't be stopped any more, but all 400 frames are there."""
+
+    def stop(bus: SerialBus) -> None:
+        raise OSError(errno.EIO, "the port is gone")
+
+    monkeypatch.setattr(SerialBus, "stop", stop)
+    array = an_array(A=0)
+    summary, _ = stream(Bench(array), array, tmp_path / "r.h5", seconds=4)
+    assert (summary.frames, summary.lost["A"]) == (400, 0)
+    assert len(logged(tmp_path / "r.h5", "A")[0]) == 400
 
 
 def test_stopped_while_it_is_pulled_out_what_it_missed_is_counted(
