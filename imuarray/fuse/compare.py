@@ -78,28 +78,23 @@ def technique_names() -> tuple[str, ...]:
     return NAMES
 
 
-# The options of `compare` are independent of one another, keyword-only and the interface of the package.
-def compare(  # noqa: PLR0913
+def compare(
     log: Log,
     calibration: Calibration,
     techniques: Sequence[str] = (),
     *,
     only: Collection[str] = (),
-    heard: Callable[[str], None] = lambda technique: None,
     progress: Progress = lambda share: None,
     executor: Executor | None = None,
 ) -> Comparison:
-    """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
+    """Fuse `log` by `techniques` (all of them, if none is named) and compare their errors, with `only` these sensors if
+    any are named.
 
-    `heard` is told which one begins, `progress` what share of the work is done. Processes of the `executor` make the
-    frames of estimators of the whole array beside this one; the result is the same. FusionError without a truth, or
-    with too few frames.
+    `progress` is called with the share of the work that is done. Processes of the `executor` fuse by estimators of the
+    whole array beside this one; the result is the same. FusionError without a truth, or with too few frames.
     """
-
     wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
     each_alone = [technique for technique in wanted if technique in TECHNIQUES]
-    for technique in each_alone:
-        heard(technique)
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
     scores, coasts = [], {}
     with ErrorFramesOnDisk(log) as errors, ExitStack() as stack:
@@ -113,7 +108,6 @@ def compare(  # noqa: PLR0913
         average = {quantity: (frames.time, frames.errors) for quantity, frames in errors.of(AVERAGE).items()}
         for technique in techniques or technique_names():
             if technique not in errors:
-                heard(technique)
                 if technique in processes:
                     errors.take(technique, processes[technique].files(parts.next()))
                 else:
