@@ -51,6 +51,29 @@ converters in turn for a line at half the rate, which it is.
 
 
 @pytest.mark.slow
+def test_a_glance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One case, ripple of the mains at rest, twenty times its limit: it is found and named. Its files are there, and
+    the same command again runs nothing. A reduced run, which is a campaign, has nine cases.
+    """
+    words = ["gap", "validate", "-o", str(tmp_path), "--size", "glance", "--json"]
+    code = main(words)
+    printed = json.loads(capsys.readouterr().out)
+    score = score_folder(tmp_path, planned=cases("development", SIZES["glance"]))
+    assert code == (1 if any(row.is_refuted for row in score.failed) else 0)
+    assert printed["cases"] == score.cases == 1
+    assert (tmp_path / "results.md").read_text().startswith("## Results of ")
+    assert "<html" in (tmp_path / "results.html").read_text()
+    (path,) = (tmp_path / "outcomes").iterdir()
+    (sealed,) = (tmp_path / "sealed").iterdir()
+    written_ns = path.stat().st_mtime_ns
+    assert main(words) == code
+    assert path.stat().st_mtime_ns == written_ns
+    diagnosis = json.loads(path.read_text())["diagnosis"]
+    assert diagnosis["verdict"] != "no gap"
+    assert diagnosis["causes"][0]["effect"] in json.loads(sealed.read_text())["case"]["resembles"][0]
+
+
+@pytest.mark.campaign
 def test_a_reduced_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nine cases: nothing wrong in five plans, three mechanisms far beyond their limits and one without a name.
 
