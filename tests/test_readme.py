@@ -1,7 +1,8 @@
 """README.md and the pages in docs/ keep their word: every command block runs, and every name in them exists.
 
-Of the code blocks, `sh` is run in order, `sh slow` line by line, `sh setup` installs packages, `sh hardware` needs a
-bus: its commands are parsed. Pages of docs/ continue from the files of docs/tutorials/first_steps.md, each in a copy.
+Of the code blocks, `sh` is run in order, `sh slow` line by line by the campaigns, `sh setup` installs packages, `sh
+hardware` needs a bus. Pages of docs/ continue from the files of docs/tutorials/first_steps.md, each in a copy. The
+options of all commands are parsed.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ def test_the_commands_of_a_page(page: Path, walked: Path, tmp_path: Path, monkey
         assert {(sensor.channel, sensor.address): sensor.axes for sensor in proposed.sensors} == axes
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("line", SLOW)
 def test_what_takes_longer(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(with_sources(tmp_path))
@@ -163,9 +164,11 @@ def test_every_block_is_of_a_kind_that_is_tested() -> None:
         assert set(marks) <= KINDS, page
 
 
-@pytest.mark.parametrize("line", [line for page in PAGES for line in (*lines(page, "sh hardware"), *lines(page, "sh"))])
+@pytest.mark.parametrize(
+    "line", [line for page in PAGES for kind in ("sh hardware", "sh slow", "sh") for line in lines(page, kind)]
+)
 def test_options_exist(line: str) -> None:
-    """Of commands that need hardware too: they are parsed and not run."""
+    """Of commands that need hardware or much time too: they are parsed and not run."""
     words = shlex.split(line)
     if words[0] != "imuarray":
         assert words[0] in ("python", "python3", "sudo", "echo"), line

@@ -1,4 +1,6 @@
-"""Each fault a thousand times: every one is flagged and told, no bad reading is stored as good, the others go on."""
+"""Each fault many times (a thousand by the campaigns): every one is flagged and reported, no bad reading is stored as
+good, the other sensors go on.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,11 @@ from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPE
 sys.path.insert(0, str(Path(__file__).parent))
 from night import Memory, Night, array_of, night
 
-TIMES = [pytest.param(20, id="20"), pytest.param(1000, id="1000", marks=pytest.mark.slow)]
+TIMES = [
+    pytest.param(20, id="20"),
+    pytest.param(100, id="100", marks=pytest.mark.slow),
+    pytest.param(1000, id="1000", marks=pytest.mark.campaign),
+]
 SECOND = 1_000_000_000
 FIRST_S = 8.0
 
