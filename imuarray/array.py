@@ -116,7 +116,7 @@ class SensorConfig(BaseModel):
             raise ValueError(f"chip {self.chip!r}: allowed are {', '.join((*CHIPS, *HALVES))}")
 
     def _check_address(self) -> None:
-        if (spec := CHIPS.get(self.chip)) is not None and not self.on_spi and not self.on_iio:
+        if (spec := CHIPS.get(self.chip)) is not None and self.on_i2c:
             _one_of("address", self.address or None, spec.addresses, "#x")
 
     def _check_spi(self) -> None:
@@ -220,6 +220,11 @@ class SensorConfig(BaseModel):
     def on_spi(self) -> bool:
         """True if its bus is a chip select of an SPI controller."""
         return self.bus is not None and self.bus.startswith(SPI_DEVICE)
+
+    @property
+    def on_i2c(self) -> bool:
+        """True if it is spoken to over I2C."""
+        return not self.on_spi and not self.on_iio
 
     @property
     def on_iio(self) -> bool:

@@ -8,14 +8,16 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from imuarray.acquire.sensor_routes import SensorRoute, routes_of
 from imuarray.array import ArrayConfig
+from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.chips import CHIPS, die_of
 from imuarray.drivers import SelfTest
+from imuarray.drivers.iio import rates_of
 from imuarray.errors import SensorError
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Register
@@ -61,6 +63,8 @@ class Detection:
     """The self-test could not say whether the chip is good."""
     owner: str = ""
     """Which driver of the kernel has the address, if one has; it was not asked then."""
+    rates_hz: Mapping[str, float] = field(default_factory=dict)
+    """Of a device that the kernel serves: the data rate of each triad, by quantity."""
 
 
 _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: "FAILED", None: "undetermined"})
@@ -155,13 +159,26 @@ def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
 def explore(bus: OpenBus) -> list[Detection]:
     """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet.
 
-    An address that a driver of the kernel has is not asked; a line says whose it is.
+    An address that a driver of the kernel has is not asked; a line says whose it is. Of the bus ``iio:``, every device
+    that the kernel serves.
     """
+    if isinstance(bus, IioBus):
+        return [_served(device) for device in bus.devices()]
     owned = _owned(bus)
     taken = {line.address for line in owned if line.address is not None}
     mux = _find_mux(bus, taken)
     detections = [] if mux is None else [Detection(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
     return [*detections, *owned, *_strangers(mux, {(None, address) for address in taken}, bus)]
+
+
+def _served(device: IioDevice) -> Detection:
+    """Which triads a device of the kernel has, and how it can be read."""
+    try:
+        captured = "captured or read" if device.elements() else "read"
+        rates_hz = rates_of(device)
+    except (SensorError, OSError) as error:
+        return Detection(str(device), "", "", str(error), True)
+    return Detection(str(device), "", "", f"{captured}: {', '.join(rates_hz) or 'no triad'}", True, rates_hz=rates_hz)
 
 
 def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from imuarray.array import SPI_DEVICE, ArrayConfig, SensorConfig
+from imuarray.array import IIO, SPI_DEVICE, ArrayConfig, SensorConfig
+from imuarray.bus.iio import IioDevice, devices
 from imuarray.drivers import DRIVERS
-from imuarray.errors import ImuArrayError
+from imuarray.errors import ImuArrayError, SensorError
 from imuarray.facts import bmp180
 from imuarray.log.disk_space import RESERVE, WATERMARK
 from imuarray.log.journal import is_running
@@ -93,7 +94,8 @@ def permission(machine: Machine, device: str) -> Check:
         return Check("permission", True, state)
     if about.st_mode & 0o060 == 0o060 and about.st_gid:
         return Check("permission", False, state, f"sudo adduser $USER {group}, then log in again")
-    group, files = ("spi", "spidev*") if device.startswith(SPI_DEVICE) else ("i2c", "i2c-[0-9]*")
+    kinds = {SPI_DEVICE: ("spi", "spidev*"), "/dev/iio:": ("iio", "iio:device*")}
+    group, files = next((kind for start, kind in kinds.items() if device.startswith(start)), ("i2c", "i2c-[0-9]*"))
     advice = f'sudo groupadd --system {group}; a udev rule: KERNEL=="{files}", GROUP="{group}", MODE="0660"'
     return Check("permission", False, state, advice)
 
@@ -122,7 +124,7 @@ _FASTER = (
 
 def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
     """The device files that an array needs: the root bus of the URL, then the buses that sensors name."""
-    named = [sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi] if array else []
+    named = [sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c] if array else []
     return list(dict.fromkeys([path or (named[0] if named else ""), *named]))
 
 
@@ -181,7 +183,7 @@ def abilities(machine: Machine, device: str) -> Iterator[Check]:
 def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
     """Has a driver of the kernel one of our addresses on this bus (LNX-12)?"""
     number = _number(machine, device)
-    on_i2c = [sensor for sensor in array.sensors if not sensor.on_spi]
+    on_i2c = [sensor for sensor in array.sensors if sensor.on_i2c]
     ours = {sensor.address: sensor.name for sensor in on_i2c if _is_on(sensor, device, is_root)}
     if is_root and array.mux is not None:
         ours[array.mux.address] = "the multiplexer"
@@ -238,8 +240,11 @@ def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: flo
 def frame_clocks(array: ArrayConfig) -> int:
     """Clocks of a frame that reads every sensor once, without its checks: BUS-02, BUS-04."""
     channels = {sensor.channel for sensor in array.sensors if sensor.channel is not None}
-    on_i2c = [sensor for sensor in array.sensors if not sensor.on_spi]
+    on_i2c = [sensor for sensor in array.sensors if sensor.on_i2c]
     return sum(9 * (DRIVERS[sensor.chip].burst + 3) for sensor in on_i2c) + 18 * len(channels)
+
+
+_NO_DRIVER = "the device tree, or new_device of the bus, makes a driver bind; detect --bus iio: lists what there is"
 
 
 def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
@@ -257,6 +262,30 @@ def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
                 " two need an overlay or cs-gpios in the device tree"
             )
             checks.append(Check("chip select", False, f"{device}; {there}", advice))
+    return checks
+
+
+def _wired_checks(machine: Machine, array: ArrayConfig | None, rate_hz: float) -> list[Check]:
+    """Those of the I2C buses and chip selects that sensors name."""
+    buses = list(dict.fromkeys(sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c)) if array else []
+    return (i2c_checks(machine, array, buses, rate_hz) if buses else []) + spi_checks(machine, array)
+
+
+def iio_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
+    """Does the kernel serve every device that the array names, and may this user capture from it?"""
+    if array is None:
+        listed = ", ".join(str(device) for device in devices(machine.root))
+        return [Check("device", bool(listed), listed or "the kernel serves none", _NO_DRIVER)]
+    checks: list[Check] = []
+    for bus, is_captured in {str(sensor.bus): sensor.fifo for sensor in array.sensors if sensor.on_iio}.items():
+        device = IioDevice(bus.removeprefix(IIO), machine.root)
+        try:
+            checks.append(Check("device", True, f"{bus}: {device.name} at {device.place}"))
+        except SensorError as error:
+            checks.append(Check("device", False, str(error), _NO_DRIVER))
+            continue
+        if is_captured:
+            checks.append(permission(machine, f"/{device.device_file.relative_to(machine.root)}"))
     return checks
 
 
@@ -351,9 +380,9 @@ def examine(
     if scheme == "i2c":
         checks = i2c_checks(machine, array, buses_of(array, rest), rate_hz) + spi_checks(machine, array)
     elif scheme == "spi":
-        others = list(dict.fromkeys(sensor.bus for sensor in array.sensors if sensor.bus)) if array else []
-        others = [bus for bus in others if not bus.startswith(SPI_DEVICE)]
-        checks = (i2c_checks(machine, array, others, rate_hz) if others else []) + spi_checks(machine, array)
+        checks = _wired_checks(machine, array, rate_hz)
+    elif scheme == "iio":
+        checks = iio_checks(machine, array) + _wired_checks(machine, array, rate_hz)
     elif scheme == "serial":
         checks = serial_checks(machine, rest.partition("?")[0])
     elif scheme == "replay":

@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from imuarray.acquire.detect import MUX, Detection
-from imuarray.array import SensorConfig
+from imuarray.array import IIO, SensorConfig
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.chips import CHIPS, HALVES
 from imuarray.drivers import DRIVERS
@@ -58,6 +58,9 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
 
 def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> str:
     """The text of a configuration for the detections of `explore`; SensorError if there is no known chip."""
+    devices = [line for line in detections if line.rates_hz]
+    if devices or bus.startswith(IIO):
+        return _propose_devices(devices, bus, name)
     chips = [
         (chip, line)
         for line in detections
@@ -79,6 +82,31 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
         lone = counts[chip] == 1 and spec.quantity == "pressure"
         number = chip.removeprefix("bmp") if lone else str(numbers[spec.label])
         text += _sensor(spec.label.format(number), chip, line, spec.proposed)
+    return text
+
+
+_SUFFIXES = MappingProxyType({"specific_force": "acc", "angular_rate": "gyro", "magnetic_field": "mag"})
+_POLLED_HZ = 50.0
+"""Data rate that is proposed for a device whose driver has none: that of the frames."""
+_DEVICES_HEAD = """\
+# What the kernel serves on {bus}. Scales are as they are: `range` chooses another. With `fifo = true` every sample
+# comes from the kernel's buffer, where the device has one. Without a line of axes they are those of its mounting
+# matrix.
+
+[array]
+"""
+
+
+def _propose_devices(devices: Sequence[Detection], bus: str, name: str) -> str:
+    """A configuration of the triads of devices that the kernel serves; SensorError if there is none."""
+    if not devices:
+        raise SensorError(f"{bus}: the kernel serves no accelerometer, gyroscope or magnetometer: nothing to configure")
+    text = _DEVICES_HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
+    for number, line in enumerate(devices, 1):
+        for quantity, rate_hz in line.rates_hz.items():
+            chip = line.place.removeprefix(IIO).partition("@")[0]
+            table = {"name": f"IIO{number}_{_SUFFIXES[quantity]}", "chip": chip, "quantity": quantity}
+            text += "\n[[sensor]]\n" + tomli_w.dumps({**table, "bus": line.place, "rate_hz": rate_hz or _POLLED_HZ})
     return text
 
 

@@ -215,8 +215,7 @@ class SampleBuffer:
         if self.queue is None:
             self._times_ns.append(at_ns)
         else:
-            if self.queue.overrun:
-                self._overrun.append(len(self._times_ns))
+            self._overrun += [len(self._times_ns) + row for row in self.queue.gaps]
             self._times_ns += self.queue.drained
         self._bursts += burst
 

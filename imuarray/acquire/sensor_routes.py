@@ -78,7 +78,7 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
             first = halves.setdefault((driver.registers.address, sensor.bus or sensor.channel), driver)
             if first is not driver:
                 driver.share(first)
-        claim = _nobody_asks if ask is None or sensor.on_spi else partial(_claim, ask, sensor)
+        claim = _nobody_asks if ask is None or not sensor.on_i2c else partial(_claim, ask, sensor)
         routes.append(SensorRoute(sensor, driver, sensor.bus or sensor.channel, claim))
     return routes
 

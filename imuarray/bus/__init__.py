@@ -41,9 +41,7 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
     """``i2c:/dev/i2c-1``; with no path, the first bus that a sensor names (kernel-driven channels need no root bus)."""
     from imuarray.bus.linux import LinuxBus
 
-    path = rest or next(
-        (sensor.bus for sensor in array.sensors if sensor.bus and not sensor.on_spi and not sensor.on_iio), ""
-    )
+    path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c), "")
     if not path:
         raise BusUrlError("bus 'i2c:': name the device, as in i2c:/dev/i2c-1")
     return LinuxBus(path)

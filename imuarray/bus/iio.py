@@ -138,10 +138,10 @@ class IioDevice:
         if kept != text:
             raise SensorError(f"{self}: {attribute} says {kept!r} after {text!r} was written; the driver refuses it")
 
-    def triggers(self) -> str:
-        """The names of all triggers that there are, for a message."""
-        texts = (_text(path / "name") for path in sorted((self._root / DEVICES).glob("trigger[0-9]*")))
-        return ", ".join(printable(text) for text in texts if text)
+    def triggers(self) -> dict[str, Path]:
+        """The folders of all triggers that there are, by name."""
+        folders = sorted((self._root / DEVICES).glob("trigger[0-9]*"))
+        return {name: folder for folder in folders if (name := _text(folder / "name"))}
 
     # The buffer ---------------------------------------------------------------------------------------------------
 
@@ -257,9 +257,9 @@ def _devices(root: Path) -> Iterator[Path]:
                 yield path
 
 
-def devices(root: Path = Path("/")) -> list[str]:
-    """The names of all devices, each as the `bus` of a sensor is written: "iio:mpu6050@1-0068"."""
-    return sorted(_name(folder) for folder in _devices(root))
+def devices(root: Path) -> list[IioDevice]:
+    """All devices below `root`, each by its name and place: "iio:mpu6050@1-0068"."""
+    return [IioDevice(name.removeprefix("iio:"), root) for name in sorted(_name(folder) for folder in _devices(root))]
 
 
 def _name(folder: Path) -> str:
@@ -275,7 +275,7 @@ def _place(folder: Path) -> str:
 def _read(path: Path) -> str:
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        return os.read(fd, LONGEST_TEXT).decode(errors="replace").strip().strip("\0")
+        return os.read(fd, LONGEST_TEXT).decode(errors="replace").strip("\0 \t\r\n")  # some end with \n\0: LNX-68
     finally:
         os.close(fd)
 
@@ -312,6 +312,10 @@ class IioBus:
     def iio_device(self, wanted: str) -> IioDevice:
         """The device that `wanted` names, made once; it need not be there yet."""
         return self._devices.setdefault(wanted, IioDevice(wanted, self._root))
+
+    def devices(self) -> list[IioDevice]:
+        """All devices that the kernel serves now."""
+        return devices(self._root)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """There is no I2C bus at the root: OSError with ENXIO."""

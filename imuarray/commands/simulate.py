@@ -243,6 +243,7 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
 def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[Run]]:
     """The logs to write; the recorded log that they are like, if there is one."""
     from imuarray.array import load_array
+    from imuarray.errors import ConfigError
     from imuarray.log import open_log
     from imuarray.simulate.experiments import ExperimentOptions
     from imuarray.simulate.series import run_like, run_of, turn_on_series
@@ -252,6 +253,12 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
         return log, [run_like(log, options.output, options.sensors, options.boot)]
     array = load_array(find_config(options.config or Path()))
     array = array.only(options.sensors) if options.sensors else array
+    for sensor in array.sensors:
+        if sensor.on_iio and not sensor.sensitivity:
+            raise ConfigError(
+                f"{options.config}: sensor {sensor.name}: what its counts mean is known to the kernel; record it, and"
+                " use --like RUN.h5, or give a chip with a data sheet and a range of it"
+            )
     wanted = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
     if options.experiment == "turn-on":
         boots = range(options.boot, options.boot + options.runs)

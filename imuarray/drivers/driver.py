@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -186,8 +186,10 @@ class QueueTimes(Protocol):
     """The times of the samples that were drained last (`FifoClock`)."""
 
     drained: list[int]
-    overrun: bool
-    """Samples are missing before them."""
+
+    @property
+    def gaps(self) -> Sequence[int]:
+        """Those of them, counted from 0, before which samples are missing."""
 
     def restart(self) -> None:
         """Forget everything: the chip was set up again, or its queue drained in another's place."""

@@ -11,6 +11,7 @@ known.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -111,6 +112,11 @@ class FifoClock:
     def __init__(self, rate_hz: float) -> None:
         self.nominal_ns = 1e9 / rate_hz
         self.restart()
+
+    @property
+    def gaps(self) -> Sequence[int]:
+        """See `QueueTimes`."""
+        return (0,) if self.overrun and self.drained else ()
 
     def restart(self) -> None:
         """Forget everything: the chip was set up again."""

@@ -13,7 +13,7 @@ defaults is only noticed if its samples stop. Facts LNX-60 to -68.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
@@ -30,6 +30,7 @@ from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.errors import SensorError
 from imuarray.facts.registers import Setting
 from imuarray.log.format import COUNT_BITS, SATURATED, SensorHeader, ThermometerScale
+from imuarray.printable import printable
 from imuarray.units import SI_PER_UNIT
 
 AXES = ("x", "y", "z")
@@ -60,56 +61,71 @@ BURST = np.dtype("<i4")
 _WORDS = 4  # x, y, z and the temperature
 
 
+def triads_of(device: IioDevice) -> list[str]:
+    """The quantities of which a device has at least the x axis."""
+    return [quantity for quantity, (name, _) in CHANNELS.items() if (device.folder / f"{name}_x_raw").exists()]
+
+
+def rates_of(device: IioDevice) -> dict[str, float]:
+    """The data rate in Hz of each triad of a device, by quantity; 0 where the driver has none. SensorError, OSError."""
+    rates = {}
+    for quantity in triads_of(device):
+        names = ("sampling_frequency", f"{CHANNELS[quantity][0]}_sampling_frequency")
+        text = next((text for name in names if (text := device.read(name)) is not None), "0")
+        rates[quantity] = _number("sampling_frequency", text)
+    return rates
+
+
 class Conversion(NamedTuple):
     """What the counts of one sensor mean: physical = (raw + `offset`) x `scale` in the kernel's unit."""
 
     scale: float
     offset: int
-    bits: int
-    """Bits of a signed number that holds every count."""
+    reach: int
+    """Counts are from -reach up to reach, not included; one that is further out is cut off there."""
     full_scale: float
     """Largest value in the log's unit."""
     thermometer: ThermometerScale | None = None
 
+    @property
+    def bits(self) -> int:
+        """Bits of a signed number that holds every count."""
+        return (self.reach - 1).bit_length() + 1
+
 
 class IioQueue:
-    """Samples of one sensor that wait until it is visited. `drained` and `overrun` tell of what `take` gave last."""
+    """Samples of one sensor that wait until it is visited. `drained` and `gaps` tell of what `take` gave last: times,
+    and before which of them samples are missing, which the kernel's buffer does not tell.
+    """
 
     def __init__(self, period_ns: float) -> None:
         self.drained: list[int] = []
-        self.overrun = False
-        self._period_ns = period_ns
+        self.gaps: list[int] = []
+        self._longest_ns = GAP_PERIODS * period_ns
         self._rows = bytearray()
         self._times_ns: list[int] = []
         self._newest_ns: int | None = None
-        self._gap = False
 
     def restart(self) -> None:
         """The device was set up again: forget everything."""
-        self._rows, self._times_ns = bytearray(), []
-        self._newest_ns, self._gap = None, False
+        self._rows, self._times_ns, self._newest_ns = bytearray(), [], None
 
-    def put(self, rows: bytes, times_ns: Sequence[int], *, gap: bool = False) -> None:
-        """Let these rows wait, one for each time; with `gap` samples are missing before them."""
+    def put(self, rows: bytes, times_ns: Sequence[int]) -> None:
+        """Let these rows wait, one for each time; if nobody takes them, they are dropped."""
         if len(self._times_ns) > LONGEST_BUFFER:
-            self._rows, self._times_ns, gap = bytearray(), [], True
-        self._gap |= gap
+            self._rows, self._times_ns = bytearray(), []
         self._rows += rows
         self._times_ns += times_ns
 
     def take(self) -> bytes:
-        """What waits up to the next gap; the rest is taken next time, and flagged."""
-        times, longest_ns = self._times_ns, GAP_PERIODS * self._period_ns
-        if not times:
-            self.drained, self.overrun = [], False
-            return b""
-        self.overrun = self._gap or (self._newest_ns is not None and times[0] - self._newest_ns > longest_ns)
-        self._gap = False
-        count = next((row for row, (a, b) in enumerate(pairwise(times), 1) if b - a > longest_ns), len(times))
-        self.drained, self._newest_ns = times[:count], times[count - 1]
-        size = _WORDS * BURST.itemsize
-        taken = bytes(self._rows[: count * size])
-        del self._rows[: count * size], self._times_ns[:count]
+        """All that waits."""
+        self.drained, taken = self._times_ns, bytes(self._rows)
+        self._rows, self._times_ns = bytearray(), []
+        before = [] if self._newest_ns is None else [self._newest_ns]
+        steps = enumerate(pairwise([*before, *self.drained]), 1 - len(before))
+        self.gaps = [row for row, (earlier, later) in steps if later - earlier > self._longest_ns]
+        if self.drained:
+            self._newest_ns = self.drained[-1]
         return taken
 
 
@@ -125,7 +141,7 @@ class IioSensor:
         self.channel, self.unit_si = CHANNELS[sensor.spec.quantity]
         self.watched: tuple[Setting, ...] = ()
         self.registers = Registers(capture.device, 0, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
-        self.conversion = Conversion(1.0, 0, 16, 0.0)
+        self.conversion = Conversion(1.0, 0, 1 << 15, 0.0)
         self.axes = sensor.axes
         self._capture = capture
         capture.join(self)
@@ -147,9 +163,7 @@ class IioSensor:
         folder = self.device.folder
         missing = [name for name in self.names if not (folder / f"{name}_raw").exists()]
         if missing:
-            others = sorted(
-                {quantity for quantity, (name, _) in CHANNELS.items() if (folder / f"{name}_x_raw").exists()}
-            )
+            others = triads_of(self.device)
             has = f"it has {', '.join(others)}" if others else "it has no triad"
             raise self.error(f"{self.device.name} has no {', '.join(missing)}; {has}")
 
@@ -174,40 +188,39 @@ class IioSensor:
 
     def set_scale(self, elements: Mapping[str, ScanElement]) -> None:
         """Choose the scale of the wanted range and read what counts mean; while nothing is captured."""
-        bits = max((elements[name].range_bits for name in self.names if name in elements), default=16)
-        is_signed = all(elements[name].is_signed for name in self.names if name in elements)
-        wanted = self.sensor.range
-        attribute = self._attribute("scale")
-        if wanted is not None:
-            self._choose_scale(attribute, wanted, bits)
-        scale, offset = self._common("scale"), self._common("offset", 0.0)
-        if not 0 < scale < math.inf or not abs(offset) < 2**MOST_BITS:
-            raise SensorError(f"{self.device}: {attribute} {scale:g}, offset {offset:g}: allowed is a positive scale")
-        whole = round(offset)
-        if whole and not is_signed:
-            bits += 1
-        elif whole:
-            bits = max(bits, abs(whole).bit_length() + 1) + 1
+        wanted, attribute = self.sensor.range, self._attribute("scale")
+        offset = self._common("offset", 0.0)
+        if not abs(offset) < 2**MOST_BITS:
+            raise SensorError(
+                f"{self.device}: {self.channel}_offset is {offset:g}; counts of a log are below 2^{MOST_BITS}"
+            )
+        reach = _reach([elements[name] for name in self.names if name in elements], round(offset))
+        bits = (reach - 1).bit_length() + 1
         if bits > MOST_BITS:
             raise SensorError(f"{self.device}: counts of {bits} bits; a log holds at most {MOST_BITS}")
-        full_scale = 2 ** (bits - 1) * scale / self.unit_si
+        if wanted is not None:
+            self._choose_scale(attribute, wanted, reach)
+        scale = self._common("scale")
+        if not 0 < scale < math.inf:
+            raise SensorError(f"{self.device}: {attribute} is {scale:g}; a positive number is required")
+        full_scale = reach * scale / self.unit_si
         if wanted is not None and full_scale < RANGE_MARGIN * wanted:
             raise SensorError(
                 f"{self.device}: range {wanted:g}: the scale is {scale:g}, which reaches {full_scale:.4g}"
             )
-        self.conversion = Conversion(scale, whole, bits, full_scale, self._thermometer(elements))
+        self.conversion = Conversion(scale, round(offset), reach, full_scale, self._thermometer(elements))
         self.axes = self._mounting()
 
-    def _choose_scale(self, attribute: str, wanted: float, bits: int) -> None:
+    def _choose_scale(self, attribute: str, wanted: float, reach: int) -> None:
         """Set the smallest full scale that has the wanted range; SensorError names those that there are."""
         available = _numbers(self._text("scale_available"))
-        full = {text: 2 ** (bits - 1) * float(text) / self.unit_si for text in available if float(text) > 0}
+        full = {text: reach * float(text) / self.unit_si for text in available if float(text) > 0}
         if not full:
             return
         enough = [text for text in full if full[text] >= RANGE_MARGIN * wanted]
         if not enough:
-            reach = ", ".join(f"{value:.4g}" for value in sorted(full.values()))
-            raise SensorError(f"{self.device}: range {wanted:g}: allowed are up to {reach} {self.sensor.spec.unit}")
+            choice = ", ".join(f"{value:.4g}" for value in sorted(full.values()))
+            raise SensorError(f"{self.device}: range {wanted:g}: allowed are up to {choice} {self.sensor.spec.unit}")
         text = min(enough, key=full.__getitem__)
         self.device.write(attribute, text)
         kept = _number(attribute, self.device.read(attribute))
@@ -296,11 +309,11 @@ class IioSensor:
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """See `Driver.decode`."""
         words = np.ascontiguousarray(bursts).view(BURST).reshape(len(bursts), _WORDS)
-        counts = words[:, :3]
+        reach = self.conversion.reach
+        counts = words[:, :3].clip(-reach, reach - 1)
         has_temperature = self.conversion.thermometer is not None
         temperature = words[:, 3].astype(np.int16) if has_temperature else None
-        top = 2 ** (self.conversion.bits - 1)
-        at_end = ((counts <= -top) | (counts >= top - 1)).any(axis=1)
+        at_end = ((counts == -reach) | (counts == reach - 1)).any(axis=1)
         status = np.where(at_end, SATURATED, 0).astype(np.uint16)
         narrow = self.conversion.bits <= 16
         return DecodedBursts(counts.astype(np.int16) if narrow else counts.astype(np.int32), temperature, status)
@@ -346,7 +359,7 @@ class BufferedIioSensor(IioSensor):
         super().__init__(sensor, capture)
 
     def fetch(self) -> bytes:
-        """All samples that wait, up to the next gap. OSError with ENODEV if the device was removed."""
+        """All samples that wait. OSError with ENODEV if the device was removed."""
         self._capture.drain()
         return self.queue.take()
 
@@ -384,27 +397,32 @@ class IioCapture:
                     f"{self.device}: its buffer has no {', '.join(missing)}; without fifo it is read through sysfs"
                 )
             self.device.hold()
-        self._set_rate(config.chip_rate_hz, [member.channel for member in self._members])
+        self._set_rate(config, [member.channel for member in self._members])
         for member in self._members:
             member.set_scale(elements)
         if config.fifo:
             self._start(config, elements)
         self._set_up = [sensor]
 
-    def _set_rate(self, rate_hz: float, channels: Sequence[str]) -> None:
-        """Set the data rate, where the driver has one; SensorError names those that there are."""
+    def _set_rate(self, config: SensorConfig, channels: Sequence[str]) -> None:
+        """Set the data rate, where the driver has one: the wanted one, or with a trigger the least that is not slower.
+        SensorError names those that there are.
+        """
+        rate_hz = config.chip_rate_hz
         names = ("sampling_frequency", *(f"{channel}_sampling_frequency" for channel in channels))
         for attribute in names:
             if self.device.read(attribute) is None:
                 continue
             texts = _numbers(self.device.read(f"{attribute}_available") or "")
             fits = [text for text in texts if math.isclose(float(text), rate_hz, rel_tol=RATE_MARGIN)]
+            if config.trigger is not None:
+                fits = fits or sorted((text for text in texts if float(text) > rate_hz), key=float)
             if texts and not fits:
                 raise SensorError(f"{self.device}: rate_hz {rate_hz:g}: allowed are {', '.join(texts)}")
-            text = fits[0] if fits else f"{rate_hz:.6f}".rstrip("0").rstrip(".")
+            text = fits[0] if fits else _plain(rate_hz)
             self.device.write(attribute, text)
             kept = _number(attribute, self.device.read(attribute))
-            if not math.isclose(kept, rate_hz, rel_tol=RATE_MARGIN):
+            if not math.isclose(kept, float(text), rel_tol=RATE_MARGIN):
                 raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
 
     def _start(self, config: SensorConfig, elements: Mapping[str, ScanElement]) -> None:
@@ -421,7 +439,7 @@ class IioCapture:
             self._clock, self.time_source = FifoClock(config.chip_rate_hz), "counts of the buffer on CLOCK_MONOTONIC"
         if any(member.conversion.thermometer is not None for member in self._members):
             wanted.add(TEMPERATURE)
-        self._choose_trigger(config.trigger)
+        self._choose_trigger(config)
         length = min(max(round(BUFFER_S * config.chip_rate_hz), SHORTEST_BUFFER), LONGEST_BUFFER)
         watermark = max(1, min(round(WATERMARK_S * config.chip_rate_hz), length // 2))
         self._layout = self.device.start(wanted, length, watermark)
@@ -429,19 +447,27 @@ class IioCapture:
             if isinstance(member, BufferedIioSensor):
                 member.queue.restart()
 
-    def _choose_trigger(self, wanted: str | None) -> None:
-        """Set the trigger that the configuration names, or leave the one that is set; SensorError if there is none."""
-        attribute = "trigger/current_trigger"
+    def _choose_trigger(self, config: SensorConfig) -> None:
+        """Set the trigger that the configuration names, and its pace where it has one, or leave the trigger that is
+        set; SensorError if there is none.
+        """
+        attribute, wanted = "trigger/current_trigger", config.trigger
         current = self.device.read(attribute)
         if current is None:
             if wanted is not None:
                 raise SensorError(f"{self.device}: trigger {wanted!r}: this device has its own pace; leave it out")
         elif wanted is not None:
+            triggers = self.device.triggers()
+            if wanted not in triggers:
+                raise SensorError(f"{self.device}: trigger {wanted!r}: allowed are {_choice(triggers)}")
             self.device.keep(attribute, wanted)
+            pace = triggers[wanted] / "sampling_frequency"
+            if pace.exists():
+                self.device.write(str(pace), _plain(config.chip_rate_hz))
         elif not current:
             raise SensorError(
-                f"{self.device}: no trigger starts its samples; give trigger, one of {self.device.triggers() or 'none'}"
-                " (the module iio-trig-hrtimer makes them), or leave out fifo"
+                f"{self.device}: no trigger starts its samples; give trigger, one of"
+                f" {_choice(self.device.triggers())}, or leave out fifo"
             )
 
     def drain(self) -> None:
@@ -462,12 +488,31 @@ class IioCapture:
                 member.queue.put(_rows(columns, member), times)
 
 
+def _reach(elements: Sequence[ScanElement], offset: int) -> int:
+    """How far counts reach on the longer side, by the types of the axes; 16 bits with a sign where no type is known."""
+    ends = [
+        (-(1 << element.bits - 1), 1 << element.bits - 1) if element.is_signed else (0, 1 << element.bits)
+        for element in elements
+    ] or [(-(1 << 15), 1 << 15)]
+    return max(1, *(max(abs(low + offset), abs(high + offset)) for low, high in ends))
+
+
 def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
     """(n, 4) words of a sensor: x, y, z with their offset, and the temperature."""
     counts = [columns[name] + member.conversion.offset for name in member.names]
     temperature = columns.get(TEMPERATURE)
     last = np.zeros_like(counts[0]) if temperature is None else temperature
     return np.stack([*counts, last], axis=1).astype(BURST).tobytes()
+
+
+def _choice(triggers: Iterable[str]) -> str:
+    """The triggers that there are, for a message."""
+    return ", ".join(printable(name) for name in triggers) or "none yet: the module iio-trig-hrtimer makes them"
+
+
+def _plain(number: float) -> str:
+    """A number as sysfs takes it."""
+    return f"{number:.6f}".rstrip("0").rstrip(".")
 
 
 def _signed_axis(column: Sequence[float]) -> str:

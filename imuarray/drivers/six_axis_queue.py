@@ -8,7 +8,7 @@ no valid packet, the queue is emptied, and the next rows of both halves carry th
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -46,6 +46,11 @@ class QueueReader:
         self._times_ns: list[int] = []
         self._gap = False
         self._has_given = False
+
+    @property
+    def gaps(self) -> Sequence[int]:
+        """See `QueueTimes`."""
+        return (0,) if self.overrun and self.drained else ()
 
     def restart(self) -> None:
         """The chip was set up again, or another chip was drained in its place: forget what waits."""

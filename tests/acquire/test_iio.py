@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
-from imuarray.acquire.detect import detect
-from imuarray.array import ArrayConfig, parse_array
+from imuarray.acquire.detect import detect, explore
+from imuarray.acquire.doctor import Machine, examine
+from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.iio import IioBus
 from imuarray.cli import main
@@ -117,6 +118,15 @@ def test_a_buffer_is_logged_count_by_count_at_the_kernels_times(machine: KernelM
         assert rows.temperature_counts is None
 
 
+def test_a_text_that_ends_with_a_nul_is_read_without_it(machine: KernelMachine) -> None:
+    """As that of current_timestamp_clock does (Linux 6.1)."""
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    (device.folder / "current_timestamp_clock").write_bytes(b"monotonic\n\0")
+    (device.folder / "name").write_bytes(b"kx023\n\0")
+    connected(machine, array_of(sensor("A", BUFFERED)))
+    assert (device.folder / "current_timestamp_clock").read_bytes() == b"monotonic\n\0"
+
+
 def test_samples_that_the_buffer_dropped_are_flagged(machine: KernelMachine) -> None:
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     clock = SteppedClock(played(device, small_scan, leave_out=range(30, 33)))
@@ -193,6 +203,7 @@ def test_two_sensors_of_one_device_share_its_buffer(machine: KernelMachine) -> N
         assert acc.time[:].tolist() == [time_of(k) - START_NS for k in number.tolist()]
         assert acc.counts[:].tolist() == [[k - 2048, 2047 - k, 512] for k in number.tolist()]
         assert acc.counts[:].dtype == np.int16
+        assert acc.range == pytest.approx(2048 * 0.00119641 / 9.80665)
         assert gyro.counts[: len(number)].tolist() == [[500_000 - k, 2 * k, -k] for k in number.tolist()]
         assert gyro.counts[:1].dtype == np.int32
         assert (gyro.count_bits, acc.count_bits) == (20, 16)
@@ -235,6 +246,20 @@ def test_without_fifo_the_attributes_are_read_in_each_frame(machine: KernelMachi
         assert rows.attributes["time_source"] == "CLOCK_MONOTONIC of the reader"
     assert device.read("in_accel_scale") == "0.001196410"
     assert device.read("buffer/enable") == "0"
+
+
+def test_counts_beyond_sixteen_bits_are_cut_off_and_flagged_where_no_type_says_more(machine: KernelMachine) -> None:
+    keys = {name: text for name, text in ACCEL.items() if not name.startswith(("scan_elements", "buffer"))}
+    device = machine.add("kx023", "i2c-1/1-001e", keys)
+
+    def passed(now_ns: int) -> None:
+        device.write("in_accel_y_raw", str(32700 + (now_ns - START_NS) // 10_000_000))
+
+    with open_log(log_of(machine, array_of(sensor("A", ACC)), SteppedClock(passed))) as log:
+        y = log["A"].counts[:, 1].tolist()
+        assert (y[0], y[5], y[11]) == (32700, 32750, 32767)
+        assert ((log["A"].status[:] & SATURATED) != 0).tolist() == [value == 32767 for value in y]
+        assert log["A"].counts[:].dtype == np.int16
 
 
 def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -> None:
@@ -291,13 +316,13 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
         ({}, BUFFERED.replace("specific_force", "angular_rate"), r"has no in_anglvel_x, .*; it has specific_force"),
         ({}, BUFFERED + 'trigger = "t0"\n', r"trigger 't0': this device has its own pace"),
         ({"trigger/current_trigger": ""}, BUFFERED, r"no trigger starts its samples; give trigger"),
-        ({"in_accel_scale": "0"}, ACC, r"in_accel_scale 0, offset 0: allowed is a positive scale"),
-        ({"in_accel_scale": "-1"}, ACC, r"allowed is a positive scale"),
+        ({"in_accel_scale": "0"}, ACC, r"in_accel_scale is 0; a positive number is required"),
+        ({"in_accel_scale": "-1"}, ACC, r"in_accel_scale is -1; a positive number is required"),
         ({"in_accel_scale": "nan"}, ACC, r"in_accel_scale is 'nan': a finite number is required"),
         ({"in_accel_scale": "\x1b[2J" + "9" * 9000}, ACC, r"a finite number is required"),
         ({"in_accel_scale_available": "1e999 2"}, ACC + "range = 4\n", r"a finite number is required"),
-        ({"in_accel_offset": "1e30"}, ACC, r"allowed is a positive scale"),
-        ({"in_accel_offset": "2e9"}, ACC, r"counts of 33 bits; a log holds at most 31"),
+        ({"in_accel_offset": "1e30"}, ACC, r"in_accel_offset is 1e.30; counts of a log are below 2.31"),
+        ({"in_accel_offset": "2e9"}, ACC, r"counts of 32 bits; a log holds at most 31"),
         ({"mount_matrix": "0.6, 0.8, 0; -0.8, 0.6, 0; 0, 0, 1"}, ACC, r"no rotation by quarter turns; give axes"),
         ({"mount_matrix": "1, 0, 0; 0, 1, 0; 0, 0, -1"}, ACC, r"no rotation by quarter turns"),
         ({"mount_matrix": "1;2"}, ACC, r"no rotation by quarter turns"),
@@ -320,6 +345,25 @@ def test_two_axes_are_no_triad(machine: KernelMachine) -> None:
     machine.add("kx023", "i2c-1/1-001e", {name: text for name, text in ACCEL.items() if "accel_z" not in name})
     with pytest.raises(SensorError, match="has no in_accel_z; it has specific_force"):
         connected(machine, array_of(sensor("A", BUFFERED)))
+
+
+def test_a_trigger_is_set_with_its_pace(machine: KernelMachine) -> None:
+    """The chip's own rate is then the slowest that is not below it."""
+    device = machine.add("kx023", "i2c-1/1-001e", {**ACCEL, "trigger/current_trigger": ""})
+    for number, name in enumerate(("sysfstrig1", "hr0")):
+        folder = machine.root / f"sys/bus/iio/devices/trigger{number}"
+        folder.mkdir()
+        (folder / "name").write_text(f"{name}\n")
+    (folder / "sampling_frequency").write_text("100\n")
+    keys = BUFFERED.replace("rate_hz = 50", "rate_hz = 62.5")
+    with pytest.raises(SensorError, match=r"trigger 'hr1': allowed are sysfstrig1, hr0$"):
+        connected(machine, array_of(sensor("A", keys + 'trigger = "hr1"\n')))
+    with pytest.raises(SensorError, match=r"give trigger, one of sysfstrig1, hr0, or leave out fifo"):
+        connected(machine, array_of(sensor("A", BUFFERED)))
+    connected(machine, array_of(sensor("A", keys + 'trigger = "hr0"\n')))
+    assert device.read("trigger/current_trigger") == "hr0"
+    assert device.read("sampling_frequency") == "100"
+    assert (folder / "sampling_frequency").read_text() == "62.5"
 
 
 def test_axes_of_different_scales_are_refused(machine: KernelMachine) -> None:
@@ -425,6 +469,57 @@ def test_detect_says_what_is_there(machine: KernelMachine, capsys: pytest.Captur
     assert lines["A"].ok
     assert not lines["B"].ok
     assert "allowed are iio:kx023@1-001e" in lines["B"].found
+
+
+def test_detect_without_a_configuration_lists_what_the_kernel_serves(machine: KernelMachine) -> None:
+    machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    machine.add("imu", "spi0/spi0.0", IMU)
+    machine.add("bmp280", "i2c-1/1-0076", {"in_pressure_input": "101.3"})
+    with IioBus(machine.root) as bus:
+        lines = [(line.place, line.found) for line in explore(bus)]
+    assert lines == [
+        ("iio:bmp280@1-0076", "read: no triad"),
+        ("iio:imu@spi0.0", "captured or read: specific_force, angular_rate"),
+        ("iio:kx023@1-001e", "captured or read: specific_force"),
+    ]
+
+
+def test_detect_writes_a_configuration_that_logs(machine: KernelMachine, capsys: pytest.CaptureFixture[str]) -> None:
+    machine.add("imu", "spi0/spi0.0", {**IMU, "sampling_frequency": "62.5"})
+    machine.add("mag", "i2c-1/1-001e", {**{f"in_magn_{axis}_raw": "3" for axis in "xyz"}, "in_magn_scale": "0.001"})
+    path, url = machine.root / "found.toml", f"iio:{machine.root}"
+    assert main(["detect", "--bus", url, "-o", str(path)]) == 0
+    sensors = {sensor.name: sensor for sensor in load_array(path).sensors}
+    assert {name: (sensor.bus, sensor.spec.quantity, sensor.rate_hz) for name, sensor in sensors.items()} == {
+        "IIO1_acc": ("iio:imu@spi0.0", "specific_force", 62.5),
+        "IIO1_gyro": ("iio:imu@spi0.0", "angular_rate", 62.5),
+        "IIO2_mag": ("iio:mag@1-001e", "magnetic_field", 50.0),
+    }
+    assert main(["detect", str(path)]) == 0
+    assert main(["simulate", str(path), "--experiment", "static", "-o", str(machine.root / "s.h5")]) == 2
+    assert "IIO1_acc: what its counts mean is known to the kernel; record it, and use --like" in capsys.readouterr().err
+    for device in machine.root.glob("sys/bus/iio/devices/iio:device*"):
+        device.unlink()
+    assert main(["detect", "--bus", url, "-o", str(machine.root / "none.toml")]) == 2
+    assert "the kernel serves no accelerometer, gyroscope or magnetometer" in capsys.readouterr().err
+
+
+def test_the_doctor_looks_for_the_device_and_its_file(machine: KernelMachine) -> None:
+    device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
+    device.file.chmod(0o600)
+    owner = Machine(root=machine.root, user=device.file.stat().st_uid, groups=frozenset())
+    stranger = Machine(root=machine.root, user=12345, groups=frozenset({54321}))
+    for who, allowed in ((owner, True), (stranger, False)):
+        checks = examine(array_of(sensor("A", BUFFERED)), "iio:", machine.root, 50.0, machine=who)
+        device_check, file_check = checks[:2]
+        assert (device_check.name, device_check.ok) == ("device", True)
+        assert device_check.found == "iio:kx023: kx023 at 1-001e"
+        assert (file_check.name, file_check.ok) == ("permission", allowed)
+        assert file_check.found.startswith("/dev/iio:device0: ")
+    assert 'KERNEL=="iio:device*", GROUP="iio"' in file_check.advice
+    gone = examine(array_of(sensor("A", ACC.replace("iio:kx023", "iio:x"))), "iio:", machine.root, 50.0, machine=owner)
+    assert not gone[0].ok
+    assert "detect --bus iio:" in gone[0].advice
 
 
 def test_the_command_logs_a_device(machine: KernelMachine, tmp_path: Path) -> None:
