@@ -27,6 +27,23 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("quick")
 
 
+LONGEST = (
+    "tests/system/test_own_python.py",
+    "tests/studies/fusion_gain/test_must_show.py",
+    "tests/system/test_service_unit.py",
+    "tests/studies/test_demo.py",
+)
+"""Files of one or more minutes. Two workers begin with two each, so that the two guests do not run side by side."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first: a worker that began one of them last would be waited for by all others. The workers
+    keep to this order with `--no-loadscope-reorder`.
+    """
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.nodeid.split("::")[0], len(places)))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """Collect garbage seldom: thousands of collected tests, none of which is freed before the end, are looked at each
