@@ -88,17 +88,17 @@ class ChipSelect:
     def _answer(self, sent: bytes, first_ns: int, byte_ns: int, understood: bool) -> bytes:
         first, data, dialect = sent[0], sent[1:], self._dialect
         register = first & ~(READ | dialect.counts_on) & 0xFF
-        one = dialect.counts_on and not first & dialect.counts_on
-        start = bytes([register if one else register | dialect.on_i2c])
+        repeats = dialect.counts_on and not first & dialect.counts_on
+        start = bytes([register if repeats else register | dialect.on_i2c])
         idle = bytes([OPEN_LINE]) * len(sent)
         if not first & READ:
             if understood:
-                for value in data if one else ():
+                for value in data if repeats else ():
                     self.device.write(start + bytes([value]), first_ns, byte_ns)
-                if not one:
+                if not repeats:
                     self.device.write(start + data, first_ns, byte_ns)
             return idle
-        pieces = [1] * len(data) if one else [len(data)]
+        pieces = [1] * len(data) if repeats else [len(data)]
         received = b""
         for count in pieces if data else ():
             if self.device.write(start, first_ns, byte_ns) < 1:  # nobody there

@@ -47,7 +47,7 @@ class Bmp388(BoschBarometer):
         super().__init__(address, facts, element, powered_on_ns, Part(generator, identity))
 
     def power_on(self, at_ns: int) -> None:
-        """As of every such chip, and ready for commands."""
+        """Power on as every such chip does, ready for commands."""
         super().power_on(at_ns)
         self.page[_STATUS] = facts.COMMAND_READY.mask
 

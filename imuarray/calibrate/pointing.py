@@ -42,14 +42,14 @@ _LONGEST_S = 30.0
 
 @dataclass(frozen=True)
 class Pointing:
-    """One sensor's axes as text ("" where the poses don't tell), the rms of what they leave unexplained (shares of one
-    g, radians, or of the field) and that of the next best axes; `reason` why they are not told.
+    """One sensor's `axes` as text ("" where the poses do not determine them, for the `reason`), the rms `residual` of
+    its readings with these axes (shares of one g, radians, or of the field) and with the next best axes.
     """
 
     sensor: str
     chip: str
     axes: str
-    left: float
+    residual: float
     next_best: float
     reason: str = ""
 
@@ -102,10 +102,10 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
     results: dict[str, Pointing] = {}
     for sensor in log.of("specific_force"):
         results[sensor.name] = _accelerometer(sensor, poses, ups)
-    untold = [each for each in results.values() if each.left > _MOST]
-    if untold and 2 * len(untold) > len(results):
+    unexplained = [each for each in results.values() if each.residual > _MOST]
+    if unexplained and 2 * len(unexplained) > len(results):
         raise CalibrationError(
-            f"{log.path}: no orientation of {untold[0].sensor} explains its readings: the poses were not"
+            f"{log.path}: no orientation of {unexplained[0].sensor} explains its readings: the poses were not"
             f" {', '.join(_name(up) for up in ups)} up, in this order"
         )
     carried = {sensor.name: _carried(sensor, poses) for sensor in log.of("angular_rate")}
@@ -180,7 +180,7 @@ def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats)
 
 def _onward(carried: Mapping[str, Sequence[Floats | None]], pointings: Mapping[str, Pointing]) -> list[Floats | None]:
     """Return the turns between poses in the box frame, by the gyroscope with the best fit."""
-    known = sorted((pointings[name].left, name) for name in carried if pointings[name].axes)
+    known = sorted((pointings[name].residual, name) for name in carried if pointings[name].axes)
     if not known:
         return []
     name = known[0][1]

@@ -127,7 +127,7 @@ class Mmc5983:
         return DecodedBursts(counts, None, np.where(at_end, SATURATED, 0).astype(np.uint16))
 
     def header(self) -> Mapping[str, float]:
-        """Where the bridges stand without a field, in counts: readings less these are fields."""
+        """Return the counts of the bridges without a field: readings less these are fields."""
         return dict(zip(("bridge_x", "bridge_y", "bridge_z"), self._bridge.tolist(), strict=True))
 
 

@@ -76,7 +76,7 @@ class QueueReader:
         self._times_ns += times_ns
 
     def take(self) -> bytes:
-        """All that waits."""
+        """Return all bursts that wait, and let none wait any more."""
         self.drained = self._times_ns
         if not self.drained:
             self.overrun = False

@@ -41,15 +41,15 @@ _STYLED = re.compile(r'style="[^"]*"')
 
 def follow_scheme(svg: str) -> str:
     """Return the SVG with each colour of its `style` attributes in a light and a dark version."""
-    found: dict[str, None] = {"#000000": None}
+    colours: dict[str, None] = {"#000000": None}
 
     def named(match: re.Match[str]) -> str:
-        found[match[0]] = None
+        colours[match[0]] = None
         return f"var(--{match[0][1:]})"
 
     body = _STYLED.sub(lambda style: _COLOUR.sub(named, style[0]), svg)
-    light = ";".join(f"--{colour[1:]}:{colour}" for colour in found)
-    dark = ";".join(f"--{colour[1:]}:{on_dark(colour)}" for colour in found)
+    light = ";".join(f"--{colour[1:]}:{colour}" for colour in colours)
+    dark = ";".join(f"--{colour[1:]}:{on_dark(colour)}" for colour in colours)
     sheet = (
         # Glyphs and filled shapes of black have no colour of their own in Matplotlib's SVG: they inherit this one.
         f"<style>svg{{{light};fill:var(--000000)}}"

@@ -17,36 +17,36 @@ _FREE = 0.9
 @dataclass(frozen=True)
 class Jitter(Effect):
     """instant = stamp + w, independent from row to row: w ~ N(0, rms_s^2) if all rows are off. If only a `share` is,
-    these are late: w is exponential, of root mean square `rms_s` and so of mean rms_s / sqrt(2), as far as there is
-    time until the next row, of which the other sensors take a tenth; what waits longer delays the rows after it, and
-    their stamps say so.
+    these are late: w is exponential with the root mean square `rms_s` and the mean rms_s / sqrt(2). It is cut where the
+    next row follows, of which the other sensors take a tenth: what waits longer delays the rows after it, and their
+    stamps say so.
 
-    `rms_s` in seconds: what the scheduler of the logging computer puts between a burst and the reading of its clock;
-    late are those before which another program had the processor. Where the times of a log's rows tell which these were
-    (`imuarray.simulate.host_latency`), these are late and no others, by `told` of half of each wait: 1 if all of it lay
-    before
-    the transfer, -1 if behind it; rows that nobody was there to read are lost. In data: nothing at
-    rest, unless a late reading is the one that the next row brings once more; under motion noise in proportion to how
-    fast the signal changes, rms_s sqrt(share) |dx/dt|.
+    `rms_s` in seconds is the time that the scheduler of the logging computer puts between a burst and the reading of
+    its clock; rows are late before which another program had the processor. Where the times of a log's rows show which
+    rows these were (`imuarray.simulate.host_latency`), these rows are late and no others, by `wait_share` of half of
+    each wait: 1 if all of it lay before the transfer, -1 if behind it. Rows that nobody was there to read are lost.
+
+    At rest nothing changes, unless a late reading is the one that the next row repeats. Under motion it is noise in
+    proportion to how fast the signal changes, rms_s sqrt(share) |dx/dt|.
     """
 
     name: ClassVar[str] = "jitter"
     rms_s: float = scalar(0.0)
     share: float = scalar(1.0)
-    told: float = scalar(0.0)
+    wait_share: float = scalar(0.0)
 
     def __post_init__(self) -> None:
         """ValueError for a negative or an absurd one, and for no share."""
         super().__post_init__()
         require("rms_s", self.rms_s, 0.0, 1e3)
         require("share", self.share, 0.0, 1.0)
-        require("told", self.told, -1.0, 1.0)
+        require("wait_share", self.wait_share, -1.0, 1.0)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Moves every instant by a draw of its own, or those that are told."""
-        if self.told and at.waits is not None:
+        """Move every instant by a draw of its own, or those whose waits are known."""
+        if self.wait_share and at.waits is not None:
             halves, missed = at.waits(instants.first, instants.first + len(instants.stamp_ns))
-            later = np.rint(self.told * halves).astype(np.int64)
+            later = np.rint(self.wait_share * halves).astype(np.int64)
             return replace(instants, instant_ns=instants.instant_ns + later, kept=instants.kept & ~missed)
         if not self.rms_s:
             return instants

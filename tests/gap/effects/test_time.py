@@ -114,7 +114,7 @@ def test_a_host_that_was_late() -> None:
     for trial, told in ((before, 1.0), (behind, -1.0)):
         (effect,) = trial.effects
         assert isinstance(effect, Jitter)
-        assert (effect.rms_s, effect.share, effect.told) == (pytest.approx(0.003), 0.04, told)
+        assert (effect.rms_s, effect.share, effect.wait_share) == (pytest.approx(0.003), 0.04, told)
     assert before.shared
     assert before.rarity < behind.rarity
     assert not any(trial.everywhere for trial in jitter.guesses(replace(odd, hosts=(Host(1000),))))

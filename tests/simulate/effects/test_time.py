@@ -103,8 +103,8 @@ class TestJitter:
         assert late_s.min() == 0
         assert 0.008 < late_s.max() < 0.009 + 1e-9
 
-    @pytest.mark.parametrize("told", [1.0, -0.5])
-    def test_waits_that_a_log_tells(self, place, instants, told: float) -> None:
+    @pytest.mark.parametrize("wait_share", [1.0, -0.5])
+    def test_waits_that_a_log_tells(self, place, instants, wait_share: float) -> None:
         """Row 12 was read 2 ms later or 1 ms earlier than stamped, row 15 by nobody; without such a log chance does."""
 
         def waits(first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -112,10 +112,10 @@ class TestJitter:
             return np.where(rows == 12, 2_000_000, 0), rows == 15
 
         before = instants(10, 20)
-        after = Jitter(1e-3, 0.5, told).sampled(before, replace(place(), waits=waits))
-        assert (after.instant_ns - before.instant_ns).tolist() == [0, 0, int(told * 2_000_000), *[0] * 7]
+        after = Jitter(1e-3, 0.5, wait_share).sampled(before, replace(place(), waits=waits))
+        assert (after.instant_ns - before.instant_ns).tolist() == [0, 0, int(wait_share * 2_000_000), *[0] * 7]
         assert np.flatnonzero(~after.kept).tolist() == [5]
-        drawn, known = (Jitter(1e-3, 0.5, own).sampled(before, place()).instant_ns for own in (told, 0.0))
+        drawn, known = (Jitter(1e-3, 0.5, own).sampled(before, place()).instant_ns for own in (wait_share, 0.0))
         assert (drawn == known).all()
 
     def test_noise_in_proportion_to_the_slope(self, place, instants) -> None:
@@ -194,7 +194,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: ClockError(warm_up_ppm=1.0, warm_up_s=0.0), "warm_up_s: 0.0; allowed is 0.001 to 1e"),
     (lambda: Skew(math.inf), "delay_s: inf"),
     (lambda: Jitter(-1e-3), "rms_s: -0.001; allowed is 0 to 1000"),
-    (lambda: Jitter(1e-3, 0.1, 1.5), "told: 1.5; allowed is -1 to 1"),
+    (lambda: Jitter(1e-3, 0.1, 1.5), "wait_share: 1.5; allowed is -1 to 1"),
     (lambda: DroppedSamples(0.6), "probability: 0.6; allowed is 0 to 0.5"),
     (lambda: DroppedSamples(0.9, 4.0), "probability: 0.9; allowed is 0 to 0.8"),
     (lambda: DroppedSamples(0.1, 0.5), "burst_rows: 0.5; allowed is 1 to"),
