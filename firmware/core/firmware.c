@@ -184,7 +184,6 @@ static void forget_lists(firmware *self) {
     }
     self->request_bytes = 0;
     self->period_us = 0;
-    self->memory.size = 0;
 }
 
 /* The requests of a LIST must fill it exactly, name buses that there are, and their answers must fit into a frame. */
@@ -313,6 +312,7 @@ static size_t result_of(uint8_t *answer, firmware_result result) {
 
 static size_t hello(firmware *self, uint8_t *answer) {
     forget_lists(self);
+    self->memory.size = 0;
     answer[0] = FIRMWARE_VERSION;
     answer[1] = FIRMWARE_LISTS;
     link_put16(answer + 2, FIRMWARE_REQUEST_BYTES);

@@ -24,6 +24,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.arrays import Integers
 from imuarray.bus import serial_link as link
@@ -73,20 +74,21 @@ class Admission:
         self._usual_us = started_us
         """When frame 0 would have been sent, from the newest frame."""
 
+    @property
+    def newest_us(self) -> int:
+        """When the newest admitted frame was sent; START's answer before there is any."""
+        return self._newest_us
+
     def admit(self, frames: Sequence[Frame], sent_us: Integers) -> FrameSelection:
         """The frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened counter; the
         others are counted in `refused`.
 
         FrameSelection numbers with their lists strictly increase, their times do not decrease, over all calls.
         """
-        names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
-        sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
-        sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
-        numbers = self._numbers(sequences, sent_us)
-        known = self._size[names] == sizes
-        due = known & (numbers >= 0)
-        due &= np.where(due, numbers % np.abs(self._every[names]) == self._offset[names], False)
+        names, numbers, due = self._due(frames, sent_us)
         if not due.all():
+            sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
+            known = self._size[names] == sizes
             self.refused[MEANINGLESS] += int(np.count_nonzero(~known))
             self.refused[OUT_OF_ORDER] += int(np.count_nonzero(known & ~due))
         places = np.flatnonzero(due)
@@ -98,6 +100,40 @@ class Admission:
             self._usual_us = int(sent_us[places[-1]] - numbers[places[-1]] * self._period_us)
             self._remember(sent_us[places] - numbers[places] * self._period_us, int(sent_us[places[-1]]))
         return FrameSelection(numbers[places], places)
+
+    def missing(self, frames: Sequence[Frame], sent_us: Integers) -> list[tuple[int, int]]:
+        """The runs, (first, count), of frame numbers that lack a list between the newest admitted frame and the newest
+        of these, which were sent at `sent_us` (n,). Nothing is admitted by asking.
+        """
+        names, numbers, due = self._due(frames, sent_us)
+        keys = np.unique(numbers[due] << 8 | names[due])
+        keys = keys[keys > self._newest]
+        if not len(keys):
+            return []
+        newest, last = int(keys[-1]), max(self._newest, int(keys[-1]) - (link.SEQUENCES // 2 << 8))
+        lists = np.flatnonzero(self._every > 0)
+        first = (last >> 8) + (lists <= last & 0xFF)
+        end = (newest >> 8) + (lists <= newest & 0xFF)
+        every, offset = self._every[lists], self._offset[lists]
+        required = (end - 1 - offset) // every - (first - 1 - offset) // every
+        present = np.bincount(keys[keys > last] & 0xFF, minlength=256)[lists]
+        absent: set[int] = set()
+        for place in np.flatnonzero(required > present).tolist():
+            begins = int(first[place] + (offset[place] - first[place]) % every[place])
+            wanted = np.arange(begins, end[place], every[place])
+            absent.update(np.setdiff1d(wanted, keys[keys & 0xFF == lists[place]] >> 8).tolist())
+        return _runs(sorted(absent))
+
+    def _due(self, frames: Sequence[Frame], sent_us: Integers) -> tuple[Integers, Integers, npt.NDArray[np.bool_]]:
+        """(n,) each: list of a frame, widened number, and whether this list with this length is sent in it."""
+        names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
+        sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
+        sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
+        numbers = self._numbers(sequences, sent_us)
+        known = self._size[names] == sizes
+        due = known & (numbers >= 0)
+        due &= np.where(due, numbers % np.abs(self._every[names]) == self._offset[names], False)
+        return names, numbers, due
 
     def _numbers(self, sequences: Integers, sent_us: Integers) -> Integers:
         """(n,) the largest frame numbers that can have been begun by `sent_us` and are sent as `sequences`."""
@@ -127,3 +163,14 @@ class Admission:
         if sent_us - self._grid_since_us > MEMORY_US:
             self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, earliest_us, sent_us
         self._grid_us = min(self._grid_us, earliest_us)
+
+
+def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """Increasing numbers as runs (first, count)."""
+    runs: list[tuple[int, int]] = []
+    for number in numbers:
+        if runs and number == sum(runs[-1]):
+            runs[-1] = runs[-1][0], runs[-1][1] + 1
+        else:
+            runs.append((number, 1))
+    return runs

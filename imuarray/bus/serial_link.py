@@ -46,14 +46,14 @@ STATUS), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands:
     07 STATUS                                                 result, and the numbers below
     08 SELECT    chip select, mode, clock u32 (Hz)            result
 
-DATA is kept until it is acknowledged or newer DATA needs its room. RESEND acknowledges the frame numbers before `first`
-and has DATA of the numbers `first` ... `first + count - 1` sent again, the very same bytes, before it is answered with
-the number of frames sent and the frame number to go on with if the line had no room for all. STATUS tells, each a u32
-unless said otherwise: u8 1 after a reset by the watchdog, u64 microseconds since the start, then the numbers of DATA
-sent, frames left out for want of time, DATA for which the line had no room, DATA overwritten before it was
-acknowledged, requests of lists that failed, bytes received that belonged to no frame. An address from 80 on, in
-TRANSFER and LIST, is chip select `address - 80` of SPI: what is to be written goes out, then zeros while the bytes to
-be read come in; nobody acknowledges there.
+DATA is kept, also after STOP, until it is acknowledged or newer DATA needs its room. RESEND acknowledges the frame
+numbers before `first` and has DATA of the numbers `first` ... `first + count - 1` sent again, the very same bytes,
+before it is answered with the number of frames sent and the frame number to go on with if the line had no room for
+all. STATUS tells, each a u32 unless said otherwise: u8 1 after a reset by the watchdog, u64 microseconds since the
+start, then the numbers of DATA sent, frames left out for want of time, DATA for which the line had no room, DATA
+overwritten before it was acknowledged, requests of lists that failed, bytes received that belonged to no frame. An
+address from 80 on, in TRANSFER and LIST, is chip select `address - 80` of SPI: what is to be written goes out, then
+zeros while the bytes to be read come in; nobody acknowledges there.
 """
 
 from __future__ import annotations
@@ -236,6 +236,19 @@ def request_bytes(lists: Sequence[PollList]) -> int:
 def start_payload(period_us: int) -> bytes:
     """Payload of START."""
     return struct.pack("<I", period_us)
+
+
+def resend_payload(first: int, count: int) -> bytes:
+    """Payload of RESEND: `count` frame numbers from `first` on."""
+    return struct.pack("<HH", first % SEQUENCES, count)
+
+
+def sent_again(payload: bytes) -> tuple[int, int]:
+    """Decode the answer to RESEND: the number of frames that were sent again, and the frame number, mod 65536, to go on
+    with; errors as of `outcome_of`.
+    """
+    frames, following = struct.unpack("<HH", outcome_of(payload, 4, "frames to be sent again"))
+    return frames, following
 
 
 def capacity_of(payload: bytes) -> Capacity:

@@ -3,7 +3,8 @@
 What is read is sorted as it arrives: answers wait for whoever asked, data for whoever collects it, with the counter's
 time widened by the host's clock. A frame that this boot of the microcontroller can't have sent by now is refused, and
 so is data that the running stream does not contain (`serial_admission`). Every frame that is taken tells something
-about the microcontroller's clock.
+about the microcontroller's clock. Data that is missing is asked for again before later data is handed out, where the
+firmware keeps it.
 """
 
 from __future__ import annotations
@@ -37,6 +38,14 @@ EARLY_NS = 10_000_000
 16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
 LEARNT_NS = 1_000_000
 """By how much one piece of data may shift the fit of the microcontroller's clock: a false frame shifts it no more."""
+
+RESENDS = 3
+"""Attempts to get frames that are missing; what is sent again gets lost as often as anything else."""
+RUNS = 8
+"""Gaps for which an attempt asks."""
+MAX_PAUSE = 64
+"""Pieces of data in which nothing is asked for after frames were missing that the microcontroller does not have: those
+for which it had no time."""
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
 """Time for a greeting that begins anew, once somebody has answered at all."""
@@ -76,6 +85,15 @@ class _Piece(NamedTuple):
         frames = [self.frames[place] for place in places.tolist()]
         return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
 
+    def between(self, after_us: int, until_us: int, known: set[Frame]) -> _Piece:
+        """The frames that were sent after `after_us`, by `until_us`, and are not `known`."""
+        places = [
+            place
+            for place, (frame, at_us) in enumerate(zip(self.frames, self.sent_us.tolist(), strict=True))
+            if after_us < at_us <= until_us and frame not in known
+        ]
+        return _Piece([self.frames[place] for place in places], self.sent_us[places], self.arrived_ns, False)
+
 
 class Session:
     """A session with the device at the port that `open_port` opens; LinkError if it does not speak the protocol.
@@ -91,6 +109,7 @@ class Session:
         self.refused: Counter[str] = Counter()
         self._open_port = open_port
         self._sequence = 0
+        self._pause = self._fruitless = 0
         self.port = open_port()
         try:
             self.capacity = self._greet(patience_s)
@@ -224,11 +243,62 @@ class Session:
         self._answers.clear()
         if self._admission is None or not pieces:
             return Data([], _NONE, _NONE)
+        if self.capacity.features & link.CAN_RESEND:
+            pieces += self._recover(self._admission, pieces)
         frames = [frame for piece in pieces for frame in piece.frames]
         sent_us = np.concatenate([piece.sent_us for piece in pieces])
         numbers, places = self._admission.admit(frames, sent_us)
         self._learn(np.sort(places), sent_us, pieces)
         return Data([frames[place] for place in places.tolist()], numbers, sent_us[places])
+
+    def _recover(self, admission: Admission, pieces: Sequence[_Piece]) -> list[_Piece]:
+        """Ask for the frames that are missing before the newest of `pieces`; the pieces that are sent again. What
+        arrives meanwhile and was sent later stays for the next call.
+        """
+        if self._pause:
+            self._pause -= 1
+            return []
+        newest_us = max(int(piece.sent_us.max()) for piece in pieces)
+        recovered: list[_Piece] = []
+        known: set[Frame] = set()
+        count = attempts = 0
+        while attempts < RESENDS:
+            whole = [*pieces, *recovered]
+            frames = [frame for piece in whole for frame in piece.frames]
+            runs = admission.missing(frames, np.concatenate([piece.sent_us for piece in whole]))
+            if not runs:
+                break
+            known.update(frames)
+            attempts += 1
+            try:
+                sent = sum(self._ask_again(first, number) for first, number in runs[:RUNS])
+            except OSError:  # no answer: what has arrived is kept, and the silence is noticed where data is required
+                sent = 0
+            arrived, self._pieces = self._pieces, []
+            for piece in arrived:
+                recovered.append(piece.between(admission.newest_us, newest_us, known))
+                known.update(recovered[-1].frames)
+                self._pieces.append(piece.since(newest_us + 1))
+            count += sent
+            if not sent:
+                break
+        if attempts:
+            self._fruitless = 0 if count else self._fruitless + 1
+            self._pause = min(1 << self._fruitless, MAX_PAUSE) - 1
+        return [piece for piece in recovered if piece.frames]
+
+    def _ask_again(self, first: int, number: int) -> int:
+        """Have `number` frames from `first` on sent again; how many the microcontroller sent. LinkError."""
+        end, count = first + number, 0
+        while first < end:
+            answer = self.ask(link.RESEND, link.resend_payload(first, min(end - first, link.SEQUENCES - 1)))
+            frames, following = link.sent_again(answer.payload)
+            progress = (following - first) % link.SEQUENCES
+            if not frames or not progress:
+                break
+            count += frames
+            first += progress
+        return count
 
     def _learn(self, admitted: Times, sent_us: Times, pieces: Sequence[_Piece]) -> None:
         """Tell the fit when the newest admitted frame of each piece that was read as it arrived was sent."""

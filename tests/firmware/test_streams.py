@@ -1,4 +1,4 @@
-"""An array that the firmware's core streams: the logger's tests of bad lines, resets and unplugged ports, with the core
+"""An array that the firmware's core streams: the logger's tests of resets and unplugged ports, with the core
 in the place of the emulated firmware. Its clock is the emulator's, so that every run is the same.
 """
 
@@ -10,7 +10,6 @@ import pytest
 
 from tests.acquire.conftest import an_array
 from tests.acquire.test_stream import (
-    test_a_bad_line_costs_readings_and_never_makes_any,
     test_a_sensor_that_is_unplugged_for_a_while,
     test_pulled_out_for_good_it_still_ends,
     test_stopped_while_it_is_pulled_out_what_it_missed_is_counted,
@@ -28,7 +27,6 @@ from tests.firmware.build import CoreFirmware
 
 __all__ = [
     "an_array",
-    "test_a_bad_line_costs_readings_and_never_makes_any",
     "test_a_sensor_that_is_unplugged_for_a_while",
     "test_after_a_reset_the_chip_selects_are_set_again",
     "test_eight_chips_at_1_khz",
