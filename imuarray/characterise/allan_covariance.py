@@ -85,7 +85,7 @@ def covariance(factors: tuple[int, ...], rows: int, theta: Floats) -> Floats:
     sums = _sums(factors, rows)
     random, ramp = theta[:-1], theta[-1]
     m = np.array(factors, float)
-    gaussian = 2 * np.einsum("ijab,a,b->ij", sums.squares, random, random)
+    gaussian = 2 * (sums.squares @ random @ random)
     return np.asarray(gaussian + 4 * ramp * np.outer(m**2, m**2) * (sums.means @ random))
 
 

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_covariance import TERMS, Term
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve
-from imuarray.characterise.allan_least_squares import AllanEstimate, Solution, interval_of, needed, solve
+from imuarray.characterise.allan_least_squares import AllanEstimate, Solution, interval_of, needed
 
 NAMES: dict[Term, str] = {"quantisation": "Q", "white": "N", "flicker": "B", "random walk": "K", "ramp": "R"}
 
@@ -123,7 +123,7 @@ def fit_noise(
     wanted = [at for at, term in enumerate(TERMS) if term in terms][: len(points)]
     included = needed(estimate, wanted)
     coefficients = tuple(_coefficient(estimate, term, included, wanted, unit, confidence) for term in wanted)
-    return _assess(estimate, solve(estimate, included), len(included), coefficients)
+    return _assess(estimate, estimate.solution(included), len(included), coefficients)
 
 
 def _points(curve: AllanCurve, column: int, shortest_s: float) -> npt.NDArray[np.intp]:
@@ -161,7 +161,7 @@ def _assess(estimate: AllanEstimate, solution: Solution, count: int, coefficient
     freedom = len(estimate.factors) - count
     misfit = estimate.misfit(solution.theta)
     p_value = float(gammaincc(freedom / 2, misfit / 2)) if freedom else float("nan")
-    tau_s, fitted = np.array(estimate.factors) * estimate.interval_s, np.sqrt(estimate.design() @ solution.theta)
+    tau_s, fitted = np.array(estimate.factors) * estimate.interval_s, np.sqrt(estimate.design @ solution.theta)
     ratio = np.sqrt(estimate.variance) / fitted
     worst = int(np.argmax(np.abs(np.log(ratio))))
     verdict = _verdict(p_value, float(ratio[worst]), float(tau_s[worst]), coefficients)

@@ -7,7 +7,8 @@ Hanson, "Solving Least Squares Problems", 1974). Terms are numbers, their places
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,9 @@ class AllanEstimate:
     factors: tuple[int, ...]
     rows: int
     interval_s: float
+    _solutions: dict[tuple[int, ...], Solution] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    @cached_property
     def design(self) -> Floats:
         """Variance (t, 5) of each term whose coefficient is 1, an interval of 1 s assumed."""
         return np.stack([variances(term, np.array(self.factors)) for term in TERMS], axis=1)
@@ -57,13 +60,20 @@ class AllanEstimate:
         decorrelated, spread = self._scatter(theta)
         return decorrelated / spread
 
+    def solution(self, terms: Sequence[int]) -> Solution:
+        """Squared coefficients of `terms`, fitted and weighted in turn; worked out once for each set of terms."""
+        key = tuple(terms)
+        if key not in self._solutions:
+            self._solutions[key] = _solve(self, terms)
+        return self._solutions[key]
+
     def misfit(self, theta: Floats) -> float:
         """Return how far the variances lie from what `theta` says; nearly chi-squared if it is the truth.
 
         By the cube roots of the variances: those of chi-squared numbers are nearly normal, even of few degrees of
         freedom (Wilson and Hilferty, PNAS 17, 1931).
         """
-        model = self.design() @ theta
+        model = self.design @ theta
         decorrelated, spread = self._scatter(theta)
         share = (spread / model) ** 2 / 9  # 2 / (9 degrees of freedom)
         roots = (np.cbrt(self.variance / model) - (1 - share)) / np.sqrt(share)
@@ -72,7 +82,7 @@ class AllanEstimate:
     def _scatter(self, theta: Floats) -> tuple[Floats, Floats]:
         """Matrix (t, t) that decorrelates, and standard deviations (t,)."""
         covariance_ = covariance(self.factors, self.rows, theta)
-        spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design() @ theta)) ** 2)
+        spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design @ theta)) ** 2)
         sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread
 
@@ -101,13 +111,13 @@ def needed(estimate: AllanEstimate, wanted: Sequence[int]) -> list[int]:
 
 def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
     """Return the gain in fit by one of the terms over the others alone."""
-    others = solve(estimate, [other for other in terms if other != term])
+    others = estimate.solution([other for other in terms if other != term])
     return others.misfit - _non_negative(others.design, others.target, terms)[1]
 
 
-def solve(estimate: AllanEstimate, terms: Sequence[int]) -> Solution:
-    """Squared coefficients of `terms`, fitted and weighted in turn."""
-    design = estimate.design()
+def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> Solution:
+    """Solve as `AllanEstimate.solution` does."""
+    design = estimate.design
     theta, _ = _non_negative(design / estimate.variance[:, None], np.ones(len(estimate.variance)), terms)
     for _ in range(_TURNS):
         whitener, last = estimate.whitener(theta), theta
@@ -141,7 +151,7 @@ def interval_of(
     """
     from scipy.special import ndtri
 
-    theta, z = solve(estimate, terms).theta, float(ndtri((1 + confidence) / 2))
+    theta, z = estimate.solution(terms).theta.copy(), float(ndtri((1 + confidence) / 2))
     value, high = float(theta[term]), float(theta[term])
     share = z * _error(estimate, theta, term, terms) / value if value else np.inf
     if share < _SURE:
@@ -154,7 +164,7 @@ def interval_of(
 
 def _error(estimate: AllanEstimate, theta: Floats, term: int, terms: Sequence[int]) -> float:
     """Standard error of one squared coefficient if `theta` are the true ones."""
-    white = estimate.whitener(theta) @ estimate.design()[:, list(terms)]
+    white = estimate.whitener(theta) @ estimate.design[:, list(terms)]
     scale = np.linalg.norm(white, axis=0)
     at = list(terms).index(term)
     return float(np.sqrt(np.linalg.pinv((white / scale).T @ (white / scale))[at, at]) / scale[at])
