@@ -28,7 +28,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
-BLOCK_BYTES = 1 << 18
+BLOCK_BYTES = 1 << 19
 """Of counts that are worked on at once: they stay in the cache."""
 
 
@@ -40,23 +40,23 @@ class ConstantGain:
     """
 
     def __init__(self, gain: Floats, bias: Floats, precision: type[np.float32] | type[np.float64] = np.float64) -> None:
-        self._gain = np.concatenate([gain, -(gain @ bias)[:, None]], axis=1).T.astype(precision)
-        columns = len(self._gain)
-        rows = max(1, BLOCK_BYTES // (columns * np.dtype(precision).itemsize))
-        self._counts = np.ones((rows, columns), precision)  # the last column stays so: what the bias makes
-        self._triads = np.empty((rows, 3), precision)
+        self._gain, self._of_bias = gain.astype(precision), (gain @ bias)[:, None]
+        rows = max(1, BLOCK_BYTES // (len(bias) * np.dtype(precision).itemsize))
+        self._counts = np.empty((rows, len(bias)), precision)
+        self._triads = np.empty((3, rows), precision)
 
     def __call__(self, counts: Sequence[npt.NDArray[Any]]) -> Floats:
         """(n, 3) from counts (n, k), the columns of several arrays side by side making m."""
-        triads = np.empty((len(counts[0]), 3))
-        for start in range(0, len(triads), len(self._counts)):
-            rows = slice(start, min(start + len(self._counts), len(triads)))
+        triads = np.empty((3, len(counts[0])))  # axis by axis: BLAS takes a third longer for rows of three
+        for start in range(0, triads.shape[1], len(self._counts)):
+            rows = slice(start, min(start + len(self._counts), triads.shape[1]))
             buffer, column = self._counts[: rows.stop - start], 0
             for part in counts:
                 buffer[:, column : column + part.shape[1]] = part[rows]
                 column += part.shape[1]
-            triads[rows] = np.matmul(buffer, self._gain, out=self._triads[: len(buffer)])
-        return triads
+            product = np.matmul(self._gain, buffer.T, out=self._triads[:, : len(buffer)])
+            np.subtract(product, self._of_bias, out=triads[:, rows])
+        return triads.T
 
 
 class SlowErrors:
