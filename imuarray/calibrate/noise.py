@@ -328,9 +328,14 @@ def calibrate_noise(
     return Calibration(result, tuple(str(log.path) for log in logs))
 
 
-def with_noise_of(log: Log, calibration: Calibration, names: Sequence[str] = ()) -> Calibration:
+def with_noise_of(
+    log: Log,
+    calibration: Calibration,
+    names: Sequence[str] = (),
+    progress: Callable[[str, int, int], None] = lambda what, done, of: None,
+) -> Calibration:
     """The calibration, with the noise that the log itself shows at rest for the sensors (only `names`, if there are
-    any) of which it knows none. CalibrationError if the log shows none.
+    any) of which it knows none. CalibrationError if the log shows none. `progress` hears what `calibrate_noise` tells.
     """
     known = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
@@ -338,7 +343,7 @@ def with_noise_of(log: Log, calibration: Calibration, names: Sequence[str] = ())
     lacking = [name for name, each in known.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
-    measured = calibrate_noise(log, known=calibration)
+    measured = calibrate_noise(log, known=calibration, progress=progress)
     return calibration.merged(Calibration({name: measured.sensors[name] for name in lacking}, measured.sources))
 
 

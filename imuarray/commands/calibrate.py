@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import bars, force_option, json_option, print_json, refuse_existing
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
@@ -59,7 +59,7 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     from imuarray.calibrate import calibrate_tumble
     from imuarray.commands.calibrate_tumble import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs, _bars() as moved:
+    with _opened(runs, output, update, force) as logs, bars() as moved:
         result = calibrate_tumble(*logs, progress=moved)
         report = report_of(logs[0], result)
     _finish(result.calibration, report, print_report, Target(output, update, force, as_json))
@@ -83,7 +83,7 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     from imuarray.calibrate import calibrate_noise, load_calibration
     from imuarray.commands.calibrate_noise import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs, _bars() as moved:
+    with _opened(runs, output, update, force) as logs, bars() as moved:
         known = load_calibration(output) if update and output.exists() else None
         calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
     _finish(calibration, report_of(calibration), print_report, Target(output, update, force, as_json))
@@ -218,22 +218,6 @@ def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> It
         refuse_existing(output, force or update, source=run)
     with ExitStack() as stack:
         yield [stack.enter_context(open_log(run)) for run in runs]
-
-
-@contextmanager
-def _bars() -> Iterator[Callable[[str, int, int], None]]:
-    """One bar after the other: yields a function of the step, how much of it is done, and of how much."""
-    with ExitStack() as stack:
-        current: tuple[str, Callable[[int], None]] | None = None
-
-        def moved(what: str, done: int, of: int) -> None:
-            nonlocal current
-            if current is None or current[0] != what:
-                stack.close()
-                current = what, stack.enter_context(progress(of, what))
-            current[1](done)
-
-        yield moved
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,15 @@ import click
 
 from imuarray.commands.fuse_notes import notes_sentences
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
-from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
+from imuarray.commands.options import (
+    bars,
+    force_option,
+    json_option,
+    log_argument,
+    print_json,
+    progress,
+    refuse_existing,
+)
 from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
@@ -23,6 +31,9 @@ _MEAN = "mean"
 
 _STEPS = 1000
 """Of a bar."""
+
+_AVERAGE = 0.1
+"""Share of the time that the average takes before an estimator of the whole array."""
 
 _NOTHING = {
     "opposed": "nothing on this array: the axes of a design that point both ways are already balanced",
@@ -114,14 +125,16 @@ def _run(options: FuseOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
     with open_log(options.run) as log:
-        inputs = prepare_inputs(
-            log,
-            calibration,
-            technique=None if options.evaluate else options.technique,
-            only=[log[name].name for name in options.only.split(",")] if options.only else (),
-            ranges=SENSITIVITIES,
-            calibration_file=str(options.calibration_file or ""),
-        )
+        with bars() as moved:
+            inputs = prepare_inputs(
+                log,
+                calibration,
+                technique=None if options.evaluate else options.technique,
+                only=[log[name].name for name in options.only.split(",")] if options.only else (),
+                ranges=SENSITIVITIES,
+                calibration_file=str(options.calibration_file or ""),
+                progress=moved,
+            )
         for remark in inputs.remarks:
             click.echo(f"imuarray: {remark}", err=True)
         calibration, names = inputs.calibration, list(inputs.only)
@@ -230,10 +243,11 @@ def _measured(
 
     technique = work.technique
     if technique == _MEAN or technique not in TECHNIQUES or work.watch:
+        before = 0.0 if technique == _MEAN else _AVERAGE
         if technique != _MEAN:
-            for block in work.fused(_MEAN):
+            for block in work.fused(_MEAN, progress=lambda share: progress(before * share)):
                 quality.add({_MEAN: block})
-        for block in work.fused(technique, on_fault, take_notes, progress):
+        for block in work.fused(technique, on_fault, take_notes, lambda share: progress(before + (1 - before) * share)):
             quality.add({technique: block})
             yield block
         return

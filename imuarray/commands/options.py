@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -139,6 +139,22 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
             bar.update(min(done, length) - bar.pos)
 
         yield move
+
+
+@contextmanager
+def bars() -> Iterator[Callable[[str, int, int], None]]:
+    """One bar after the other: yields a function of the step, how much of it is done, and of how much."""
+    with ExitStack() as stack:
+        current: tuple[str, Callable[[int], None]] | None = None
+
+        def moved(what: str, done: int, of: int) -> None:
+            nonlocal current
+            if current is None or current[0] != what:
+                stack.close()
+                current = what, stack.enter_context(progress(of, what))
+            current[1](done)
+
+        yield moved
 
 
 class Steps:

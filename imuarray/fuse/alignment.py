@@ -24,7 +24,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -402,12 +402,15 @@ def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> 
     if block is None or len(block.time) == 0:
         nothing, empty = np.zeros(len(grid), bool), np.zeros((len(grid), 3))
         return _Part(empty, empty.astype(np.int8), nothing, nothing, np.zeros(len(grid)))
-    index = nearest(block.time, grid)
+    index: Times | slice = nearest(block.time, grid)
+    if len(index) and (np.diff(index) == 1).all():  # one reading in each frame: views of the rows, no copies
+        index = slice(int(index[0]), int(index[-1]) + 1)
     time, status = block.time[index], block.status[index]
     late_ns = (time - grid).astype(float)
     age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
-    counts = block.counts[index].astype(float)
-    values = (counts - _bias(unit, time)) / unit.known.lsb_per_si
+    counts = block.counts[index]
+    values: Floats = np.subtract(counts, _bias(unit, time), dtype=np.float64)
+    values /= unit.known.lsb_per_si
     near = np.abs(late_ns) <= int(period_ns / 2)
     if not near.all():  # whatever else there is belongs to other frames
         values, status, late_ns = np.where(near[:, None], values, 0.0), status * near, late_ns * near
@@ -424,11 +427,12 @@ def _bias(unit: Unit, time: Times) -> Floats:
     return np.where(np.isfinite(degc)[:, None], unit.known.bias_at(np.nan_to_num(degc)), unit.known.bias_lsb)
 
 
-def _clipped(unit: Unit, counts: Floats, status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
+def _clipped(unit: Unit, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
     """(n, 3) the end at which an axis of a triad that is flagged as saturated stands."""
     flagged = (status & SATURATED) != 0
     if not flagged.any():
         return np.zeros(counts.shape, np.int8)
+    counts = counts.astype(float)
     at_end = (np.abs(counts) >= _AT_END * unit.end_lsb) & flagged[:, None]
     return np.where(at_end, np.sign(counts), 0).astype(np.int8)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -40,7 +40,8 @@ class FusionInputs:
     remarks: tuple[str, ...] = ()
 
 
-def prepare_inputs(
+# The options are independent of one another, keyword-only and the interface of the package.
+def prepare_inputs(  # noqa: PLR0913
     log: Log,
     calibration: Calibration,
     *,
@@ -48,6 +49,7 @@ def prepare_inputs(
     only: Sequence[str] = (),
     ranges: Mapping[str, Mapping[float, float]] = _NO_RANGES,
     calibration_file: str = "",
+    progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
     """Prepare `calibration` for fusing `log` by `technique` (None: by any of them); `only` these sensors, if any are
     named.
@@ -55,7 +57,8 @@ def prepare_inputs(
     Biases become those of the states in which the sensors started, and sensors that started wrong are left out: in
     another range, too, for chips whose sensitivities by range are in `ranges` (`imuarray.chips.SENSITIVITIES`). Noise
     that the technique needs and the calibration lacks is measured where the log is at rest. FusionError if a
-    `calibration_file` knows none of the sensors.
+    `calibration_file` knows none of the sensors. `progress` hears, while noise is measured, how
+    many sensors are done, and of how many.
 
     >>> from imuarray import load_calibration, open_log
     >>> from imuarray.chips import SENSITIVITIES
@@ -79,7 +82,7 @@ def prepare_inputs(
         from imuarray.calibrate.noise import with_noise_of  # its weight is for those who lack it
 
         remarks.append(f"no noise{which} in the calibration; measured where this log stands still")
-        calibration = with_noise_of(log, calibration, lacking)
+        calibration = with_noise_of(log, calibration, lacking, progress)
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,

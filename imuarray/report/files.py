@@ -37,7 +37,7 @@ _MOST_BYTES = 1 << 26
 _LONG_ROWS = 50_000
 """Rows of a sensor from which on another process is worth its start, of about a second."""
 
-_NOISE = 0.3
+_NOISE = 0.2
 """Share of the time that the noise of a log takes beside the techniques."""
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."

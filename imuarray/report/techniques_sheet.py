@@ -20,6 +20,9 @@ from imuarray.units import READABLE_SI
 
 _Z95 = 1.96
 
+_NOISE = 0.1
+"""Share of the time that measuring the sensors' noise takes."""
+
 
 class TechniqueGains(NamedTuple):
     """The section, and the verdict on what fusion gains (None: nothing can be said)."""
@@ -41,7 +44,9 @@ def techniques_section(
         return None
     title = f"{log.path.name}: what each technique gains"
     try:
-        comparison = compare(log, with_noise_of(log, calibration), progress=progress, executor=executor)
+        known = with_noise_of(log, calibration, progress=lambda what, done, of: progress(_NOISE * done / of))
+        compared: Callable[[float], None] = lambda share: progress(_NOISE + (1 - _NOISE) * share)  # noqa: E731
+        comparison = compare(log, known, progress=compared, executor=executor)
     except ImuArrayError as error:
         return TechniqueGains(Section(title, f"Nothing can be said of it: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]
