@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.calibrate import SensorCalibration, calibrate_noise, load_calibration
+from imuarray.calibrate import Calibration, SensorCalibration, calibrate_noise, load_calibration
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
+from imuarray.fuse.inputs import prepare_inputs
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope
@@ -109,6 +110,16 @@ def test_progress_is_told_sensor_by_sensor(tmp_path: Path) -> None:
     with open_log(write(tmp_path, white(2000), [STILL])) as log:
         calibrate_noise(log, progress=lambda *told_now: told.append(told_now))
     assert told == [("noise", 1, 1)]
+
+
+@pytest.mark.parametrize(("technique", "expected"), [("planes", [("noise", 1, 1)]), ("mean", [])])
+def test_progress_is_told_of_noise_that_a_technique_needs(
+    tmp_path: Path, technique: str, expected: list[tuple[str, int, int]]
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    with open_log(write(tmp_path, white(2000), [STILL])) as log:
+        prepare_inputs(log, Calibration(), technique=technique, progress=lambda *now: told.append(now))
+    assert told == expected
 
 
 def test_a_sensor_without_sound_readings_is_named(tmp_path: Path) -> None:
