@@ -402,9 +402,10 @@ def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> 
     if block is None or len(block.time) == 0:
         nothing, empty = np.zeros(len(grid), bool), np.zeros((len(grid), 3))
         return _Part(empty, empty.astype(np.int8), nothing, nothing, np.zeros(len(grid)))
-    index: Times | slice = nearest(block.time, grid)
-    if len(index) and (np.diff(index) == 1).all():  # one reading in each frame: views of the rows, no copies
-        index = slice(int(index[0]), int(index[-1]) + 1)
+    rows = nearest(block.time, grid)
+    index: Times | slice = rows
+    if len(rows) and (np.diff(rows) == 1).all():  # one reading in each frame: views, no copies
+        index = slice(int(rows[0]), int(rows[-1]) + 1)
     time, status = block.time[index], block.status[index]
     late_ns = (time - grid).astype(float)
     age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
