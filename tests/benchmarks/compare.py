@@ -31,6 +31,7 @@ SOURCES = (
     "spectrum_speed",
     "fusion_speed",
     "serial_rate",
+    "firmware_rate",
     "queue_speed",
     "storage_cost",
     "hostile_files",
