@@ -221,11 +221,6 @@ class Heating:
     gravity_g: Floats
     fit: AxesFit
 
-    @property
-    def carries_gravity(self) -> tuple[bool, ...]:
-        """Return for each axis whether more than half a g lay along it."""
-        return tuple((np.abs(self.gravity_g) > CARRIES_G).tolist())
-
 
 @dataclass(frozen=True, repr=False)
 class ThermalResult:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fdtrc
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.fits import refuse_imprecise
@@ -196,14 +195,6 @@ def compare_runs(
         if inside
         else np.full(3, np.nan),
     )
-
-
-def variance_ratio_p(
-    run_sd: npt.ArrayLike, run_freedom: npt.ArrayLike, in_run_sd: npt.ArrayLike, in_run_freedom: npt.ArrayLike
-) -> Floats:
-    """Probability of so large a ratio of variances if both are the same: the upper tail of F."""
-    ratio = (np.asarray(run_sd, float) / np.asarray(in_run_sd, float)) ** 2
-    return np.asarray(fdtrc(run_freedom, in_run_freedom, ratio))
 
 
 def holm(p_values: npt.ArrayLike) -> Floats:

@@ -18,7 +18,7 @@ from imuarray.array import SensorConfig
 from imuarray.barometer import Words, compensate
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, barometer_readings, carry_out, registers_for
 from imuarray.errors import SensorError
 from imuarray.facts import bmp180 as facts
 from imuarray.facts.registers import Setting
@@ -158,12 +158,7 @@ class Bmp180:
         ut = wide[:, 0] << 8 | wide[:, 1]
         up = (wide[:, 2] << 16 | wide[:, 3] << 8 | wide[:, 4]) >> 8 - _OVERSAMPLING
         temperature_degc, pressure_pa = compensate(ut, up, self.words, _OVERSAMPLING)
-        return DecodedBursts(
-            np.stack([ut, up], axis=1).astype(np.int32),
-            None,
-            np.zeros(len(bursts), np.uint16),
-            {"temperature": temperature_degc, "pressure": pressure_pa},
-        )
+        return barometer_readings(ut, up, temperature_degc, pressure_pa)
 
     def header(self) -> Mapping[str, int]:
         """The calibration words, without which the counts mean nothing."""

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import SensorConfig
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Integers
 from imuarray.bus.protocol import Bus
 from imuarray.bus.spi import SpiChip
 from imuarray.clock import Clock, sleep_for
@@ -97,6 +97,15 @@ class DecodedBursts(NamedTuple):
     temperature_counts: npt.NDArray[np.int16] | None
     status: npt.NDArray[np.uint16]
     compensated: Mapping[str, Floats] = {}
+
+
+def barometer_readings(ut: Integers, up: Integers, temperature_degc: Floats, pressure_pa: Floats) -> DecodedBursts:
+    """Return the readings of a barometer: its words UT and UP (n,) as counts, what follows from them in physical units
+    beside them, and no flags.
+    """
+    counts = np.stack([ut, up], axis=1).astype(np.int32)
+    compensated = {"temperature": temperature_degc, "pressure": pressure_pa}
+    return DecodedBursts(counts, None, np.zeros(len(counts), np.uint16), compensated)
 
 
 class SelfTest(NamedTuple):

@@ -18,7 +18,7 @@ from imuarray.arrays import Integers
 from imuarray.barometer import BAROMETERS, Words
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, barometer_readings, carry_out, registers_for
 from imuarray.facts.registers import Register, Setting
 
 _CALLS = 3
@@ -141,12 +141,7 @@ class ForcedBarometer:
         """UT and UP as counts, temperature in degC and pressure in Pa beside them."""
         ut, up = self.words_of(bursts)
         temperature_degc, pressure_pa = self.arithmetic.compensate(ut, up, self.words)
-        return DecodedBursts(
-            np.stack([ut, up], axis=1).astype(np.int32),
-            None,
-            np.zeros(len(bursts), np.uint16),
-            {"temperature": temperature_degc, "pressure": pressure_pa},
-        )
+        return barometer_readings(ut, up, temperature_degc, pressure_pa)
 
     def header(self) -> Mapping[str, int]:
         """The calibration words, without which the counts mean nothing."""

@@ -70,7 +70,7 @@ def array_text(die: str, rate_hz: int, *, on_spi: bool) -> str:
         pytest.param("icm42688", 1000, -0.01, True, marks=pytest.mark.slow),
         pytest.param("icm42688", 1000, 0.0, False, marks=pytest.mark.slow),
         pytest.param("icm42688", 200, -0.004, True, marks=pytest.mark.slow),
-        ("lsm6dso", 416, 0.01, False),
+        pytest.param("lsm6dso", 416, 0.01, False, marks=pytest.mark.slow),
         pytest.param("mpu6500", 500, -0.01, False, marks=pytest.mark.slow),
         ("mpu6050", 500, 0.0033, False),
     ],

@@ -125,6 +125,7 @@ def test_thermal_prints_a_table(heating: str, tmp_path: Path, capsys: pytest.Cap
     assert "  G1 z and G2 z" in out
 
 
+@pytest.mark.slow
 def test_thermal_adds_to_what_turn_on_found(
     runs: list[str], heating: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -131,6 +131,7 @@ def test_a_calm_path_is_known_better_than_a_hasty_one(tmp_path: Path) -> None:
     assert 3 < sems[1] / sems[0] < 30
 
 
+@pytest.mark.slow
 def test_turns_about_one_axis_and_short_paths_are_refused(tmp_path: Path) -> None:
     truth = {"A": (ideal("+X+Y+Z", PER_G), np.zeros(3))}
     flat = 2 * np.pi * SECONDS / 30

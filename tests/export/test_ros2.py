@@ -223,6 +223,7 @@ COUNTS = st.lists(st.lists(st.integers(-(2**15), 2**15 - 1), min_size=3, max_siz
 PRESSURES = st.lists(st.floats(1.0, 2e5), min_size=1, max_size=4)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(force=COUNTS, rate=COUNTS, pressures=PRESSURES)
 def test_any_counts_come_back(

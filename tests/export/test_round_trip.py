@@ -125,6 +125,7 @@ def _rows(draw: Any, header: SensorHeader, times: list[int]) -> Block:
     return Block(np.array(times, np.int64), counts, status, degrees if header.has_temperature else None, made)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(write=logs())
 def test_any_log_comes_back(tmp_path: Path, write: Callable[[Path], Path]) -> None:

@@ -67,6 +67,7 @@ def test_parts(tmp_path: Path) -> None:
             assert {int(event.message) // 10 for event in part.events} <= {number, number - 1}  # late ones go on
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lengths=st.lists(st.integers(1, 30), min_size=1, max_size=6), every_s=st.sampled_from([0.3, 1.0, 2.5]))
 def test_no_row_is_lost_whatever_the_blocks(tmp_path: Path, lengths: list[int], every_s: float) -> None:
