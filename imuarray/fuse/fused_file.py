@@ -280,6 +280,9 @@ two to three times the time.
 _AT_ONCE = 1 << 14
 """Frames that are written at once, four chunks: a chunk that is written in parts is packed as often."""
 
+_NO_CACHE = 0
+"""Bytes of HDF5's cache of chunks: whole chunks are written once, and caching them would take 60 MB on a long log."""
+
 UNITS: Mapping[str, str] = MappingProxyType(
     {
         "specific_force": "m s-2",
@@ -332,7 +335,7 @@ def write_fused(
     quantity, those whose use a block tells; `events` are read after the last block, so that they may be what `Watch`
     finds in the meantime. OutputExistsError, OutputError.
     """
-    with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
+    with whole_file(path, force=force) as draft, h5py.File(draft, "w", rdcc_nbytes=_NO_CACHE) as file:
         fused = _FusedColumns(file, draft, origin, sensors)
         frames = 0
         for block in _in_chunks(blocks, progress):
