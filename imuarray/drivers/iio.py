@@ -50,6 +50,8 @@ RATE_MARGIN = 0.01
 """A driver that rounds the data rate by less keeps it."""
 SCALE_MARGIN = 1e-3
 """Axes whose scales differ by less have one: sysfs prints six digits after the point."""
+ROUNDED = 2e-3
+"""A scale that is off by less than this share of the data sheet's is the data sheet's, rounded."""
 BUFFER_S = 4.0
 SHORTEST_BUFFER = 128
 LONGEST_BUFFER = 1 << 15
@@ -203,6 +205,7 @@ class IioSensor:
         scale = self._common("scale")
         if not 0 < scale < math.inf:
             raise SensorError(f"{self.device}: {attribute} is {scale:g}; a positive number is required")
+        scale = self._unrounded(scale, self.device.read(attribute) or "")
         full_scale = reach * scale / self.unit_si
         if wanted is not None and full_scale < RANGE_MARGIN * wanted:
             raise SensorError(
@@ -226,6 +229,14 @@ class IioSensor:
         kept = _number(attribute, self.device.read(attribute))
         if not math.isclose(kept, float(text), rel_tol=SCALE_MARGIN):
             raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
+
+    def _unrounded(self, scale: float, text: str) -> float:
+        """The data sheet's scale that the kernel means by `text`, if there is one: some drivers give six digits after
+        the point, of which three are zeros for a gyroscope, or multiples of one that was rounded before.
+        """
+        digit = 10.0 ** -len(text.partition(".")[2])
+        exact = [self.unit_si / counts for counts in self.sensor.spec.sensitivity.values()]
+        return next((value for value in exact if abs(value - scale) < max(digit, ROUNDED * value)), scale)
 
     def _attribute(self, kind: str) -> str:
         """The name of an attribute that all axes share, or that of x; it may be missing."""

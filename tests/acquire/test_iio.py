@@ -341,6 +341,27 @@ def test_what_the_device_cannot_do_is_said(machine: KernelMachine, changes: Any,
     assert "\x1b" not in text
 
 
+@pytest.mark.parametrize(
+    ("chip", "quantity", "scale", "sensitivity"),
+    [
+        ("l3g4200d", "angular_rate", "0.000305", 1 / 0.0175),  # as Linux prints it; L3G-41
+        ("l3g4200d", "angular_rate", "0.000306", 1 / 0.0175),
+        ("l3g4200d", "angular_rate", "0.000310", np.radians(1) / 0.00031),
+        ("mpu6050", "specific_force", "0.001196", 8192.0),  # INV-40
+        ("other", "angular_rate", "0.000305", np.radians(1) / 0.000305),
+    ],
+)
+def test_a_scale_that_was_rounded_is_the_data_sheets(
+    machine: KernelMachine, chip: str, quantity: str, scale: str, sensitivity: float
+) -> None:
+    kind = {"angular_rate": "in_anglvel", "specific_force": "in_accel"}[quantity]
+    machine.add("dev", "i2c-1/1-0069", {f"{kind}_scale": scale, **{f"{kind}_{axis}_raw": "1" for axis in "xyz"}})
+    keys = f'chip = "{chip}"\nquantity = "{quantity}"\nbus = "iio:dev"\nrate_hz = 100\n'
+    with IioBus(machine.root, clock=SteppedClock()) as bus:
+        (route,) = connect(array_of(sensor("A", keys)), bus)
+        assert route.header.sensitivity == pytest.approx(sensitivity, rel=1e-12)
+
+
 def test_two_axes_are_no_triad(machine: KernelMachine) -> None:
     machine.add("kx023", "i2c-1/1-001e", {name: text for name, text in ACCEL.items() if "accel_z" not in name})
     with pytest.raises(SensorError, match="has no in_accel_z; it has specific_force"):
