@@ -18,6 +18,8 @@ from imuarray.cli import main
 from imuarray.fuse import read_fused, read_fused_head
 from imuarray.log import open_log
 
+pytestmark = pytest.mark.slow
+
 MIXED = """
 [array]
 name = "mixed"
@@ -120,7 +122,6 @@ def test_exported_values_are_those_of_the_log(folder: Path, tmp_path: Path) -> N
             np.testing.assert_array_equal(columns[key], log[name].counts[:])
 
 
-@pytest.mark.slow
 def test_it_is_characterised_and_reported(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["characterise", str(folder / "still.h5"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -143,7 +144,6 @@ def test_it_is_calibrated_and_fused(folder: Path, tmp_path: Path) -> None:
     assert np.nanmedian(np.linalg.norm(forces, axis=1)) == pytest.approx(9.80665, rel=5e-3)  # at rest on its faces
 
 
-@pytest.mark.slow
 def test_it_is_diagnosed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An emulated array whose parts keep to their data sheets has no gap."""
     capsys.readouterr()

@@ -62,6 +62,7 @@ def test_a_turn_on_series_is_one_file_per_run(tmp_path: Path, capsys: pytest.Cap
     assert bistable[0]["offset_dps"][0] == pytest.approx(-12.6 * 0.00875, abs=0.3 * 0.00875)  # Table 7
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_log_and_another_another(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.h5" for name in "abcd"]
     for path, more in zip(paths, [(), ("--workers", 2), ("--seed", 1), ("--boot", 1)], strict=True):
