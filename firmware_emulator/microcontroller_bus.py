@@ -21,7 +21,7 @@ class SelectPort(Protocol):
 
 
 class Buses(Protocol):
-    """What the emulated array offers."""
+    """The buses and chip selects of the emulated array."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """One I2C transaction; OSError as the emulated wire gives it."""
@@ -68,7 +68,7 @@ class MicrocontrollerBus:
 
 
 def result_of(error: OSError | ValueError) -> int:
-    """What firmware says of a transaction that failed: 1 nobody, 2 held, 3 refused."""
+    """Return the code by which firmware reports a failed transaction: 1 no acknowledge, 2 bus held, 3 refused."""
     if isinstance(error, OSError):
         return 2 if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else 1
     return 3

@@ -164,7 +164,7 @@ def fuse(  # noqa: PLR0913
     from imuarray.fuse.fuse import fuse as fused_blocks
     from imuarray.fuse.fused_result import FusedResult
     from imuarray.fuse.fusion_notes import FusionNotes
-    from imuarray.fuse.inputs import prepare_inputs
+    from imuarray.fuse.inputs import prepare_inputs, require_known_sensors
     from imuarray.units import INERTIAL
 
     name = str(calibration) if isinstance(calibration, str | PathLike) else ""
@@ -172,14 +172,10 @@ def fuse(  # noqa: PLR0913
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
     with _opened([log]) as (opened,):
-        inputs = prepare_inputs(
-            opened,
-            known,
-            technique=technique,
-            only=[opened[sensor].name for sensor in only],
-            ranges=SENSITIVITIES,
-            calibration_file=name or ("the calibration" if known.sensors else ""),
-        )
+        chosen = [opened[sensor].name for sensor in only]
+        if name or known.sensors:
+            require_known_sensors(opened, known, chosen, name or "the calibration")
+        inputs = prepare_inputs(opened, known, technique=technique, only=chosen, ranges=SENSITIVITIES)
         blocks = fused_blocks(
             opened,
             inputs.calibration,

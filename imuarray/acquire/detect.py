@@ -172,7 +172,7 @@ def explore(bus: OpenBus) -> list[Detection]:
 
 
 def _served(device: IioDevice) -> Detection:
-    """Which triads a device of the kernel has, and how it can be read."""
+    """Return what a device of the kernel offers: its triads, and how they can be read."""
     try:
         captured = "captured or read" if device.elements() else "read"
         rates_hz = rates_of(device)

@@ -266,7 +266,7 @@ def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
 
 
 def _wired_checks(machine: Machine, array: ArrayConfig | None, rate_hz: float) -> list[Check]:
-    """Those of the I2C buses and chip selects that sensors name."""
+    """Check the I2C buses and chip selects that sensors name."""
     buses = list(dict.fromkeys(sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c)) if array else []
     return (i2c_checks(machine, array, buses, rate_hz) if buses else []) + spi_checks(machine, array)
 

@@ -232,8 +232,8 @@ class SerialSpiPort:
         """See `SpiPort.exchange`. What comes back before the zeros at the end of `sent`, and before its second byte, is
         not carried by the link and reads FF: no chip of an array says anything while it is told what is meant.
         """
-        told = max(1, len(sent.rstrip(b"\0")))
-        return b"\xff" * told + self._bus.exchange(self._select, sent[:told], len(sent) - told)
+        meant = max(1, len(sent.rstrip(b"\0")))
+        return b"\xff" * meant + self._bus.exchange(self._select, sent[:meant], len(sent) - meant)
 
 
 def open_serial(rest: str) -> SerialBus:

@@ -116,7 +116,7 @@ def _run(options: FuseOptions) -> None:
     """Fuse and evaluate as the options say, and print the report."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
-    from imuarray.fuse.inputs import prepare_inputs
+    from imuarray.fuse.inputs import prepare_inputs, require_known_sensors
     from imuarray.log import open_log
 
     if options.output is not None:
@@ -125,14 +125,16 @@ def _run(options: FuseOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
     with open_log(options.run) as log:
+        only = [log[name].name for name in options.only.split(",")] if options.only else []
+        if options.calibration_file:
+            require_known_sensors(log, calibration, only, str(options.calibration_file))
         with bars() as moved:
             inputs = prepare_inputs(
                 log,
                 calibration,
                 technique=None if options.evaluate else options.technique,
-                only=[log[name].name for name in options.only.split(",")] if options.only else (),
+                only=only,
                 ranges=SENSITIVITIES,
-                calibration_file=str(options.calibration_file or ""),
                 progress=moved,
             )
         for remark in inputs.remarks:

@@ -198,7 +198,7 @@ class QueueTimes(Protocol):
 
     @property
     def gaps(self) -> Sequence[int]:
-        """Those of them, counted from 0, before which samples are missing."""
+        """Places in `drained`, counted from 0, before which samples are missing."""
 
     def restart(self) -> None:
         """Forget everything: the chip was set up again, or its queue drained in another's place."""

@@ -79,7 +79,7 @@ def rates_of(device: IioDevice) -> dict[str, float]:
 
 
 class Conversion(NamedTuple):
-    """What the counts of one sensor mean: physical = (raw + `offset`) x `scale` in the kernel's unit."""
+    """Conversion of one sensor's counts: physical = (raw + `offset`) x `scale` in the kernel's unit."""
 
     scale: float
     offset: int
@@ -120,7 +120,7 @@ class IioQueue:
         self._times_ns += times_ns
 
     def take(self) -> bytes:
-        """All that waits."""
+        """Return all rows that wait, and let none wait any more."""
         self.drained, taken = self._times_ns, bytes(self._rows)
         self._rows, self._times_ns = bytearray(), []
         before = [] if self._newest_ns is None else [self._newest_ns]
@@ -559,7 +559,7 @@ def _numbers(text: str) -> list[str]:
 
 
 def _advice(error: OSError) -> str:
-    """What went wrong at which file, and what can be done about it."""
+    """Return a sentence on what failed at which file, and what can be done about it."""
     where = error.filename or "the device"
     advice = {
         13: "; let your group write to it by a udev rule, or be root",

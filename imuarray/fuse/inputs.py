@@ -40,15 +40,13 @@ class FusionInputs:
     remarks: tuple[str, ...] = ()
 
 
-# The options are independent of one another, keyword-only and the interface of the package.
-def prepare_inputs(  # noqa: PLR0913
+def prepare_inputs(
     log: Log,
     calibration: Calibration,
     *,
     technique: str | None = None,
     only: Sequence[str] = (),
     ranges: Mapping[str, Mapping[float, float]] = _NO_RANGES,
-    calibration_file: str = "",
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
     """Prepare `calibration` for fusing `log` by `technique` (None: by any of them); `only` these sensors, if any are
@@ -56,9 +54,8 @@ def prepare_inputs(  # noqa: PLR0913
 
     Biases become those of the states in which the sensors started, and sensors that started wrong are left out: in
     another range, too, for chips whose sensitivities by range are in `ranges` (`imuarray.chips.SENSITIVITIES`). Noise
-    that the technique needs and the calibration lacks is measured where the log is at rest. FusionError if a
-    `calibration_file` knows none of the sensors. `progress` hears, while noise is measured, how
-    many sensors are done, and of how many.
+    that the technique needs and the calibration lacks is measured where the log is at rest; `progress` is called
+    meanwhile with a text, the number of sensors that are done, and of how many.
 
     >>> from imuarray import load_calibration, open_log
     >>> from imuarray.chips import SENSITIVITIES
@@ -67,7 +64,7 @@ def prepare_inputs(  # noqa: PLR0913
     ...     inputs = prepare_inputs(log, load_calibration("cal.toml"), technique="planes", ranges=SENSITIVITIES)
     ...     blocks = list(fuse(log, inputs.calibration, "planes", only=inputs.only))
     """
-    uncalibrated = _uncalibrated(log, calibration, only, calibration_file)
+    uncalibrated = [sensor.name for sensor in _inertial(log, only) if sensor.name not in calibration.sensors]
     calibration, start_up, chosen = _in_start_states(log, calibration, only, ranges)
     sensors = _inertial(log, chosen)
     sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
@@ -101,15 +98,14 @@ def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
     return [sensor for sensor in sensors if not only or sensor.name in only]
 
 
-def _uncalibrated(log: Log, calibration: Calibration, only: Sequence[str], file: str) -> list[str]:
-    """The sensors that the calibration does not know; FusionError if a file knows none of them."""
+def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str], calibration_file: str) -> None:
+    """FusionError if a calibration, named by its file, knows none of the inertial sensors of `log` (`only` these)."""
     fused = [sensor.name for sensor in _inertial(log, only)]
-    unknown = [name for name in fused if name not in calibration.sensors]
-    if file and fused and unknown == fused:
+    if fused and not calibration.sensors.keys() & set(fused):
         raise FusionError(
-            f"{file}: knows {', '.join(calibration.sensors) or 'no sensor'}, but none of {log.path}: {', '.join(fused)}"
+            f"{calibration_file}: knows {', '.join(calibration.sensors) or 'no sensor'},"
+            f" but none of {log.path}: {', '.join(fused)}"
         )
-    return unknown
 
 
 def _in_start_states(
