@@ -17,6 +17,7 @@ from tests.acquire.test_stream import (
     test_the_papers_array_is_logged_as_it_went_over_the_wire,
     test_the_port_is_pulled_out_and_put_back,
 )
+from tests.acquire.test_stream_replays import test_a_replayed_frame_costs_itself_alone
 from tests.acquire.test_stream_spi import (
     test_after_a_reset_the_chip_selects_are_set_again,
     test_eight_chips_at_1_khz,
@@ -27,6 +28,7 @@ from tests.firmware.build import CoreFirmware
 
 __all__ = [
     "an_array",
+    "test_a_replayed_frame_costs_itself_alone",
     "test_a_sensor_that_is_unplugged_for_a_while",
     "test_after_a_reset_the_chip_selects_are_set_again",
     "test_eight_chips_at_1_khz",
