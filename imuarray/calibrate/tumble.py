@@ -25,6 +25,7 @@ from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
+from imuarray.printable import counted
 from imuarray.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -193,8 +194,8 @@ def _by_gravity(
             fit = fit_path(accelerometers, logs)
         except CalibrationError as error:
             raise CalibrationError(
-                f"{accelerometers[0].where}: {len(poses)} static poses, at least {MIN_POSES} are required; the path"
-                f" between them does not determine the parameters either ({error})"
+                f"{accelerometers[0].where}: {counted(len(poses), 'static pose')}, at least {MIN_POSES} are required;"
+                f" the path between them does not determine the parameters either ({error})"
             ) from None
     else:
         fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))

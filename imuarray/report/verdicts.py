@@ -92,7 +92,10 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     }
     known = " and ".join(text for text in worst.values() if text)
     level: Level = "good"
-    if not biased:
+    if not biased and any(sensor.thermal is not None for sensor in inertial):
+        level = "doubtful"
+        sentence = "has how biases follow temperature, but no bias, which a log at rest or a tumble gives"
+    elif not biased:
         level, sentence = "bad", "measured no bias: fusion with it uses the data sheets' values"
     elif lacking:
         level, sentence = "doubtful", f"is incomplete: {_listed(lacking)} without a measured bias; biases to {known}"

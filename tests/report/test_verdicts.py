@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.fuse import FusedHead
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
@@ -105,7 +106,11 @@ def test_is_the_calibration_good() -> None:
     assert "is incomplete: G2 without a measured bias" in verdict.sentence
     verdict = calibration_verdict(Path("c.toml"), Calibration({"A1": sensor("A1", measured=True, scaled=False)}))
     assert "A1 without a measured scale, which a tumble gives" in verdict.sentence
-    assert calibration_verdict(Path("c.toml"), Calibration({"A1": sensor("A1", measured=False)})).level == "bad"
+    alone = sensor("A1", measured=False)
+    assert calibration_verdict(Path("c.toml"), Calibration({"A1": alone})).level == "bad"
+    heated = replace(alone, thermal=Thermal(np.ones(3), np.ones(3), 25.0, (BIAS,) * 3, "reference"))
+    verdict = calibration_verdict(Path("c.toml"), Calibration({"A1": heated}))
+    assert (verdict.level, "how biases follow temperature, but no bias" in verdict.sentence) == ("doubtful", True)
 
 
 @pytest.mark.parametrize(("claimed", "level"), [(0.01, "good"), (0.004, "doubtful")])
