@@ -121,14 +121,15 @@ def _material(
 
 
 def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Floats, replicates: Floats) -> Floats:
-    """Scores (m,) of the recording under the model with its causes, with an allowance for the form of the causes.
+    """Normal scores (m,) of the recording under the model with its causes, with an allowance for their form.
 
     The scale is widened by the relative error of form times the shift from `before` to `after`; `replicates` are those
     of `after`.
     """
     moved = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
     wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * moved))
-    return np.asarray(pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likelihood.scores(replicates))))
+    scores = pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likelihood.scores(replicates)))
+    return after.tails.normal(scores, pairs.keys)
 
 
 def _one_sided(

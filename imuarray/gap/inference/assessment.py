@@ -11,6 +11,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.localisation import p_value
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
+from imuarray.gap.statistics.tails import Tails, normal_scores_by_others, tails_of
 
 MORE = 1.25
 """Factor by which the remainder has to exceed chance to be significant: no effect has exactly the form of the
@@ -22,9 +23,10 @@ real one.
 class Assessment:
     """A recording against one model.
 
-    Scores (m,) of pairs and (n,) of their parts, the `deviation` of these from the model's location, the model's
-    `likelihood`, and how often chance gives as large a score (`p`); `limit` is reached by chance in one of twenty
-    campaigns, `furthest` is the largest chance value.
+    Normal scores (m,) of pairs (`imuarray.gap.statistics.tails`) and scores (n,) of their parts, the `deviation` of
+    these from the model's location, the model's `likelihood`, and how often chance gives as large a normal score (`p`);
+    `limit` is reached by chance in one of twenty campaigns, `furthest` is the largest chance value. `tails` of the
+    scores of pairs.
     """
 
     scores: Floats
@@ -33,6 +35,7 @@ class Assessment:
     likelihood: SyntheticLikelihood
     p: float
     limit: float
+    tails: Tails
     furthest: float = math.nan
 
 
@@ -41,10 +44,13 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     replicates, by default each scored by the others.
     """
     likelihood = likelihood_of(replicates, floor)
-    scores, parts = scorer_of(pairs, likelihood, replicates)(real), likelihood.scores(real)
-    largest = largest_of(scores_by_others(pairs, replicates, floor) if chance is None else chance)
+    chance = scores_by_others(pairs, replicates, floor) if chance is None else chance
+    tails = tails_of(chance, pairs.keys)
+    scores = tails.normal(scorer_of(pairs, likelihood, replicates)(real), pairs.keys)
+    largest = largest_of(normal_scores_by_others(chance, pairs.keys))
     p, furthest = p_value(float(largest_of(scores)), largest), float(largest.max())
-    return Assessment(scores, parts, real - likelihood.location, likelihood, p, _high(largest), furthest)
+    deviation = real - likelihood.location
+    return Assessment(scores, likelihood.scores(real), deviation, likelihood, p, _high(largest), tails, furthest)
 
 
 def largest_of(scores: Floats) -> Floats:

@@ -32,6 +32,7 @@ from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scores_by_others
 from imuarray.gap.statistics.split import Split, split_of
+from imuarray.gap.statistics.tails import normal_scores_by_others
 from imuarray.log.format import Phase
 from imuarray.simulate.model import Model
 
@@ -237,7 +238,8 @@ def compared_with_base(
         simulated += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
         chance = np.array([replicate.values for replicate in simulated])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
-        where = located(pairs.keys, bench.base.headers, scores[0], scores[1:])
+        normal = normal_scores_by_others(scores, pairs.keys)
+        where = located(pairs.keys, bench.base.headers, normal[0], normal[1:])
         if where.p > limit:
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)

@@ -265,6 +265,7 @@ def _is_open(comparison: Comparison, standing: UnitState, rounds: Sequence[Round
         return False
     pairs = comparison.bench.pairs(comparison.bench.own(standing.unit))
     scores = scorer_of(pairs, standing.likelihood, standing.values)(standing.real)
+    scores = comparison.judged.tails.normal(scores, pairs.keys)
     return bool(np.nanmax(np.abs(scores)) > MORE * comparison.located.limit)
 
 
