@@ -11,7 +11,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.localisation import p_value
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
-from imuarray.gap.statistics.tails import Tails, normal_scores_by_others, tails_of
+from imuarray.gap.statistics.tails import NO_TAILS, Tails, normal_scores_by_others, tails_of
 
 MORE = 1.25
 """Factor by which the remainder has to exceed chance to be significant: no effect has exactly the form of the
@@ -35,8 +35,8 @@ class Assessment:
     likelihood: SyntheticLikelihood
     p: float
     limit: float
-    tails: Tails
     furthest: float = math.nan
+    tails: Tails = NO_TAILS
 
 
 def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Assessment:
@@ -50,7 +50,7 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     largest = largest_of(normal_scores_by_others(chance, pairs.keys))
     p, furthest = p_value(float(largest_of(scores)), largest), float(largest.max())
     deviation = real - likelihood.location
-    return Assessment(scores, likelihood.scores(real), deviation, likelihood, p, _high(largest), tails, furthest)
+    return Assessment(scores, likelihood.scores(real), deviation, likelihood, p, _high(largest), furthest, tails)
 
 
 def largest_of(scores: Floats) -> Floats:

@@ -67,6 +67,10 @@ class Tails:
         return values
 
 
+NO_TAILS = Tails({})
+"""Leaves all scores as they are."""
+
+
 def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
     """The tails of scores (b, m) of replicates without a gap."""
     fits = {statistic: _fit(np.abs(chance[:, places])) for statistic, places in _statistics(keys).items()}

@@ -1,0 +1,89 @@
+"""Normal scores: sizes that chance exceeds equally rarely become equal, whatever the tails."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.inference.localisation import p_value
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.tails import FREEDOMS, NO_TAILS, Tail, normal_scores_by_others, tails_of
+
+REPLICATES = 41
+
+
+def keys(count: int, probe: str, sensor: str = "G1") -> list[Key]:
+    return [Key(0, sensor, "x", "static", number, "level", probe) for number in range(count)]
+
+
+def test_a_tail_has_the_shares_of_students_t() -> None:
+    """t of two degrees of freedom: P(|t| > x) = 1 - x / sqrt(x^2 + 2); the normal deviation of the share 0.3173 is 1,
+    of 0.0455 it is 2.
+    """
+    for share, deviation in ((0.31731, 1.0), (0.04550, 2.0)):
+        size = (1 - share) * (2 / (1 - (1 - share) ** 2)) ** 0.5
+        assert Tail(2.0, 3.0).normal(np.array([3.0 * size]))[0] == pytest.approx(deviation, abs=1e-3)
+
+
+@given(st.sampled_from(FREEDOMS), st.floats(0.1, 5.0), st.floats(0.0, 40.0), st.floats(0.01, 10.0))
+def test_order_and_sign_stay(freedom: float, scale: float, size: float, more: float) -> None:
+    near, far = Tail(freedom, scale).normal(np.array([size, size + more]))
+    assert 0 <= near < far
+
+
+def test_heavy_and_light_tails_become_alike() -> None:
+    """Of normal scores and of t scores with 1.5 degrees of freedom, 4000 of each, the 99.9 % quantile is 3.29."""
+    stream = np.random.default_rng(1)
+    scores = np.concatenate([stream.normal(size=(40, 100)), stream.standard_t(1.5, size=(40, 100))], axis=1)
+    both = [*keys(100, "noise"), *keys(100, "mean")]
+    tails = tails_of(scores, both)
+    normal = np.array([tails.normal(row, both) for row in scores])
+    assert np.quantile(np.abs(scores[:, 100:]), 0.999) > 30
+    for half in (normal[:, :100], normal[:, 100:]):
+        assert np.quantile(np.abs(half), 0.999) == pytest.approx(3.29, abs=0.6)
+    np.testing.assert_array_equal(np.sign(normal), np.sign(scores))
+
+
+def test_a_deviation_among_heavy_tails_is_detected() -> None:
+    """One of 60 normal scores of a recording is 6, beside 60 heavy-tailed ones, of which replicates have far larger
+    ones.
+    """
+    stream = np.random.default_rng(2)
+    scores = np.concatenate(
+        [stream.normal(size=(REPLICATES, 60)), stream.standard_t(1.5, size=(REPLICATES, 60))], axis=1
+    )
+    scores[0, 60:] = 0.5
+    scores[0, 7] = 6.0
+    largest = np.abs(scores).max(axis=1)
+    normal = np.abs(normal_scores_by_others(scores, [*keys(60, "noise"), *keys(60, "mean")])).max(axis=1)
+    assert p_value(float(largest[0]), largest[1:]) > 0.5
+    assert p_value(float(normal[0]), normal[1:]) == pytest.approx(1 / REPLICATES)
+
+
+@pytest.mark.slow
+def test_without_a_gap_p_is_even() -> None:
+    """Of 400 recordings like their replicates, p is 1/20 or less in a twentieth: 20, and at most 35 with a probability
+    of 0.999 (binomial).
+    """
+    both, detected = [*keys(20, "noise"), *keys(20, "mean")], 0
+    for seed in range(400):
+        stream = np.random.default_rng((3, seed))
+        scores = np.concatenate([stream.normal(size=(40, 20)), stream.standard_t(2.0, size=(40, 20))], axis=1)
+        largest = np.abs(normal_scores_by_others(scores, both)).max(axis=1)
+        detected += p_value(float(largest[0]), largest[1:]) <= 0.05
+    assert 8 <= detected <= 35
+
+
+def test_rare_and_missing_values_stay() -> None:
+    """Shares that are zero in nearly all replicates have no tail; a missing score stays missing."""
+    scores = np.zeros((REPLICATES, 3))
+    scores[0] = [9.0, 0.0, np.nan]
+    np.testing.assert_array_equal(normal_scores_by_others(scores, keys(3, "gaps")), scores)
+    np.testing.assert_array_equal(NO_TAILS.normal(scores[0], keys(3, "gaps")), scores[0])
+
+
+def test_each_campaign_is_scored_by_the_others() -> None:
+    """Ten scores of 50 of one campaign make no tail heavy by which they are scored: 50 is far beyond the others'."""
+    scores = np.random.default_rng(4).normal(size=(REPLICATES, 30))
+    scores[0, :10] = 50.0
+    assert normal_scores_by_others(scores, keys(30, "noise"))[0].max() > 9
