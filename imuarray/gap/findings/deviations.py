@@ -174,6 +174,8 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "motion_delay": response,
         "motion_residual": fixed(_VARIANCE),
         "motion_coupling": fixed(_VARIANCE),
+        "motion_square": fixed(_CORRELATION),
+        "motion_cube": fixed(_CORRELATION),
         "slow_own_axes": fixed(_CORRELATION),
         "slow_box_axes": fixed(_CORRELATION),
         "slow_between_axes": fixed(_CORRELATION),

@@ -5,8 +5,9 @@ is slow, variation between windows within a segment is fast. Moments are kept al
 of one design have the same sign; the mounting turns them into the box's axes, where motion is.
 
 Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
-linear in them. The only sensor of its quantity has nothing to be compared with but the track of an instrument, if there
-is one: what that felt at the times of the sensor's rows makes up further columns.
+linear in them; and cubes of the mean angular rate, in which a response that bends is linear. The only sensor of its
+quantity has nothing to be compared with but the track of an instrument, if there is one: what that felt at the times of
+the sensor's rows makes up further columns.
 """
 
 from __future__ import annotations
@@ -25,10 +26,13 @@ from imuarray.log.writer import Block
 from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
 
-KINEMATIC = 9
-"""The last columns: six products of angular rates, three angular accelerations, by the gyroscopes, or without one by
-the track; zeros without either.
+KINEMATIC, CUBES = 9, 3
+"""The last columns: six products of angular rates and three angular accelerations; three cubes of angular rates. They
+are those of the gyroscopes, or without one of the track; zeros without either.
 """
+
+SQUARES = (0, 3, 5)
+"""The places of the squares xx, yy and zz among the six products."""
 
 SEGMENTS = 64
 _SEGMENT_WINDOWS = 8
@@ -41,13 +45,13 @@ _PRODUCTS = np.triu_indices(3)
 class Cross:
     """Second moments of window means of m sensors, in their units, along their own axes, three columns each, of the
     track beside each of the sensors `tracked`, in that sensor's unit along the box's axes, and of the `KINEMATIC`
-    columns (rad^2/s^2).
+    (rad^2/s^2) and `CUBES` columns (rad^3/s^3).
 
     `slow` (s, p) are means of the segments (nan for one without enough windows in which all sensors read); `fast` (p,
     p) is the mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the
     mean product of the first column and the change of the second, half of that from the window before to the one after
     less its mean in the segment, and `changes` (p, p) that of two changes. Without changes (`CrossTally`) both are nan
-    and the `KINEMATIC` columns 0.
+    and the `KINEMATIC` and `CUBES` columns 0.
     """
 
     sensors: tuple[SensorHeader, ...]
@@ -67,7 +71,12 @@ class Cross:
     @property
     def kinematic(self) -> slice:
         """The columns of the products of rates and the angular accelerations."""
-        return slice(len(self.fast) - KINEMATIC, None)
+        return slice(len(self.fast) - KINEMATIC - CUBES, len(self.fast) - CUBES)
+
+    @property
+    def cubes(self) -> slice:
+        """The columns of the cubes of rates."""
+        return slice(len(self.fast) - CUBES, None)
 
     def header(self, sensor: str) -> SensorHeader:
         """The header of a sensor."""
@@ -165,7 +174,7 @@ class CrossTally:
             self._track_places.setdefault(sensors[0].name, []).append((len(units), "angular_rate"))
             units.append(1.0)
         self._scale = np.array(units)
-        columns = 3 * len(units) + KINEMATIC
+        columns = 3 * len(units) + KINEMATIC + CUBES
         self._with_changes = changes
         self._sums = np.zeros((replicates, len(units), 3, self._length))
         self._rows = np.zeros((len(units), self._length))
@@ -291,14 +300,17 @@ class CrossTally:
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """Products xx, xy, xz, yy, yz, zz of the mean rate in the box and its change per second (r, 9, s, w)."""
+        """Products xx, xy, xz, yy, yz, zz of the mean rate in the box, its change per second, and its cubes
+        (r, 12, s, w).
+        """
         if not self._gyroscopes:
-            return np.zeros((len(readings), KINEMATIC, *readings.shape[3:]))
+            return np.zeros((len(readings), KINEMATIC + CUBES, *readings.shape[3:]))
         turned = [np.einsum("ab,rasw->rbsw", turn, unit * readings[:, at]) for at, unit, turn in self._gyroscopes]
         rate = np.mean(turned, axis=0)
         first, second = _PRODUCTS
         acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=3)
-        return np.concatenate([rate[:, first] * rate[:, second], acceleration], axis=1)
+        products = rate[:, first] * rate[:, second]
+        return np.concatenate([products, acceleration, products[:, SQUARES] * rate], axis=1)
 
 
 def _filled(readings: Floats, full: Booleans) -> Floats:

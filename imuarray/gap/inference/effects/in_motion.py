@@ -8,18 +8,19 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.statistics.cross import KINEMATIC, Cross
+from imuarray.gap.statistics.cross import CUBES, KINEMATIC, Cross
 
 OWN, REFERENCE, ROTATION = slice(0, 3), slice(3, 6), slice(6, 6 + KINEMATIC)
 FORCE = slice(6 + KINEMATIC, 9 + KINEMATIC)
+CUBED = slice(9 + KINEMATIC, 9 + KINEMATIC + CUBES)
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean products (18, 18) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
+    """Mean products (21, 21) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
     those of its reference along its nominal axes (`REFERENCE`; `Cross.reference`), products of angular
     rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean force in the sensor's nominal axes
-    in g (`FORCE`); over `windows` windows.
+    in g (`FORCE`), cubes of angular rates in the box (`CUBED`, rad^3/s^3); over `windows` windows.
     """
 
     products: Floats
@@ -37,7 +38,7 @@ class Moments:
 
 def moments(evidence: Evidence) -> Moments | None:
     """Moments over all phases in motion; None without one, or without a reference."""
-    total, windows = np.zeros((9 + KINEMATIC, 9 + KINEMATIC)), 0
+    total, windows = np.zeros((CUBED.stop, CUBED.stop)), 0
     for phase in evidence.seen:
         if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
             continue
@@ -55,15 +56,16 @@ def takes_part(evidence: Evidence, cross: Cross) -> bool:
 
 
 def _weights(cross: Cross, sensor: str) -> Floats | None:
-    """(18, p) what each column is made of."""
+    """(21, p) what each column is made of."""
     reference = cross.reference(sensor)
     if reference is None:
         return None
-    weights = np.zeros((9 + KINEMATIC, cross.fast.shape[0]))
+    weights = np.zeros((CUBED.stop, cross.fast.shape[0]))
     weights[OWN, cross.columns(sensor)] = np.eye(3)
     turn = np.array(cross.header(sensor).orientation).T
     weights[REFERENCE] = reference
     weights[ROTATION, cross.kinematic] = np.eye(KINEMATIC)
     feel = tuple(item.name for item in cross.sensors if item.quantity == "specific_force")
     weights[FORCE] = turn @ cross.mean_box(feel)
+    weights[CUBED, cross.cubes] = np.eye(CUBES)
     return weights

@@ -7,17 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.in_motion import OWN, REFERENCE, ROTATION, moments
+from imuarray.gap.inference.effects.in_motion import CUBED, OWN, REFERENCE, ROTATION, Moments, moments
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.statistics.cross import SQUARES
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 
-_SQUARES = (0, 3, 5)
-"""Where xx, yy and zz stand among the products of rates."""
-
-_IN_MOTION = ("motion_residual", "motion_coupling", "motion_gain")
+_IN_MOTION = ("motion_residual", "motion_coupling", "motion_gain", "motion_square", "motion_cube")
+_SQUARE, _CUBE = "motion_square", "motion_cube"
 _BEYOND = 2.7
 _LARGEST = 0.5
 """Of the range, which a curve doesn't bend by more."""
@@ -27,8 +26,8 @@ _SMALL = 1e-3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Quadratic terms by the even part on faces, a gyroscope's by the squares of rates in motion; a cubic one by what
-    is left in motion, as of a sine.
+    """Quadratic terms by the even part on faces, a gyroscope's by the squares of rates in motion; its cubic ones by the
+    cubes of rates, an accelerometer's by what is left in motion, as of a sine.
     """
     yield from with_removal(evidence, Nonlinearity.name, _found(evidence))
 
@@ -43,20 +42,47 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if quadratic.any():
         x, y, z = quadratic.tolist()
         yield Hypothesis((Nonlinearity(quadratic=(x, y, z)),), ("quadratic",))
+    if evidence.header.quantity == "angular_rate" and evidence.is_odd(_CUBE, beyond=_BEYOND):
+        x, y, z = _cubic(evidence).tolist()
+        yield Hypothesis((Nonlinearity(cubic=(x, y, z)),), ("cubic",))
     if evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
         yield from _from_motion(evidence)
 
 
 def _from_rates(evidence: Evidence) -> Floats:
-    """(3,) coefficients of the square of each axis's rate; sensors lie along the box's axes."""
+    """(3,) coefficients of the square of each axis's rate; sensors lie along the box's axes. If the squares show, only
+    those of the axes on which they do.
+    """
     table = moments(evidence)
     if table is None:
         return np.zeros(3)
-    rotation, shared, _ = table.beside(ROTATION)
-    at = np.array(_SQUARES)[np.abs(np.array(evidence.header.orientation)).argmax(axis=0)]
-    size = rotation[at, at]
-    slope = np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
-    return np.asarray(slope * (math.pi / 180) ** 2)
+    shows = np.abs(evidence.score(_SQUARE)) > _BEYOND
+    slope = _slope(table, ROTATION, np.array(SQUARES)[_nearest(evidence)]) * (math.pi / 180) ** 2
+    return np.where(shows, slope, 0.0) if shows.any() else slope
+
+
+def _cubic(evidence: Evidence) -> Floats:
+    """(3,) coefficients of the cube of the rate of each axis on which it shows."""
+    table = moments(evidence)
+    if table is None:
+        return np.zeros(3)
+    nearest = _nearest(evidence)
+    sign = np.sign(np.array(evidence.header.orientation)[nearest, range(3)])
+    slope = sign * _slope(table, CUBED, nearest) * (math.pi / 180) ** 3
+    most = _LARGEST / evidence.header.range**2
+    return np.where(np.abs(evidence.score(_CUBE)) > _BEYOND, np.clip(slope, -most, most), 0.0)
+
+
+def _nearest(evidence: Evidence) -> Indices:
+    """(3,) the box's axis that is nearest to each axis of the sensor."""
+    return np.asarray(np.abs(np.array(evidence.header.orientation)).argmax(axis=0))
+
+
+def _slope(table: Moments, columns: slice, at: Indices) -> Floats:
+    """(3,) slopes of the axes' readings over the column of each axis, without what the reference explains of both."""
+    given, shared, _ = table.beside(columns)
+    size = given[at, at]
+    return np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
 
 
 def _from_motion(evidence: Evidence) -> Iterator[Hypothesis]:

@@ -86,6 +86,8 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "motion_delay": motion.DELAY,
         "motion_residual": motion.RESIDUAL,
         "motion_coupling": motion.COUPLING,
+        "motion_square": motion.SQUARE,
+        "motion_cube": motion.CUBE,
         "slow_own_axes": cross_sensor.SLOW_OWN,
         "slow_box_axes": cross_sensor.SLOW_BOX,
         "slow_between_axes": cross_sensor.SLOW_BETWEEN,

@@ -1,4 +1,4 @@
-"""Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm.
+"""Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm, bend.
 
 The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes; of the only
 sensor of its quantity it is the track of the log. It is noisy itself, which makes gains a little too small, but equally
@@ -10,15 +10,17 @@ without significance. The residual of a sensor's motion is what no delay explain
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.cross import Cross
-from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, log, once
+from imuarray.gap.statistics.cross import SQUARES, Cross
+from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, fisher_z, log, once
 
 AXES = np.arange(3)
+REFERENCE, BEND = slice(3, 6), np.arange(6, 9)
 
 _STILL = 1e-3
 """Motion along an axis, as a share of the mean square over the axes, below which the box hardly moves along it: what
@@ -109,6 +111,36 @@ def coupling(cross: Cross, sensor: str) -> Floats:
         return NOTHING
     everything = np.arange(3, joint.moments.shape[0])
     return np.asarray(log(_residual_variance(joint, AXES + 3)) - log(_residual_variance(joint, everything)))
+
+
+def square(cross: Cross, sensor: str) -> Floats:
+    """artanh of the correlation of a gyroscope's readings with the square of the rate along each axis, without what the
+    reference explains of both.
+    """
+    return _bend(cross, sensor, [cross.kinematic.start + at for at in SQUARES])
+
+
+def cube(cross: Cross, sensor: str) -> Floats:
+    """The same with the cube of the rate."""
+    return _bend(cross, sensor, list(range(cross.cubes.start, cross.cubes.stop)))
+
+
+def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
+    """artanh of the partial correlation of each axis with the one of three columns that belongs to the box's axis which
+    is nearest to it; nan of other sensors than gyroscopes.
+    """
+    header, reference = cross.header(sensor), cross.reference(sensor)
+    if header.quantity != "angular_rate" or reference is None or not cross.windows:
+        return NOTHING
+    every = np.eye(cross.fast.shape[0])
+    nearest = np.abs(np.array(header.orientation)).argmax(axis=0)
+    weights = np.concatenate([every[cross.columns(sensor)], reference, every[np.array(columns)[nearest]]])
+    moments = weights @ cross.fast @ weights.T
+    given = moments[REFERENCE, REFERENCE]
+    remaining = moments - moments[:, REFERENCE] @ np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ moments[REFERENCE]
+    sizes = np.diag(remaining)[AXES] * np.diag(remaining)[BEND]
+    own = remaining[AXES, BEND]
+    return fisher_z(np.divide(own, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=sizes > 0))
 
 
 class _JointMoments(NamedTuple):
@@ -206,3 +238,7 @@ RESIDUAL = CrossProbe(
 COUPLING = CrossProbe(
     "motion", "log of how much of it rotation or force explains", "", ("size_effect", "g_sensitivity"), coupling, True
 )
+_BEND = "artanh of the correlation with the {power} of the rate along the axis, beyond what the others read"
+
+SQUARE = CrossProbe("motion", _BEND.format(power="square"), "", ("nonlinearity",), square, True)
+CUBE = CrossProbe("motion", _BEND.format(power="cube"), "", ("nonlinearity",), cube, True)
