@@ -436,7 +436,8 @@ def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
     noted = case.as_noted
     if noted is not case.comparison:
         report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
-    return where_of(report, noted.judged, noted.located.found, noted.located.found)
+    order = sorted(noted.located.found, key=lambda at: -abs(noted.judged.scores[at]))
+    return where_of(report, noted.judged, order, noted.located.found)
 
 
 def _unobservable(

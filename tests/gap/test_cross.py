@@ -271,3 +271,28 @@ def test_windows() -> None:
     assert window_ns([100.0, 400.0]) == 20_000_000
     assert window_ns([28.0, 400.0]) == 100_000_000
     assert window_ns([0.01]) == 5_000_000_000
+
+
+def test_a_response_that_bends_shows_in_square_and_cube() -> None:
+    """Two gyroscopes on one turning box, noise of 0.1 dps, rates of 60 dps rms about each axis. A reads w + b w^2 + c
+    w^3, with b = 2e-4 per dps on x and c = 2e-6 per dps^2 on y: 1.0 dps and 1.0 dps rms beside what is linear.
+    """
+    stream = np.random.default_rng(5)
+    rate = np.cumsum(stream.normal(0, 1.0, (ROWS, 3)), axis=0)
+    rate -= rate.reshape(-1, 80, 3).mean(axis=1).repeat(80, axis=0)
+    rate *= 60 / rate.std(axis=0)
+    sensors = [header(name, quantity="angular_rate", unit="dps", sensitivity=100.0) for name in "AB"]
+    bent = rate + np.array([2e-4, 0.0, 0.0]) * rate**2 + np.array([0.0, 2e-6, 0.0]) * rate**3
+    counts = [np.rint(100 * (seen + stream.normal(0, 0.1, rate.shape))) for seen in (bent, rate)]
+    found = crossed(sensors, counts, Phase(0, ROWS * INTERVAL_NS, "motion"))
+    squares, cubes = value("motion_square", found, "A"), value("motion_cube", found, "A")
+    assert squares[0] > 1.0
+    assert cubes[1] > 1.0
+    assert np.abs(squares[[1, 2]]).max() < 0.4
+    assert np.abs(cubes[[0, 2]]).max() < 0.4
+
+
+def test_only_a_gyroscope_bends_with_the_rate() -> None:
+    found = crossed([header("A"), header("B")], [random_counts(1), random_counts(2)])
+    assert np.isnan(value("motion_square", found, "A")).all()
+    assert np.isnan(value("motion_cube", found, "A")).all()

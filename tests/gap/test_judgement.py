@@ -60,7 +60,9 @@ def gap(closed: float | None) -> Gap:
 
 def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Assessment:
     nothing = np.zeros(1)
-    return Assessment(np.array([largest]), nothing, nothing, SyntheticLikelihood(*(nothing,) * 4), p, limit)  # type: ignore[arg-type]
+    return Assessment(
+        np.array([largest]), np.array([largest]), nothing, nothing, SyntheticLikelihood(*(nothing,) * 4), p, limit
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -290,7 +292,7 @@ def test_the_floor_is_that_of_chance() -> None:
     pairs, rows = PAIRS, chance(200, 5)
     scores = np.full(2 * COUNT, 9.0)
     before = Assessment(
-        scores[:COUNT], scores, np.zeros(2 * COUNT), likelihood_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0
+        scores[:COUNT], scores[:COUNT], scores, np.zeros(2 * COUNT), likelihood_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0
     )
     counted = deviating(pairs, scores, scores, np.zeros(2 * COUNT, bool))
     assert floor_of(counted, before, rows) == pytest.approx(1.0, abs=0.1)
@@ -302,7 +304,7 @@ def test_the_map_has_the_largest_of_each() -> None:
     keys = [key(0), key(1), key(0, "A1"), key(2, domain="spectrum")]
     nothing = SyntheticLikelihood(*(np.zeros(8),) * 4)  # type: ignore[arg-type]
     one, two = (
-        Assessment(np.array(scores), np.zeros(8), np.zeros(8), nothing, 0.5, 4.0)
+        Assessment(np.zeros(4), np.array(scores), np.zeros(8), np.zeros(8), nothing, 0.5, 4.0)
         for scores in ([1.0, -7.0, math.nan, 2.0], [1.0, 0.5, 3.0, math.nan])
     )
     found = map_of(paired(keys), one, two, ["A1", "G1"])
@@ -335,7 +337,7 @@ def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, in
     pairs = bench.pairs()
     count = len(bench.keys)
     plain = SyntheticLikelihood(np.zeros(count), np.ones(count), np.zeros(count, bool), np.zeros(count, bool))
-    one = Assessment(np.zeros(len(pairs.keys)), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
+    one = Assessment(*np.zeros((2, len(pairs.keys))), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
     places = [at for at, item in enumerate(pairs.keys) if item.probe == "mean" and item.axis == "x"]
     names = [f"log {number}" for number in range(len(logs))]
     told = where_of(StatisticReport(bench, campaign, pairs, names), one, places, {})

@@ -94,7 +94,7 @@ def remainder_of(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
     """The remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
-    sizes = np.nan_to_num(np.abs(after.scores))
+    sizes = np.nan_to_num(np.abs(after.normal))
     places = tuple(int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit)
     single = tuple(report.where(at, after, after.p) for at in places)
     one_sided = _one_sided(comparison, after, repaired, causes) if causes else ()
@@ -148,7 +148,7 @@ def _worst_places(
     comparison: Comparison, after: Assessment, one_sided: Sequence[GroupResidual], known: Sequence[int]
 ) -> list[int]:
     """The place of pairs at which each one-sided probe of a sensor is worst, without those `known` already."""
-    sizes, keys = np.nan_to_num(np.abs(after.scores)), comparison.pairs.keys
+    sizes, keys = np.nan_to_num(np.abs(after.normal)), comparison.pairs.keys
     worst: dict[tuple[str, str], int] = {}
     for group in one_sided:
         own = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (group.sensor, group.probe)]

@@ -266,12 +266,12 @@ def where_of(
 
 
 def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:
-    """The largest scores by sensor and domain."""
+    """The largest normal scores by sensor and domain."""
     domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
     tables = []
     for assessment in (before, after):
         table = np.full((len(sensors), len(domains)), np.nan)
-        for key, score in zip(pairs.keys, assessment.scores.tolist(), strict=True):
+        for key, score in zip(pairs.keys, assessment.normal.tolist(), strict=True):
             if math.isfinite(score):
                 place = sensors.index(key.sensor), domains.index(key.domain)
                 table[place] = np.fmax(table[place], abs(score))

@@ -140,7 +140,7 @@ def unknown_probability(closed: float | None, after: Assessment, one_sided: floa
     one sign (`one_sided`, `imuarray.gap.inference.residuals`), in units of the largest chance value.
     """
     share = closed if closed is not None else (1.0 if after.p > DOUBT else 0.0)
-    largest = float(largest_of(after.scores))
+    largest = float(largest_of(after.normal))
     beyond = math.log(max(largest / max(after.limit, 1.0), one_sided, 0.1))
     return 1 / (1 + math.exp(min(max(_STEEP * (share - _HALF) - beyond, -50.0), 50.0)))
 

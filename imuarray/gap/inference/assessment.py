@@ -23,13 +23,14 @@ real one.
 class Assessment:
     """A recording against one model.
 
-    Normal scores (m,) of pairs (`imuarray.gap.statistics.tails`) and scores (n,) of their parts, the `deviation` of
-    these from the model's location, the model's `likelihood`, and how often chance gives as large a normal score (`p`);
-    `limit` is reached by chance in one of twenty campaigns, `furthest` is the largest chance value. `tails` of the
-    scores of pairs.
+    Scores (m,) of pairs in standard deviations and as `normal` scores (`imuarray.gap.statistics.tails`), those (n,) of
+    their parts, the `deviation` of these from the model's location, the model's `likelihood`, and how often chance
+    gives as large a normal score (`p`); `limit` is reached by chance in one of twenty campaigns, `furthest` is the
+    largest chance value. `tails` of the scores of pairs.
     """
 
     scores: Floats
+    normal: Floats
     parts: Floats
     deviation: Floats
     likelihood: SyntheticLikelihood
@@ -46,11 +47,14 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     likelihood = likelihood_of(replicates, floor)
     chance = scores_by_others(pairs, replicates, floor) if chance is None else chance
     tails = tails_of(chance, pairs.keys)
-    scores = tails.normal(scorer_of(pairs, likelihood, replicates)(real), pairs.keys)
+    scores = scorer_of(pairs, likelihood, replicates)(real)
+    normal = tails.normal(scores, pairs.keys)
     largest = largest_of(normal_scores_by_others(chance, pairs.keys))
-    p, furthest = p_value(float(largest_of(scores)), largest), float(largest.max())
+    p, furthest = p_value(float(largest_of(normal)), largest), float(largest.max())
     deviation = real - likelihood.location
-    return Assessment(scores, likelihood.scores(real), deviation, likelihood, p, _high(largest), furthest, tails)
+    return Assessment(
+        scores, normal, likelihood.scores(real), deviation, likelihood, p, _high(largest), furthest, tails
+    )
 
 
 def largest_of(scores: Floats) -> Floats:

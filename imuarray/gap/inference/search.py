@@ -194,7 +194,7 @@ def _shared_trials(comparison: Comparison, guessed: Mapping[Unit, _Guesses]) -> 
     """
     odd = {
         key.sensor
-        for key, score in zip(comparison.pairs.keys, comparison.judged.scores.tolist(), strict=True)
+        for key, score in zip(comparison.pairs.keys, comparison.judged.normal.tolist(), strict=True)
         if key.domain == "cross_sensor" and abs(score) > comparison.judged.limit
     }
     headers = comparison.bench.base.headers

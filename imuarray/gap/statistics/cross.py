@@ -76,7 +76,7 @@ class Cross:
     @property
     def cubes(self) -> slice:
         """The columns of the cubes of rates."""
-        return slice(len(self.fast) - CUBES, None)
+        return slice(len(self.fast) - CUBES, len(self.fast))
 
     def header(self, sensor: str) -> SensorHeader:
         """The header of a sensor."""

@@ -20,11 +20,16 @@ from imuarray.gap.statistics.cross import SQUARES, Cross
 from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, fisher_z, log, once
 
 AXES = np.arange(3)
-REFERENCE, BEND = slice(3, 6), np.arange(6, 9)
+_REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
 
 _STILL = 1e-3
 """Motion along an axis, as a share of the mean square over the axes, below which the box hardly moves along it: what
 misalignments mix in there has no delay of its own, and an exact reference tells any gain.
+"""
+
+_MOVES = 1e-2
+"""The same below which no bend is looked for: the rate along such an axis is the sensor's own noise, and what other
+axes mix in.
 """
 
 _ENDS = 0.02
@@ -127,7 +132,7 @@ def cube(cross: Cross, sensor: str) -> Floats:
 
 def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
     """artanh of the partial correlation of each axis with the one of three columns that belongs to the box's axis which
-    is nearest to it; nan of other sensors than gyroscopes.
+    is nearest to it; nan of an axis along which the box hardly moves, and of other sensors than gyroscopes.
     """
     header, reference = cross.header(sensor), cross.reference(sensor)
     if header.quantity != "angular_rate" or reference is None or not cross.windows:
@@ -136,11 +141,14 @@ def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
     nearest = np.abs(np.array(header.orientation)).argmax(axis=0)
     weights = np.concatenate([every[cross.columns(sensor)], reference, every[np.array(columns)[nearest]]])
     moments = weights @ cross.fast @ weights.T
-    given = moments[REFERENCE, REFERENCE]
-    remaining = moments - moments[:, REFERENCE] @ np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ moments[REFERENCE]
-    sizes = np.diag(remaining)[AXES] * np.diag(remaining)[BEND]
-    own = remaining[AXES, BEND]
-    return fisher_z(np.divide(own, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=sizes > 0))
+    given = moments[_REFERENCE, _REFERENCE]
+    remaining = (
+        moments - moments[:, _REFERENCE] @ np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ moments[_REFERENCE]
+    )
+    sizes = np.diag(remaining)[AXES] * np.diag(remaining)[_BENDING]
+    own, motion = remaining[AXES, _BENDING], np.diag(given)
+    shows = (sizes > 0) & (motion > _MOVES * motion.mean())
+    return fisher_z(np.divide(own, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=shows))
 
 
 class _JointMoments(NamedTuple):
