@@ -27,8 +27,12 @@ is missing: it has no score.
 from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of
 the part.
 
+**Normal scores** (`statistics.tails`). Scores of levels and of rare rows have heavy tails, of which the largest of all
+scores would consist. Each score is replaced by the deviation of a normal quantity that chance exceeds as rarely, by a
+tail of Student's t that is fitted to the replicates; those of each replicate are by the tails of the others.
+
 **Localisation** (`inference.localisation`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
-by the largest score among siblings, against the same maximum over the replicates (Westfall and Young 1993;
+by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;
 Meinshausen 2008), at one family-wise level of 5 %.
 
 **Hypotheses** (`inference.search`). All effects are looked at on every sensor that differs, by local statistics -2 ln
