@@ -62,9 +62,9 @@ def test_every_technique_beside_the_average(run: Path) -> None:
 
 @pytest.mark.slow
 def test_another_process_makes_the_same_figures(run: Path) -> None:
-    told: list[float] = []
+    shares, told = list[float](), list[float]()
     with open_log(run) as log, processes(1) as executor:
-        alone = compare(log, calibration(parts()), ("optimal",))
+        alone = compare(log, calibration(parts()), ("optimal",), progress=shares.append)
         beside = compare(log, calibration(parts()), ("optimal",), progress=told.append, executor=executor)
     for score, other in zip(alone.scores, beside.scores, strict=True):
         assert (score.technique, score.quantity, score.ratio) == (other.technique, other.quantity, other.ratio)
@@ -72,7 +72,9 @@ def test_another_process_makes_the_same_figures(run: Path) -> None:
         assert score.error.rms.tolist() == other.error.rms.tolist()
     heading, its = (comparison.coasting["optimal"].heading_deg for comparison in (alone, beside))
     np.testing.assert_array_equal(heading, its)
-    assert told == sorted(told) and told[-1] <= 1.0
+    for heard in (shares, told):
+        assert heard == sorted(heard) and heard[-1] <= 1.0
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_the_interval_covers_a_ratio() -> None:
