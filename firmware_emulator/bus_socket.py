@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import socket
 import struct
+from contextlib import suppress
 from typing import Protocol
 
 from firmware_emulator.microcontroller_bus import FIRST_SELECT, result_of
@@ -34,13 +35,10 @@ def serve_bus(bus: ServedBus, connection: socket.socket) -> None:
     """Answer the questions of one program until it closes `connection` or ends; TypeError for a question of another
     kind.
     """
-    with connection, connection.makefile("rb") as stream:
+    with connection, connection.makefile("rb") as stream, suppress(ConnectionError):
         while len(head := stream.read(_QUESTION.size)) == _QUESTION.size:
             kind, address, first, second = _QUESTION.unpack(head)
-            try:
-                connection.sendall(_answer(bus, kind, address, first, second, stream.read))
-            except ConnectionError:
-                return
+            connection.sendall(_answer(bus, kind, address, first, second, stream.read))
 
 
 class _Read(Protocol):
