@@ -117,7 +117,7 @@ class GapCase:
     @property
     def is_gap(self) -> bool:
         """True if the recordings as noted differ by more than chance."""
-        return self.as_noted.located.is_gap
+        return self.as_noted.localisation.is_gap
 
     @property
     def model_name(self) -> str:
@@ -334,7 +334,7 @@ def _search(
 ) -> SearchResult:
     """The causes of the gap, none where there is none."""
     comparison = case.comparison
-    if not comparison.located.is_gap:
+    if not comparison.localisation.is_gap:
         return SearchResult({}, comparison.bench.models())
     return searches(comparison, candidates, case.run, progress, known)
 
@@ -343,12 +343,12 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
     """Compares the recordings with the model with its causes."""
     comparison = case.comparison
     if not causes:
-        return Verification(comparison.replicates, comparison.judged)
+        return Verification(comparison.replicates, comparison.assessment)
     numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
     replicates: Sequence[StatisticValues] = observed(comparison.bench, search.models, numbers, case.run)
     if comparison.earlier is not None:
         replicates = comparison.earlier.with_scatter(replicates, numbers)
-    floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.judged.likelihood))
+    floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.assessment.likelihood))
     values = np.array([replicate.values for replicate in replicates])
     return Verification(replicates, assess(comparison.pairs, comparison.real.values, values, floor))
 
@@ -379,7 +379,7 @@ def _report(
     return Diagnosis(
         verdict=verdict,
         sentence=sentence_of(judgement, where, remainder.where, in_use, pulls, against),
-        p=case.as_noted.located.p,
+        p=case.as_noted.localisation.p,
         gap=gap,
         where=where,
         causes=causes,
@@ -391,7 +391,7 @@ def _report(
         unshown=unobservable,
         uses=in_use,
         judged=judged_of(search.rounds),
-        map=map_of(comparison.pairs, case.as_noted.judged, verification.after, tuple(case.headers)),
+        map=map_of(comparison.pairs, case.as_noted.assessment, verification.after, tuple(case.headers)),
         overlays=() if briefly else _overlays(case, search, where),
         recorded=tuple(map(_summary, case.recordings)),
         notes=_notes(case, where, remainder.where, sensor_causes, explanation.shared),
@@ -410,7 +410,7 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
     """Judges the suspected causes, with the gap that they close on the held-out part, or on both if single parts don't
     show them.
     """
-    pairs, before, after = case.comparison.pairs, case.as_noted.judged, verification.after
+    pairs, before, after = case.comparison.pairs, case.as_noted.assessment, verification.after
     if needs_both_parts(suspected):
         counted = deviating_in_either(pairs, before.parts, after.parts)
     else:
@@ -436,8 +436,8 @@ def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
     noted = case.as_noted
     if noted is not case.comparison:
         report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
-    order = sorted(noted.located.found, key=lambda at: -abs(noted.judged.scores[at]))
-    return where_of(report, noted.judged, order, noted.located.found)
+    order = sorted(noted.localisation.p_by_place, key=lambda at: -abs(noted.assessment.scores[at]))
+    return where_of(report, noted.assessment, order, noted.localisation.p_by_place)
 
 
 def _unobservable(
@@ -453,7 +453,7 @@ def _unobservable(
         return hidden
     places = range(len(comparison.pairs.keys))
     uncertain = uncertain_domains(
-        np.array([report.scale(at, comparison.judged) for at in places]),
+        np.array([report.scale(at, comparison.assessment) for at in places]),
         np.array([report.margin(at) for at in places]),
         comparison.pairs.keys,
         np.array([report.rate_and_length(at)[1] for at in places]),

@@ -142,9 +142,9 @@ def test_a_recording_without_a_gap_lies_among_its_replicates() -> None:
     drawn = replace(first, base=replace(first.base, seed=11)).simulated(first.models(), 5)
     bench = bench_of(drawn, first.split, first.experiments, fit(first.split.train(drawn).campaign, [motion]))
     found = compared_with_base(bench, drawn, Run(bench), 40)
-    scores = found.judged.likelihood.scores(found.chance)
-    assert np.nanmean(np.abs(found.judged.parts) < 1) == pytest.approx(np.nanmean(np.abs(scores) < 1), abs=0.04)
-    assert not found.located.is_gap
+    scores = found.assessment.likelihood.scores(found.chance)
+    assert np.nanmean(np.abs(found.assessment.parts) < 1) == pytest.approx(np.nanmean(np.abs(scores) < 1), abs=0.04)
+    assert not found.localisation.is_gap
 
 
 @given(

@@ -59,8 +59,8 @@ def confirmed(bench: Bench, sensor: str, trial: Hypothesis | Effect, gain: float
     return Evaluation(FittedHypothesis(wanted), standing(bench, sensor, score), 2 * gain, gain)
 
 
-def round_of(bench: Bench, sensor: str, *found: Evaluation, taken: int | None = 0, before: float = 10.0) -> Round:
-    return Round(standing(bench, sensor, before), found, -1.0, None if taken is None else found[taken])
+def round_of(bench: Bench, sensor: str, *found: Evaluation, selection: int | None = 0, before: float = 10.0) -> Round:
+    return Round(standing(bench, sensor, before), found, -1.0, None if selection is None else found[selection])
 
 
 def causes(bench: Bench, sensor: str, *rounds: Round) -> tuple[Cause, ...]:
@@ -141,7 +141,7 @@ def test_two_guesses_of_one_effect_count_together(bench: Bench) -> None:
 def test_what_was_taken_is_told(bench: Bench) -> None:
     """The best one did nothing on the training part; the second guess of the same effect was taken."""
     found = [confirmed(bench, "G1", LINE, 6.0), confirmed(bench, "G1", Tone(LINE.amplitude, 34.0), 5.0)]
-    (told,) = causes(bench, "G1", round_of(bench, "G1", *found, taken=1))
+    (told,) = causes(bench, "G1", round_of(bench, "G1", *found, selection=1))
     assert told.parameters["frequency_hz"] == 34.0
 
 
@@ -170,7 +170,7 @@ def test_what_leaves_much_of_the_gap_is_less_probable(bench: Bench) -> None:
 
 
 def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
-    assert causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 2.0), taken=None)) == ()
+    assert causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 2.0), selection=None)) == ()
     assert causes_of(bench, {}, 1) == ()
 
 

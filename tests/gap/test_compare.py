@@ -82,7 +82,7 @@ def test_false_alarms(nothing: Comparison) -> None:
     alarms = 0
     for seed in range(60):
         _, campaign = recorded(units(seed), 1000 + seed)
-        alarms += compared_with_base(bench, campaign, known, 80).located.is_gap
+        alarms += compared_with_base(bench, campaign, known, 80).localisation.is_gap
     assert alarms <= 14
 
 
@@ -91,7 +91,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
     """60 campaigns, 40 replicates each: p <= 0.05 has a probability of 2/41 each; at most 8 of 60 come with one of
     0.998 (binomial).
     """
-    assert sum(compared(units(seed), seed).located.is_gap for seed in range(60)) <= 8
+    assert sum(compared(units(seed), seed).localisation.is_gap for seed in range(60)) <= 8
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
     other = compared_with_base(bench, nothing.campaign, Run(bench), 40)
     assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
-    one, two = nothing.judged.likelihood, other.judged.likelihood
+    one, two = nothing.assessment.likelihood, other.assessment.likelihood
     held = np.isfinite(one.location) & np.isfinite(two.location) & ~one.is_silent & ~two.is_silent
     apart = (two.location - one.location)[held] / one.scale[held]
     assert np.abs(np.median(apart)) < 0.2  # medians of 40 and 80 replicates scatter by 0.2 and 0.14
@@ -123,17 +123,19 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
 def test_a_tone_is_found_where_it_is() -> None:
     """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope."""
     found = compared({**units(1), "G2": (*units(1)["G2"], Tone((0.0, 0.04, 0.0), 17.0))}, 1)
-    root = found.located.root
-    assert found.located.is_gap
-    assert found.located.p == pytest.approx(1 / 41)
+    root = found.localisation.root
+    assert found.localisation.is_gap
+    assert found.localisation.p == pytest.approx(1 / 41)
     assert [node.path for node in root.found("chip")][:1] == [("l3g4200d",)]
     assert [node.path for node in root.found("axis")] == [("l3g4200d", "G2", "y")]
     assert root.found("domain")[0].path[-1] == "spectrum"
-    first, *_ = found.located.found
+    first, *_ = found.localisation.p_by_place
     key = found.pairs.keys[first]
     assert (key.sensor, key.axis, key.domain) == ("G2", "y", "spectrum")
-    assert abs(found.judged.scores[first]) > 5
-    assert {(found.pairs.keys[at].sensor, found.pairs.keys[at].axis) for at in found.located.found} == {("G2", "y")}
+    assert abs(found.assessment.scores[first]) > 5
+    assert {(found.pairs.keys[at].sensor, found.pairs.keys[at].axis) for at in found.localisation.p_by_place} == {
+        ("G2", "y")
+    }
 
 
 @pytest.mark.slow
@@ -143,9 +145,9 @@ def test_sizes_are_in_the_units_of_the_statistic() -> None:
     found = compared_with_base(bench, campaign, Run(bench), 40)
     told = where_of(
         StatisticReport(bench, campaign, found.pairs, ["tumble.h5"]),
-        found.judged,
-        found.located.found,
-        found.located.found,
+        found.assessment,
+        found.localisation.p_by_place,
+        found.localisation.p_by_place,
     )
     (square,) = [one for one in told if one.statistic == "force_square"]
     assert (square.sensor, square.axis, square.unit) == ("A2", "x", "g/g^2")
@@ -198,7 +200,7 @@ def test_processes_change_no_bit() -> None:
     with processes(2) as pool:
         together = compared_with_base(bench, campaign, runner(bench, pool), 40)
     np.testing.assert_array_equal(together.chance, alone.chance)
-    assert together.located == alone.located
+    assert together.localisation == alone.localisation
 
 
 class Chances:
@@ -237,7 +239,7 @@ def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[fl
     bench = Chances(seed, moved)
     found = compared_with_base(cast(Bench, bench), cast(Campaign, None), bench.run, replicates)
     assert bench.asked == list(range(len(found.replicates)))  # each once
-    return found.located.p, len(found.replicates)
+    return found.localisation.p, len(found.replicates)
 
 
 @pytest.mark.slow

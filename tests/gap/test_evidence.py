@@ -69,9 +69,9 @@ def test_what_a_recording_shows() -> None:
     scored = ScoredStatistics(keys, parts, number, number - 1, number * 2)
     found = evidence_of(bench, train, "G1", scored, bench.models()["G1"], (LINE,))
     assert (found.header.name, found.effects, found.runs, found.others) == ("G1", (LINE,), None, ())
-    (seen,) = found.seen
+    (seen,) = found.phases
     assert seen.is_still
-    assert found.still == found.seen
+    assert found.still == found.phases
     assert seen.raw.rows == pytest.approx(1000, abs=2)
     assert np.average(seen.residual.segments.mean, axis=0) == pytest.approx([0.0] * 3, abs=0.05)
     assert found.rows_per_s == pytest.approx(100.0, rel=1e-3)
@@ -94,10 +94,10 @@ def test_levels_are_told_from_the_present_model() -> None:
     nothing = ScoredStatistics((), (), np.zeros(0), np.zeros(0), np.zeros(0))
     one, other = (evidence_of(bench, train, "G1", nothing, each, ()) for each in (model, shifted))
     assert [item.name for item in one.others] == ["G2"]
-    assert [seen.log for seen in one.seen] == [0, 2]  # boots of the campaign
+    assert [seen.log for seen in one.phases] == [0, 2]  # boots of the campaign
     assert one.runs is not None
     assert one.runs.means.shape == (2, 3)
-    for before, after in zip(one.seen, other.seen, strict=True):
+    for before, after in zip(one.phases, other.phases, strict=True):
         apart = (after.residual.segments.mean - before.residual.segments.mean) / one.header.sensitivity
         np.testing.assert_allclose(np.average(apart, axis=0), [-0.1, 0.0, 0.0], atol=1e-9)
         np.testing.assert_array_equal(after.raw.segments.mean, before.raw.segments.mean)

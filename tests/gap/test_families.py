@@ -60,8 +60,8 @@ def test_both_parts_tell_whose_cause_it_is() -> None:
     shared, members = replace(found(10.0), train_gain=18.0), replace(found(12.0), train_gain=12.0)
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
     assert shared_wins(round_, members) is shared
-    rarer = replace(shared, tried=FittedHypothesis(Hypothesis((), rarity=5.0)))
-    assert shared_wins(replace(round_, taken=rarer), members) is None
+    rarer = replace(shared, hypothesis=FittedHypothesis(Hypothesis((), rarity=5.0)))
+    assert shared_wins(replace(round_, selection=rarer), members) is None
 
 
 def test_what_stays_beside_a_shared_cause() -> None:
@@ -69,14 +69,16 @@ def test_what_stays_beside_a_shared_cause() -> None:
     shared = found(40.0)
     shared = replace(
         shared,
-        tried=FittedHypothesis(SWAP),
+        hypothesis=FittedHypothesis(SWAP),
         standing=by_hand([0.0], drawn(1), models={name: SensorModel(FITTED) for name in BOTH}),
     )
-    line, weak = (replace(found(gain), tried=FittedHypothesis(Hypothesis((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5))
-    same = replace(found(30.0), tried=FittedHypothesis(SWAP))
+    line, weak = (
+        replace(found(gain), hypothesis=FittedHypothesis(Hypothesis((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5)
+    )
+    same = replace(found(30.0), hypothesis=FittedHypothesis(SWAP))
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
     assert separate_causes(round_, (line, weak, same)) == (line,)
-    assert separate_causes(replace(round_, taken=None), (line,)) == ()
+    assert separate_causes(replace(round_, selection=None), (line,)) == ()
 
 
 def test_trials_of_all_members_are_tried_once() -> None:

@@ -175,9 +175,9 @@ def test_what_is_far_beyond_any_replicate_makes_a_recording_unlikely(
     """
     found = found_in(LINE)
     report = StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"])
-    scores = beyond_form(found.pairs, found.judged, found.judged, found.real.values, found.chance)
+    scores = beyond_form(found.pairs, found.assessment, found.assessment, found.real.values, found.chance)
     worst = float(np.nanmax(np.abs(scores)))
-    left = remainder_of(found, replace(found.judged, furthest=worst / 1.25 / times), found.chance, (), report)
+    left = remainder_of(found, replace(found.assessment, furthest=worst / 1.25 / times), found.chance, (), report)
     assert (bool(left.sizes), bool(left.unlikely)) == (is_left, is_unlikely)
     assert set(left.sizes) <= {"G1"}
     assert left.where[0].axis == "y"
@@ -318,15 +318,18 @@ def test_the_map_has_the_largest_of_each() -> None:
 def test_a_statistic_in_its_units() -> None:
     """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
     found = found_in(LINE)
-    places = list(found.located.found)
+    places = list(found.localisation.p_by_place)
     told = where_of(
-        StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"]), found.judged, places, found.located.found
+        StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"]),
+        found.assessment,
+        places,
+        found.localisation.p_by_place,
     )
     worst = next(one for one in told if one.statistic == "noise_excess" or one.statistic == "line")
     assert (worst.log, worst.sensor, worst.axis, worst.phase) == ("a.h5", "G1", "y", "static")
-    assert worst.p == found.located.found[places[told.index(worst)]]
+    assert worst.p == found.localisation.p_by_place[places[told.index(worst)]]
     for one in told:
-        assert one.significance == pytest.approx(found.judged.scores[places[told.index(one)]])
+        assert one.significance == pytest.approx(found.assessment.scores[places[told.index(one)]])
         assert one.effect_size == pytest.approx((one.real - one.simulated) / one.margin)
         assert np.sign(one.effect_size) == np.sign(one.significance)
 

@@ -121,7 +121,7 @@ def test_the_most_probable_cause_with_a_rival_is_asked_about(bench: Bench) -> No
     causes = [cause("tone", "G1"), cause("bias", "G1", rivals=["turn_on_bias"]), cause("tone", "G2", rivals=["bias"])]
     rivals = rivals_of(found, causes)
     assert rivals is not None
-    assert (rivals.taken.trial.name, rivals.rival.trial.name) == ("bias", "turn_on_bias")
+    assert (rivals.selection.trial.name, rivals.rival.trial.name) == ("bias", "turn_on_bias")
     assert (rivals.sensors, rivals.independent) == (("G1",), 0.3)
     assert rivals_of(found, causes[:1]) is None
     assert rivals_of(found, causes[2:]) is None
@@ -146,7 +146,7 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     """
     found = searched(bench, "A1", Tone(0.005, 20.0, 0.0), Tone(0.005, 20.0, 90.0))
     (one,) = found.rounds["A1",]
-    other = replace(one.confirmed[1], tried=FittedHypothesis(Hypothesis((Bias(),))))  # the name of another kind
+    other = replace(one.confirmed[1], hypothesis=FittedHypothesis(Hypothesis((Bias(),))))  # the name of another kind
     rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
     said = next_experiment(bench, SearchResult(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
     assert said.startswith(

@@ -93,7 +93,7 @@ def test_rates_are_looked_at_one_by_one() -> None:
     heard: list[int] = []
 
     def guesses(evidence: Any) -> list[Hypothesis]:
-        logs = sorted({one.log for one in evidence.seen})
+        logs = sorted({one.log for one in evidence.phases})
         heard.append(len(logs))
         return [Hypothesis((Bandwidth(10.0 if len(logs) > 1 else 40.0),), ("cutoff_hz",))]
 

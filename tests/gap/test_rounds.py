@@ -36,10 +36,10 @@ def test_what_one_round_takes_the_next_one_has(two_lines: SearchResult) -> None:
     """Both lines are found, one after the other or both at once; the last round finds nothing, or nothing is left."""
     (rounds,) = two_lines.rounds.values()
     assert len(rounds) <= ROUNDS
-    assert all(one.taken is not None for one in rounds[:-1])
+    assert all(one.selection is not None for one in rounds[:-1])
     for before, after in pairwise(rounds):
-        assert before.taken is not None
-        assert after.before.models == before.taken.standing.models
+        assert before.selection is not None
+        assert after.before.models == before.selection.standing.models
     lines = [effect for effect in two_lines.models["G1"].added if isinstance(effect, Tone)]
     for line, axis in ((LINE, 1), (OTHER, 0)):
         near = [one for one in lines if abs(one.frequency_hz - line.frequency_hz) < 0.3]
@@ -60,7 +60,7 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     found = compared_with_base(bench, campaign, Run(bench), 40)
     everywhere = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True, everywhere=True)])
     came = searches(found, {"tone": everywhere}, Run(bench))
-    assert [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)] == [("A1", "G1")]
+    assert [unit for unit, rounds in came.rounds.items() if any(one.selection for one in rounds)] == [("A1", "G1")]
     assert all(LINE in model.added for model in came.models.values())
     (cause,) = causes_of(bench, came.rounds, 1)
     assert (cause.sensors, cause.origin) == (("A1", "G1"), "metadata")
@@ -90,9 +90,11 @@ def test_what_shows_beside_others_waits(
     headers["A1"] = replace(headers["G1"], name="A1", quantity="specific_force")
     bench = replace(found.bench, base=replace(found.bench.base, headers=headers))
     (first, *_) = next(iter(two_lines.rounds.values()))
-    assert first.taken is not None
+    assert first.selection is not None
     came: dict[Unit, Round] = {
-        (name,): replace(first, taken=None if share is None else replace(first.taken, own_share=share, gain=gain))
+        (name,): replace(
+            first, selection=None if share is None else replace(first.selection, own_share=share, gain=gain)
+        )
         for name, share, gain in zip(("G1", "G2", "A1"), (*shares, 1.0), (*gains, 50.0), strict=True)
     }
     assert [name for (name,) in _deferred(replace(found, bench=bench), came)] == waiting
@@ -107,10 +109,10 @@ def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     other = (WhiteNoise(1.0), LINE) if is_there else ()
     bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
     found = compared_with_base(bench, campaign, Run(bench), 40)
-    assert [node.path[-1] for node in found.located.root.found("sensor")] == ["G1"]
+    assert [node.path[-1] for node in found.localisation.root.found("sensor")] == ["G1"]
     shared = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True)])
     came = searches(found, {"tone": shared}, Run(bench))
-    units = [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)]
+    units = [unit for unit, rounds in came.rounds.items() if any(one.selection for one in rounds)]
     assert units == ([("G1", "G2")] if is_there else [])
 
 
@@ -120,7 +122,7 @@ def test_nothing_is_found_without_candidates() -> None:
     heard: list[str] = []
     came = searches(found, {}, Run(found.bench), heard.append)
     ((one,),) = came.rounds.values()
-    assert (one.confirmed, one.taken) == ((), None)
+    assert (one.confirmed, one.selection) == ((), None)
     assert came.models == found.bench.models()
     assert heard == ["looking for causes, round 1: 1 sensors"]
 
@@ -145,8 +147,8 @@ def test_candidates_see_what_is_left() -> None:
     found = found_in(LINE)
     searches(found, {"made up": Candidate("made up", guesses)}, Run(found.bench))
     train, both = shown[:2]
-    assert len(train.seen) == 1
-    assert len(both.seen) == 2
+    assert len(train.phases) == 1
+    assert len(both.phases) == 2
     assert len(both.scores["line"]) == 2 * len(train.scores["line"])
     assert np.argmax(train.score("line")) == 1
     assert not [one for one in train.effects if isinstance(one, Tone)]

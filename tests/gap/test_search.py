@@ -156,10 +156,10 @@ class CannedRun:
     def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
         self.asked.append(len(items))
         if job.__name__ == "_confirm":
-            return [self._confirmed(item.standing, item.tried) for item in items]
+            return [self._confirmed(item.standing, item.hypothesis) for item in items]
         if job.__name__ == "_look":
             return [[self._looked(trial) for trial in item.trials] for item in items]
-        return [self._looked(item.tried.trial) for item in items]
+        return [self._looked(item.hypothesis.trial) for item in items]
 
     def _looked(self, trial: Hypothesis) -> FittedHypothesis:
         return FittedHypothesis(trial, {}, self._first[trial.name])
@@ -187,7 +187,7 @@ def test_what_gains_most_is_taken() -> None:
     assert told.asked == [1, 2, 1, 3]  # looks at all, refined, the placebo, confirmed
     assert [one.trial.name for one in found.confirmed] == ["bias", "white_noise"]
     assert found.placebo_gain == 1.0
-    assert found.taken is found.confirmed[0]
+    assert found.selection is found.confirmed[0]
 
 
 def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
@@ -197,7 +197,7 @@ def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
         found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
         assert told.asked == [1, 1, 0, 1]
         assert ([one.trial.name for one in found.confirmed], found.placebo_gain) == (["bias"], 0.0)
-        assert (found.taken is not None) == is_taken
+        assert (found.selection is not None) == is_taken
 
 
 def test_parameters_cost() -> None:
@@ -216,7 +216,7 @@ def test_parameters_cost() -> None:
     assert [one.trial.name for one in found.confirmed] == ["bias", "tone"]
     assert [one.factors for one in found.confirmed] == [1, 4]
     assert found.log_odds == pytest.approx((8 - COST, 9 - 4 * COST))
-    assert found.taken is found.confirmed[0]
+    assert found.selection is found.confirmed[0]
 
 
 def test_odds_count_what_is_independent_with_the_best() -> None:
@@ -243,7 +243,7 @@ def test_odds_count_what_is_independent_with_the_best() -> None:
 )
 def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_taken: bool) -> None:
     found, _ = round_of({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, placebo)}, Bias(1.0))
-    assert (found.taken is not None) == is_taken
+    assert (found.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_a_cause_that_only_the_held_out_part_shows(
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), free)]}, {UNIT: Hypothesis((LINE,))}
     result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
-    assert (result.taken is not None) == is_taken
+    assert (result.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
@@ -271,7 +271,7 @@ def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -
     told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
     found = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
-    assert (found.taken is not None) == is_taken
+    assert (found.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(("effect", "is_taken"), [(Bias(1.0), False), (Stuck(3.0, 1.0), True)])
@@ -279,7 +279,7 @@ def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -
     """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
     told = CannedRun({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
     found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((effect,))]}, {}, told)[UNIT]
-    assert (found.taken is not None) == is_taken
+    assert (found.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(("share", "is_taken"), [(0.9, True), (0.3, False)])
@@ -290,7 +290,7 @@ def test_few_statistics_that_say_something_of_their_own_count_more(share: float,
     told = CannedRun({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
     standing = by_hand([0.0], drawn(1), independent=0.3)
     found = searched({UNIT: standing}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
-    assert (found.taken is not None) == is_taken
+    assert (found.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(("own_share", "odds"), [(1.0, 6.0), (0.5, 4.0), (0.0, 2.0), (-3.0, 2.0)])
@@ -311,13 +311,13 @@ def test_what_shows_beside_others_counts_no_more(own_share: float, odds: float) 
 def test_what_needs_both_may_show_in_one_part_alone() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
-    assert found.taken is not None
+    assert found.selection is not None
 
 
 def test_nothing_worth_looking_at() -> None:
     found, told = round_of({"bias": WORTH, "tone": 0.0}, {"tone": (0.0, -1.0)}, Bias(1.0))
     assert told.asked == [1, 0, 0, 0]  # no placebo where nothing is to be compared with it
-    assert (found.confirmed, found.taken, found.placebo_gain) == ((), None, 0.0)
+    assert (found.confirmed, found.selection, found.placebo_gain) == ((), None, 0.0)
 
 
 def test_a_gain_of_few_is_worth_as_much_as_it_counts() -> None:
@@ -340,8 +340,8 @@ def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
     ]
     placebo = Hypothesis((Tone(0.0025, 100 * (math.sqrt(5) - 1) / 4),), ("amplitude",))
     (found,) = searched({UNIT: standing}, {UNIT: trials}, {UNIT: placebo}, Run(bench)).values()
-    assert found.taken is not None
-    assert found.taken.trial.name == "tone"
+    assert found.selection is not None
+    assert found.selection.trial.name == "tone"
     assert found.before is standing
     assert found.placebo_gain < ACCEPTED
 

@@ -27,7 +27,7 @@ def places(sensor: str) -> npt.NDArray[np.intp]:
 
 
 def found_keys(found: Localisation) -> list[Key]:
-    return [KEYS[at] for at in found.found]
+    return [KEYS[at] for at in found.p_by_place]
 
 
 def test_a_step_down_is_paid_for_among_siblings() -> None:
@@ -44,13 +44,13 @@ def test_a_step_down_is_paid_for_among_siblings() -> None:
     both = found_by(scores, chance)
     assert [node.path[1] for node in both.root.found("sensor")] == ["G1", "A1"]
     assert found_keys(both) == [KEYS[places("G1")[5]], KEYS[places("A1")[0]]]
-    assert list(both.found.values()) == pytest.approx([1 / 41] * 2)
+    assert list(both.p_by_place.values()) == pytest.approx([1 / 41] * 2)
     assert [child.is_significant for child in both.root.found("chip")[1].children] == [True, False]
 
 
 def test_nothing_is_looked_for_where_nothing_was_found() -> None:
     none = found_by(np.zeros(len(KEYS)), np.ones((40, len(KEYS))))
-    assert (none.is_gap, none.p, none.root.children, none.found) == (False, 1.0, (), {})
+    assert (none.is_gap, none.p, none.root.children, none.p_by_place) == (False, 1.0, (), {})
     assert none.root.level == LEVELS[0]
 
 

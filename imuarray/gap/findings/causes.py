@@ -90,7 +90,7 @@ def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluati
         for round_ in own:
             judged += [
                 CandidateEvaluation(
-                    trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is round_.taken
+                    trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is round_.selection
                 )
                 for trial in round_.confirmed
             ]
@@ -103,21 +103,21 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
     """The causes that the rounds took and that remain, each with its likely alternatives."""
     first = rounds[0].before
     all_closed = _all_closed(bench, first, rounds, seed)
-    taken = {round_.taken.trial.name for round_ in rounds if round_.taken is not None}
+    taken = {round_.selection.trial.name for round_ in rounds if round_.selection is not None}
     for number, round_ in enumerate(rounds):
-        if round_.taken is None or _is_undone(round_.taken, rounds[number + 1 :]):
+        if round_.selection is None or _is_undone(round_.selection, rounds[number + 1 :]):
             continue
         by_name: dict[str, tuple[float, Evaluation]] = {}
-        present = taken - {round_.taken.trial.name}
+        present = taken - {round_.selection.trial.name}
         for chance, trial in zip(probabilities(round_, present), round_.confirmed, strict=True):
             before = by_name.get(trial.trial.name, (0.0, trial))
-            by_name[trial.trial.name] = (before[0] + chance, trial if trial is round_.taken else before[1])
-        own = by_name[round_.taken.trial.name][0]
+            by_name[trial.trial.name] = (before[0] + chance, trial if trial is round_.selection else before[1])
+        own = by_name[round_.selection.trial.name][0]
         likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
         for name, (chance, trial) in by_name.items():
             if name in present:
                 continue
-            if (trial is round_.taken or chance > ALTERNATIVE) and not _undoes(trial, round_.before):
+            if (trial is round_.selection or chance > ALTERNATIVE) and not _undoes(trial, round_.before):
                 cause = _cause(
                     bench, first, round_.before, trial, Support(chance, tuple(sorted(likely - {name}))), seed
                 )
@@ -127,7 +127,7 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
 
 def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: int) -> float | None:
     """Share of a unit's gap that all its causes together close."""
-    taken = [round_.taken for round_ in rounds if round_.taken is not None]
+    taken = [round_.selection for round_ in rounds if round_.selection is not None]
     last = taken[-1].standing if taken else first
     in_either = bool(taken) and all(evaluation.trial.needs_both for evaluation in taken)
     before, after = (_deviating(bench, first, state, in_either) for state in (first, last))
@@ -136,7 +136,7 @@ def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: i
 
 def _is_undone(taken: Evaluation, later: Sequence[Round]) -> bool:
     """True if a later round removed the effect, or replaced it by another of its kind."""
-    return any(round_.taken is not None and round_.taken.trial.removed == taken.trial.name for round_ in later)
+    return any(round_.selection is not None and round_.selection.trial.removed == taken.trial.name for round_ in later)
 
 
 def _undoes(trial: Evaluation, before: UnitState) -> bool:

@@ -113,7 +113,7 @@ def _material(
     """Sensors and sizes of the remainder that matters and that the form of the causes does not excuse, in units of
     clearly more than any replicate has (one in thirty is extreme for rare events).
     """
-    scores = beyond_form(comparison.pairs, comparison.judged, after, comparison.real.values, repaired)
+    scores = beyond_form(comparison.pairs, comparison.assessment, after, comparison.real.values, repaired)
     sizes = np.nan_to_num(np.abs(scores))[list(places)] / (MORE * after.furthest)
     for entry, size in zip(single, sizes.tolist(), strict=True):
         if entry.size == "material":
@@ -138,7 +138,7 @@ def _one_sided(
     """Probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
-    groups = group_residuals(comparison.bench.keys, comparison.judged.likelihood, after.likelihood, real, repaired)
+    groups = group_residuals(comparison.bench.keys, comparison.assessment.likelihood, after.likelihood, real, repaired)
     return tuple(
         group for group in groups if group.sensor in concerned and abs(group.score) > ONE_SIDED * group.furthest
     )

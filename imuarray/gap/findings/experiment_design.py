@@ -102,7 +102,7 @@ class Rivals(NamedTuple):
     """Two confusable causes of one unit, one of which was taken, and the independent share of its statistics."""
 
     sensors: tuple[str, ...]
-    taken: Evaluation
+    selection: Evaluation
     rival: Evaluation
     independent: float
 
@@ -148,7 +148,7 @@ def rivals_of(searched: SearchResult, causes: Sequence[Cause]) -> Rivals | None:
 
 def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
     """Expected nats of each experiment of the menu, for the unit's first two sensors (or its only one)."""
-    sides = [_models_of(bench, rivals, evaluation.standing.models) for evaluation in (rivals.taken, rivals.rival)]
+    sides = [_models_of(bench, rivals, evaluation.standing.models) for evaluation in (rivals.selection, rivals.rival)]
     sensors = rivals.sensors[:2]
     benches = run(_bench_of_experiment, [_ExperimentRequest(kind, sides[0]) for kind in MENU])
     numbers = range(_FIRST, _FIRST + REPLICATES)
@@ -185,7 +185,7 @@ def nats_between(first: Floats, second: Floats, floor: Floats, independent: floa
 
 def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
     expected = separations(bench, rivals, run)
-    what = f"{rivals.taken.trial.name} from {rivals.rival.trial.name} of {rivals.sensors[0]}"
+    what = f"{rivals.selection.trial.name} from {rivals.rival.trial.name} of {rivals.sensors[0]}"
     ranked = sorted(expected, key=lambda kind: -min(expected[kind], ENOUGH) / MENU[kind].hours)
     good = [kind for kind in ranked if expected[kind] >= LEAST]
     if not good:

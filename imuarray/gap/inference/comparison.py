@@ -66,8 +66,8 @@ class Comparison:
     real: StatisticValues
     replicates: tuple[StatisticValues, ...]
     pairs: Pairs
-    judged: Assessment
-    located: Localisation
+    assessment: Assessment
+    localisation: Localisation
     earlier: Earlier | None = None
 
     @cached_property

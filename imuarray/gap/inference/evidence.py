@@ -51,7 +51,7 @@ class Spell:
     """Evidence of a sensor `when` it reads differently from the rest of a log."""
 
     when: When
-    seen: tuple[PhaseEvidence, ...]
+    phases: tuple[PhaseEvidence, ...]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Evidence:
 
     header: SensorHeader
     fitted: FittedParameters
-    seen: tuple[PhaseEvidence, ...]
+    phases: tuple[PhaseEvidence, ...]
     values: Mapping[str, Floats]
     expected: Mapping[str, Floats]
     scores: Mapping[str, Floats]
@@ -106,7 +106,7 @@ class Evidence:
         )
         return replace(
             self,
-            seen=tuple(phase for phase in self.seen if phase.log in logs),
+            phases=tuple(phase for phase in self.phases if phase.log in logs),
             values=values,
             expected=expected,
             scores=scores,
@@ -122,9 +122,9 @@ class Evidence:
 
     def during(self, spell: Spell) -> Evidence:
         """The evidence of a spell, against the model of whole phases of its log, with larger errors for fewer rows."""
-        (log,) = {phase.log for phase in spell.seen}
+        (log,) = {phase.log for phase in spell.phases}
         whole = self.within([log])
-        rows = [sum(phase.raw.rows for phase in seen) / len(seen) for seen in (whole.seen, spell.seen)]
+        rows = [sum(phase.raw.rows for phase in seen) / len(seen) for seen in (whole.phases, spell.phases)]
         values: dict[str, Floats] = {}
         expected: dict[str, Floats] = {}
         scores: dict[str, Floats] = {}
@@ -132,19 +132,19 @@ class Evidence:
             if not isinstance(probe, PhaseProbe) or name not in whole.scores:
                 continue
             middle, scatter = _usual(whole, name)
-            statistic_values = np.array([probe.statistic(phase.residual) for phase in spell.seen]).reshape(
-                len(spell.seen), -1
+            statistic_values = np.array([probe.statistic(phase.residual) for phase in spell.phases]).reshape(
+                len(spell.phases), -1
             )
             values[name] = statistic_values - np.log(self.noise) if name == _OVER_NOISE else statistic_values
             expected[name] = np.broadcast_to(middle, statistic_values.shape)
             scores[name] = (values[name] - middle) / (scatter * math.sqrt(max(rows[0] / rows[1], 1.0)))
         return replace(
             whole,
-            seen=spell.seen,
+            phases=spell.phases,
             values=values,
             expected=expected,
             scores=scores,
-            rows_of={name: (log,) * len(spell.seen) for name in values},
+            rows_of={name: (log,) * len(spell.phases) for name in values},
             when=spell.when,
         )
 
@@ -156,7 +156,7 @@ class Evidence:
     @property
     def still(self) -> tuple[PhaseEvidence, ...]:
         """The phases at rest."""
-        return tuple(phase for phase in self.seen if phase.is_still)
+        return tuple(phase for phase in self.phases if phase.is_still)
 
     @property
     def noise(self) -> Floats:
@@ -166,7 +166,7 @@ class Evidence:
     @property
     def rows_per_s(self) -> float:
         """Usual rate of the sensor's rows, 1/s."""
-        intervals = [phase.raw.intervals.mean_s for phase in self.seen if phase.raw.intervals.count]
+        intervals = [phase.raw.intervals.mean_s for phase in self.phases if phase.raw.intervals.count]
         return float(1 / np.median(intervals)) if intervals else max(self.header.rate_hz, 1.0)
 
     def score(self, *probes: str) -> Floats:
@@ -284,10 +284,10 @@ def views(evidence: Evidence) -> Iterator[Evidence]:
     the largest deviation first. An effect that shows at one rate, or in one log, vanishes in the median over all.
     """
     yield evidence
-    logs = sorted({one.log for one in evidence.seen})
+    logs = sorted({one.log for one in evidence.phases})
     parts = [
         *_grouped(logs, [round(math.log(_rows_per_s(evidence, log), SAME_RATE)) for log in logs]),
-        *_grouped(logs, [next(one.kind for one in evidence.seen if one.log == log) for log in logs]),
+        *_grouped(logs, [next(one.kind for one in evidence.phases if one.log == log) for log in logs]),
         *((log,) for log in logs),
     ]
     alone = [evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)]
@@ -304,7 +304,7 @@ def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, .
 
 def _rows_per_s(evidence: Evidence, log: int) -> float:
     """Usual rate of rows in one log."""
-    return replace(evidence, seen=tuple(phase for phase in evidence.seen if phase.log == log)).rows_per_s
+    return replace(evidence, phases=tuple(phase for phase in evidence.phases if phase.log == log)).rows_per_s
 
 
 def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell]:

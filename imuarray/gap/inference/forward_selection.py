@@ -73,7 +73,7 @@ class Evaluation:
     together. `squared_scores` is the sum of squares of the held-out part with it, `closes` whether that decreased.
     """
 
-    tried: FittedHypothesis
+    hypothesis: FittedHypothesis
     standing: UnitState
     train_gain: float
     gain: float
@@ -85,12 +85,12 @@ class Evaluation:
     @property
     def factors(self) -> int:
         """The number of fitted numbers."""
-        return len(factors_of(self.tried.trial))
+        return len(factors_of(self.hypothesis.trial))
 
     @property
     def trial(self) -> Hypothesis:
         """The hypothesis that was evaluated."""
-        return self.tried.trial
+        return self.hypothesis.trial
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Round:
     before: UnitState
     confirmed: tuple[Evaluation, ...]
     placebo_gain: float
-    taken: Evaluation | None
+    selection: Evaluation | None
 
     @property
     def log_odds(self) -> tuple[float, ...]:
@@ -214,7 +214,7 @@ class _TrialRequest(NamedTuple):
     """Input of a job: a state and a trial."""
 
     standing: UnitState
-    tried: FittedHypothesis
+    hypothesis: FittedHypothesis
 
 
 def _looked_at(
@@ -300,11 +300,11 @@ def _look(bench: Bench, request: _LookRequest) -> list[FittedHypothesis]:
 
 
 def _refine(bench: Bench, request: _TrialRequest) -> FittedHypothesis:
-    return refine(bench, request.standing, request.tried.trial)
+    return refine(bench, request.standing, request.hypothesis.trial)
 
 
 def _confirm(bench: Bench, request: _TrialRequest) -> Evaluation:
-    return confirmed(bench, request.standing, request.tried)
+    return confirmed(bench, request.standing, request.hypothesis)
 
 
 def _results_of(

@@ -59,7 +59,7 @@ class Localisation:
     """
 
     root: Node
-    found: Mapping[int, float]
+    p_by_place: Mapping[int, float]
     limit: float
 
     @property

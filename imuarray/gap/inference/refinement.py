@@ -92,39 +92,39 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
     simulated.
     """
     now = _simulate(bench, standing, trial, standing.changed(trial), LOOKS)
-    if now is not None and _widens(standing, now.seen):
+    if now is not None and _widens(standing, now.statistics):
         now = _simulate(bench, standing, trial, standing.changed(trial), _MORE_LOOKS)
     if now is None:
         return FittedHypothesis(trial)
     now = best = _adapted(bench, standing, now)
     for _ in range(STEPS):
-        factors = factors_of(now.tried.trial)
+        factors = factors_of(now.hypothesis.trial)
         if not factors:
             break
-        steps = _step(standing, now.seen, _slopes(bench, standing, now.tried.trial, factors, now.seen))
-        stepped = moved(now.tried.trial, factors, steps)
-        changed = _with_fitted(standing.changed(stepped), now.seen.settled)
-        after = _simulate(bench, standing, stepped, changed, len(now.seen.values))
+        steps = _step(standing, now.statistics, _slopes(bench, standing, now.hypothesis.trial, factors, now.statistics))
+        stepped = moved(now.hypothesis.trial, factors, steps)
+        changed = _with_fitted(standing.changed(stepped), now.statistics.settled)
+        after = _simulate(bench, standing, stepped, changed, len(now.statistics.values))
         if after is None:
             break
         now, best = after, max(best, after, key=_gained)
         if np.abs(steps).max() < _DONE:
             break
-    return _pruned(bench, standing, _adapted(bench, standing, best)).tried
+    return _pruned(bench, standing, _adapted(bench, standing, best)).hypothesis
 
 
 def _adapted(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState:
     """The trial with its noise adapted, so that lines do not grow where noise should shrink; unchanged if that is no
     better.
     """
-    trial, best, now, before = start.tried.trial, start, start, None
+    trial, best, now, before = start.hypothesis.trial, start, start, None
     for _ in range(_ADAPTED):
-        if now.seen.misfit < standing.misfit + _FITS or now.tried.models is None:
+        if now.statistics.misfit < standing.misfit + _FITS or now.hypothesis.models is None:
             break
-        settled = standing.settled(now.tried.models, now.seen.came, before)
-        before = now.tried.models, now.seen.came
+        settled = standing.settled(now.hypothesis.models, now.statistics.fits, before)
+        before = now.hypothesis.models, now.statistics.fits
         changed = _with_fitted(standing.changed(trial), settled)
-        after = _simulate(bench, standing, trial, changed, len(now.seen.values))
+        after = _simulate(bench, standing, trial, changed, len(now.statistics.values))
         if after is None:
             break
         now, best = after, max(best, after, key=_gained)
@@ -138,8 +138,8 @@ class _TrialStatistics(NamedTuple):
 
     values: Floats
     likelihood: SyntheticLikelihood
-    moved: Floats
-    came: FitsOfReplicates
+    shift: Floats
+    fits: FitsOfReplicates
     settled: Models
     misfit: float
 
@@ -147,12 +147,12 @@ class _TrialStatistics(NamedTuple):
 class _TrialState(NamedTuple):
     """A trial with the simulated models, and their replicates."""
 
-    tried: FittedHypothesis
-    seen: _TrialStatistics
+    hypothesis: FittedHypothesis
+    statistics: _TrialStatistics
 
 
 def _gained(state: _TrialState) -> float:
-    return state.tried.gain
+    return state.hypothesis.gain
 
 
 def _widens(standing: UnitState, seen: _TrialStatistics) -> bool:
@@ -212,18 +212,18 @@ def _gain(standing: UnitState, seen: _TrialStatistics, trial: Hypothesis) -> flo
     """Gain on the training part; for a trial that needs both parts the mean of both gains, unless it is brief and seen
     in one.
     """
-    gain = float(gains_of(standing, seen.likelihood, seen.moved).sum())
+    gain = float(gains_of(standing, seen.likelihood, seen.shift).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
 def _by_log(bench: Bench, standing: UnitState, seen: _TrialStatistics) -> dict[int, float]:
     """Gains of statistics of single logs."""
-    gains, logs = gains_of(standing, seen.likelihood, seen.moved), bench.logs[bench.own(standing.unit)]
+    gains, logs = gains_of(standing, seen.likelihood, seen.shift), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
 def _counts(standing: UnitState, seen: _TrialStatistics) -> float:
-    return counts_of(standing, seen.likelihood, seen.moved)
+    return counts_of(standing, seen.likelihood, seen.shift)
 
 
 def _slopes(
@@ -311,19 +311,21 @@ def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialStat
     """The trial without the axes that gain too little, unless that costs more: an axis of 0 is without the effect, but
     the offset that another range has on an axis is not.
     """
-    active = active_axes(state.tried.trial)
+    active = active_axes(state.hypothesis.trial)
     if len(active) < 2:
         return state
-    gains = gains_of(standing, state.seen.likelihood, state.seen.moved) * state.tried.counts
-    touched = touched_by(standing.likelihood, state.seen.likelihood, state.seen.moved)
+    gains = gains_of(standing, state.statistics.likelihood, state.statistics.shift) * state.hypothesis.counts
+    touched = touched_by(standing.likelihood, state.statistics.likelihood, state.statistics.shift)
     idle = {axis for axis in active if _most_of(gains, touched, _of_axis(bench, standing, axis)) < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
         return state
-    trial = state.tried.trial
+    trial = state.hypothesis.trial
     fewer = replace(trial, effects=tuple(without(effect, idle) for effect in trial.effects))
-    models = _with_fitted(standing.changed(fewer), state.seen.settled)
-    after = _simulate(bench, standing, fewer, models, len(state.seen.values))
-    return after if after is not None and after.tried.gain > state.tried.gain - _AXIS_GAIN * len(idle) else state
+    models = _with_fitted(standing.changed(fewer), state.statistics.settled)
+    after = _simulate(bench, standing, fewer, models, len(state.statistics.values))
+    return (
+        after if after is not None and after.hypothesis.gain > state.hypothesis.gain - _AXIS_GAIN * len(idle) else state
+    )
 
 
 def _most_of(gains: Floats, touched: Booleans, own: Booleans) -> float:

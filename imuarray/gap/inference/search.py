@@ -64,7 +64,7 @@ def searches(
     """Searches all causes of a gap. The sensors `known` are known to have one of the candidates' effects: only these
     are searched, and their first cause needs no proof.
     """
-    names = list(known) or [node.path[-1] for node in comparison.located.root.found("sensor")]
+    names = list(known) or [node.path[-1] for node in comparison.localisation.root.found("sensor")]
     standings = _states_of(comparison, [(name,) for name in names], run)
     rounds: dict[Unit, list[Round]] = {}
     for number in range(ROUNDS):
@@ -81,8 +81,8 @@ def searches(
             del results[unit]
         for unit, item in results.items():
             rounds.setdefault(unit, []).append(item)
-            if item.taken is not None:
-                standings[unit] = item.taken.standing
+            if item.selection is not None:
+                standings[unit] = item.selection.standing
         if number < _FAMILY_ROUNDS:
             _families(comparison, guessed, run, rounds, standings, known=bool(known))
     models = dict(comparison.bench.models())
@@ -102,12 +102,12 @@ def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Uni
     return [
         unit
         for unit, result in results.items()
-        if result.taken is not None
-        and result.taken.own_share < _OWN
+        if result.selection is not None
+        and result.selection.own_share < _OWN
         and any(
-            _worth(other.taken) > _worth(result.taken) or other.taken.own_share >= _OWN
+            _worth(other.selection) > _worth(result.selection) or other.selection.own_share >= _OWN
             for neighbour, other in results.items()
-            if neighbour != unit and other.taken is not None and quantities[neighbour] == quantities[unit]
+            if neighbour != unit and other.selection is not None and quantities[neighbour] == quantities[unit]
         )
     ]
 
@@ -153,7 +153,7 @@ def _families(
     families = dict(_states_of(comparison, list(trials), run))
     placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
     results = searched(families, trials, placebos, run, known)
-    taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
+    taken = {name: own[-1].selection for (name, *more), own in rounds.items() if not more}
     members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
     staying = {family: _staying(comparison, results[family], members[family]) for family in trials}
     several = {family: trials[family] for family in trials if staying[family]}
@@ -194,8 +194,8 @@ def _shared_trials(comparison: Comparison, guessed: Mapping[Unit, _Guesses]) -> 
     """
     odd = {
         key.sensor
-        for key, score in zip(comparison.pairs.keys, comparison.judged.normal.tolist(), strict=True)
-        if key.domain == "cross_sensor" and abs(score) > comparison.judged.limit
+        for key, score in zip(comparison.pairs.keys, comparison.assessment.normal.tolist(), strict=True)
+        if key.domain == "cross_sensor" and abs(score) > comparison.assessment.limit
     }
     headers = comparison.bench.base.headers
     units: dict[Unit, list[Hypothesis]] = {}
@@ -261,12 +261,12 @@ def _is_open(comparison: Comparison, standing: UnitState, rounds: Sequence[Round
         return False
     if not rounds:
         return True
-    if rounds[-1].taken is None:
+    if rounds[-1].selection is None:
         return False
     pairs = comparison.bench.pairs(comparison.bench.own(standing.unit))
     scores = scorer_of(pairs, standing.likelihood, standing.values)(standing.real)
-    scores = comparison.judged.tails.normal(scores, pairs.keys)
-    return bool(np.nanmax(np.abs(scores)) > MORE * comparison.located.limit)
+    scores = comparison.assessment.tails.normal(scores, pairs.keys)
+    return bool(np.nanmax(np.abs(scores)) > MORE * comparison.localisation.limit)
 
 
 class _Guesses(NamedTuple):
@@ -308,7 +308,7 @@ def _evidence(comparison: Comparison, side: Side, standing: UnitState, whole: bo
     """
     bench, (name,) = comparison.bench, standing.unit
     every, mine = bench.columns(standing.unit, cross=True), bench.among(standing.unit, standing.unit)
-    expected, scores = comparison.judged.likelihood.location[every], comparison.judged.parts[every]
+    expected, scores = comparison.assessment.likelihood.location[every], comparison.assessment.parts[every]
     expected[mine], scores[mine] = standing.likelihood.location, standing.scores
     chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
     keys = [bench.keys[at] for at in every[chosen]]

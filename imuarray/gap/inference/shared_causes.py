@@ -37,7 +37,7 @@ def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluatio
     The held-out part has shown that there is a cause; whether it is one or several is decided on both parts, to which
     equally many numbers were fitted.
     """
-    best = family.taken
+    best = family.selection
     if best is None:
         return None
     more = 2 * ACCEPTED * max(count - 1, 0) - best.trial.rarity
@@ -51,7 +51,7 @@ def _on_both(evaluation: Evaluation) -> float:
 
 def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
     """Causes of members other than the shared one that gain more than their part of the shared one's gain."""
-    best = family.taken
+    best = family.selection
     if best is None:
         return ()
     part = best.gain / len(best.standing.unit)
@@ -64,10 +64,12 @@ def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
     Of two sensors with a common wander, the one that shows it better gains nearly as much by a wander of its own. What
     the member lacks beyond the shared cause is searched in the next round.
     """
-    if family.taken is None:
+    if family.selection is None:
         return False
-    own, real = bench.among(member.standing.unit, family.taken.standing.unit), member.standing.real
-    before, shared = (state.likelihood.of(own).log_density(real) for state in (family.before, family.taken.standing))
+    own, real = bench.among(member.standing.unit, family.selection.standing.unit), member.standing.real
+    before, shared = (
+        state.likelihood.of(own).log_density(real) for state in (family.before, family.selection.standing)
+    )
     gains = np.maximum(member.standing.likelihood.log_density(real) - before, 0.0)
     return bool(np.minimum(gains, np.maximum(shared - before, 0.0)).sum() > _MOST * gains.sum())
 

@@ -55,7 +55,7 @@ def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
 
 @pytest.mark.slow
 def test_nothing_is_known_of_a_sensor_that_was_never_at_rest() -> None:
-    evidence = replace(_heated(3.0), seen=())
+    evidence = replace(_heated(3.0), phases=())
     assert behind(evidence, lambda codes: codes, 2, 1) is None
 
 

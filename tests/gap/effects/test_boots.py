@@ -203,15 +203,15 @@ def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None
         replace(
             part, raw=replace(part.raw, segments=replace(segments, temperature_degc=segments.temperature_degc - 49))
         )
-        for part in evidence.seen
+        for part in evidence.phases
         for segments in (part.raw.segments,)
     )
-    cold = replace(evidence, seen=seen, fitted=replace(evidence.fitted, slope=(0.5, -0.5, 0.5)))
+    cold = replace(evidence, phases=seen, fitted=replace(evidence.fitted, slope=(0.5, -0.5, 0.5)))
     first = evidence.still[0]
     nothing = replace(first.residual.segments, mean=np.full_like(first.raw.segments.mean, np.nan))
     residual = replace(first.residual, segments=nothing)
     unread = replace(first, log=2, raw=replace(first.raw, rows=0), residual=residual)
-    for item in (evidence, cold, replace(evidence, seen=(*evidence.seen, unread))):
+    for item in (evidence, cold, replace(evidence, phases=(*evidence.phases, unread))):
         (reset,) = (
             effect
             for trial in RANGE_RESET.guesses(item)

@@ -42,9 +42,9 @@ def test_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
     evidence = evidence_of("motion", "A1")
     pace = 2 * np.pi * frequency_hz
     seen = tuple(
-        one if one.cross is None else replace(one, cross=behind(one.cross, late_s, pace)) for one in evidence.seen
+        one if one.cross is None else replace(one, cross=behind(one.cross, late_s, pace)) for one in evidence.phases
     )
-    found = list(lags(replace(evidence, seen=seen, expected={})))
+    found = list(lags(replace(evidence, phases=seen, expected={})))
     assert found
     for one in found:
         assert one.lag_s == pytest.approx(late_s, rel=1e-6)

@@ -147,7 +147,7 @@ def test_dropped_samples(probability: float, burst_rows: float) -> None:
     (found,) = trial.effects
     assert isinstance(found, DroppedSamples)
     assert 1 / 2 < found.burst_rows / burst_rows < 2
-    lost = 1 - evidence.seen[0].raw.rows / 6000
+    lost = 1 - evidence.phases[0].raw.rows / 6000
     assert found.probability == pytest.approx(lost, abs=0.01)
     assert trial.free == (("probability", "burst_rows") if burst_rows > 1 else ("probability",))
 

@@ -63,7 +63,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _during(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis | None:
     """The trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
-    share = sum(phase.raw.rows for phase in spell.seen) / max(sum(phase.raw.rows for phase in evidence.still), 1)
+    share = sum(phase.raw.rows for phase in spell.phases) / max(sum(phase.raw.rows for phase in evidence.still), 1)
     if trial.needs_both or not 0 < share < 1:
         return None
     effects = [

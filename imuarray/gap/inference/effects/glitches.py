@@ -59,7 +59,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.is_odd("words"):
-        yield from _words([seen.raw for seen in evidence.seen])
+        yield from _words([seen.raw for seen in evidence.phases])
     if evidence.is_odd(*_STEPS):
         yield from _again(evidence)
     if evidence.is_odd(*_STEPS, _IN_MOTION):
@@ -108,7 +108,7 @@ def _few(evidence: Evidence) -> Iterator[Hypothesis]:
     hits += _torn_in_motion(evidence)
     if not 0 < len(hits) <= SINGLE:
         return
-    rows = sum(seen.raw.rows for seen in evidence.seen)
+    rows = sum(seen.raw.rows for seen in evidence.phases)
     scale = evidence.header.sensitivity
     jumps = [hit.jump / scale if axis == hit.axis else 0.0 for hit in hits for axis in range(3)]
     effect = Glitches(
@@ -134,7 +134,7 @@ def _hits(seen: PhaseEvidence) -> Iterator[_Hit]:
 def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
     """As often as readings of the moving sensor are, of those whose high byte is another than the one before's."""
     hits, weight = len(_torn_in_motion(evidence)), high_byte(evidence.header.chip)
-    moving = [(seen.raw.rows, steps) for seen in evidence.seen if not seen.is_still for steps in seen.raw.steps]
+    moving = [(seen.raw.rows, steps) for seen in evidence.phases if not seen.is_still for steps in seen.raw.steps]
     shares = [np.minimum(steps.codes / weight, 1.0) @ steps.counts / max(steps.counts.sum(), 1) for _, steps in moving]
     changes = sum(rows * float(share) for (rows, _), share in zip(moving, shares, strict=True)) / 3
     if hits >= _AGAIN and changes > 0:
@@ -146,7 +146,7 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     is off by anything else may have come late.
     """
     weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
-    phases = [(seen.log, seen.raw.phase) for seen in evidence.seen if not seen.is_still]
+    phases = [(seen.log, seen.raw.phase) for seen in evidence.phases if not seen.is_still]
     spikes = []
     for log, lone in evidence.outliers:
         nearest = [float(np.abs(lone.deviation[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]

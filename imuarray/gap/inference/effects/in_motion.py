@@ -39,7 +39,7 @@ class Moments:
 def moments(evidence: Evidence) -> Moments | None:
     """Moments over all phases in motion; None without one, or without a reference."""
     total, windows = np.zeros((CUBED.stop, CUBED.stop)), 0
-    for phase in evidence.seen:
+    for phase in evidence.phases:
         if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
             continue
         weights = _weights(phase.cross, evidence.header.name)

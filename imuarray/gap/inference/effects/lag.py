@@ -65,7 +65,7 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
     """The phases in which the box moves, and what the sensor and others have in common there."""
-    for seen in evidence.seen:
+    for seen in evidence.phases:
         cross = None if seen.is_still else seen.cross
         if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
             yield seen.raw.phase, cross

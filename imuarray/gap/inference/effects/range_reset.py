@@ -107,7 +107,7 @@ def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Ite
     ]
     if others:
         yield Hypothesis((alone, *others))
-    later = sorted({float(phase.log) for phase in evidence.seen if phase.log > clearest.log})
+    later = sorted({float(phase.log) for phase in evidence.phases if phase.log > clearest.log})
     if later:
         yield Hypothesis((alone, replace(first, runs=tuple(later))), _FREE[:2])
     yield Hypothesis((alone,), _FREE[:2])

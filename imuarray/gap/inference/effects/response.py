@@ -24,21 +24,21 @@ _AXES = np.arange(3)
 
 @dataclass(frozen=True)
 class Response:
-    """`felt` and `read` (p, 3): what the sensor should have shown along its axes and what it did show, less their
+    """`felt` and `reading` (p, 3): what the sensor should have shown along its axes and what it did show, less their
     means; unit vectors where the attitude or the motion was all that changed.
     """
 
     felt: Floats
-    read: Floats
+    reading: Floats
 
     @property
     def error(self) -> Floats:
-        """(3, 3) E of read = (1 + E) felt, row i of axis i; 0 for directions that were never felt."""
-        return np.asarray(np.linalg.lstsq(self.felt, self.read - self.felt, rcond=0.05)[0].T)
+        """(3, 3) E of reading = (1 + E) felt, row i of axis i; 0 for directions that were never felt."""
+        return np.asarray(np.linalg.lstsq(self.felt, self.reading - self.felt, rcond=0.05)[0].T)
 
     def misfit(self, matrix: Floats) -> float:
         """Sum of squares that `matrix` (3, 3) as the response leaves."""
-        return float(((self.read - self.felt @ matrix.T) ** 2).sum())
+        return float(((self.reading - self.felt @ matrix.T) ** 2).sum())
 
 
 def response(evidence: Evidence) -> Response | None:
@@ -46,7 +46,7 @@ def response(evidence: Evidence) -> Response | None:
     parts = [part for part in (_of_faces(evidence), _of_motion(evidence)) if part is not None]
     if not parts:
         return None
-    return Response(np.concatenate([part.felt for part in parts]), np.concatenate([part.read for part in parts]))
+    return Response(np.concatenate([part.felt for part in parts]), np.concatenate([part.reading for part in parts]))
 
 
 def size_of_score(evidence: Evidence, *probes: str) -> Floats:

@@ -33,7 +33,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     span = code_span(evidence.header)
     limits: list[set[int]] = [set(), set(), set()]
-    for seen in evidence.seen:
+    for seen in evidence.phases:
         for own, codes in zip(limits, seen.raw.codes, strict=True):
             own |= {abs(end) for end in _piled(codes) if span.lowest < end < span.highest and end}
     for limit in _apart(sorted(set().union(*limits), reverse=True))[:_MOST]:

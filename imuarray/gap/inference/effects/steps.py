@@ -46,7 +46,7 @@ class _Series(NamedTuple):
     """
 
     time_s: Floats
-    left: Floats
+    residual: Floats
     predicted: Floats
     warm: Floats
     variance: Floats
@@ -83,8 +83,8 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
         return None
     warmer = other.warm.mean(axis=0) - usual.warm.mean(axis=0)
     return States(
-        usual.predicted.mean(axis=0) + usual.left.mean(axis=0) + warmer,
-        other.predicted.mean(axis=0) + other.left.mean(axis=0),
+        usual.predicted.mean(axis=0) + usual.residual.mean(axis=0) + warmer,
+        other.predicted.mean(axis=0) + other.residual.mean(axis=0),
         np.sqrt(np.median(usual.variance, axis=0)),
         np.sqrt(np.median(other.variance, axis=0)),
     )
@@ -105,13 +105,13 @@ def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
 
 def _unscaled(series: _Series, ratio: float) -> Floats:
     """(s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
-    return (series.left + series.predicted) / ratio - series.predicted
+    return (series.residual + series.predicted) / ratio - series.predicted
 
 
 def _gain(series: _Series, at: int, ratio: float) -> float:
     """Nats by which two levels and variances explain segments better than one of each."""
     spread = np.log(series.variance)
-    values = np.concatenate([series.left, spread], axis=1)
+    values = np.concatenate([series.residual, spread], axis=1)
     later = np.concatenate([ratio * _unscaled(series, ratio), spread], axis=1)
     whole = (len(values) * values.var(axis=0)).clip(1e-30)
     parts = at * values[:at].var(axis=0) + (len(values) - at) * later[at:].var(axis=0)
@@ -123,7 +123,7 @@ def _states(series: _Series, at: int, ratio: float) -> States:
     before, after = slice(None, at - 1), slice(at + 1, None)
     face = series.predicted[at]
     return States(
-        face + np.median(series.left[before], axis=0),
+        face + np.median(series.residual[before], axis=0),
         ratio * (face + np.median(_unscaled(series, ratio)[after], axis=0)),
         np.sqrt(np.median(series.variance[before], axis=0)),
         np.sqrt(np.median(series.variance[after], axis=0)),
@@ -132,12 +132,12 @@ def _states(series: _Series, at: int, ratio: float) -> States:
 
 def _time(series: _Series, at: int, ratio: float) -> float:
     """Within the segment before or after, by the share of the step that its mean has taken."""
-    low = np.median(series.left[: at - 1], axis=0)
+    low = np.median(series.residual[: at - 1], axis=0)
     inner = slice(at - 1, at + 1)
     faces = series.predicted[inner]
     high = ratio * (faces + np.median(_unscaled(series, ratio)[at + 1 :], axis=0)) - faces
     axis = int(np.abs(high - low).sum(axis=0).argmax())
     width = float(np.median(np.diff(series.time_s)))
     step = high[:, axis] - low[axis]
-    taken = np.divide(series.left[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
+    taken = np.divide(series.residual[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
     return float(series.time_s[at] + width / 2 - width * np.clip(taken, 0.0, 1.0).sum())

@@ -63,8 +63,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
     """As long as these are, and as often as it takes for all the rows that are held."""
     length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
-    held = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
-    rows = sum(seen.raw.rows for seen in evidence.seen)
+    held = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.phases)
+    rows = sum(seen.raw.rows for seen in evidence.phases)
     every_s = length_s * (rows / max(held, length_s * evidence.rows_per_s) - 1)
     if every_s > 0:
         stuck = Stuck(duration_s=length_s, every_s=every_s, kind=_kind(evidence))
@@ -83,14 +83,14 @@ def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _kind(evidence: Evidence) -> str:
     """True if the chip says that it has nothing new, of most rows that are repeated."""
-    repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
-    return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.seen) > repeated / 2 else "new"
+    repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.phases)
+    return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.phases) > repeated / 2 else "new"
 
 
 def _runs(evidence: Evidence) -> list[_Run]:
     """The longest of each phase, joined where one goes on in the next phase of the log."""
     joined: list[_Run] = []
-    order = sorted(evidence.seen, key=lambda seen: (seen.log, seen.raw.phase.start_ns))
+    order = sorted(evidence.phases, key=lambda seen: (seen.log, seen.raw.phase.start_ns))
     for seen in order:
         run = _longest(seen, evidence.rows_per_s)
         if run is None:
@@ -121,7 +121,7 @@ def _longest(seen: PhaseEvidence, rows_per_s: float) -> _Run | None:
 
 def _end_s(evidence: Evidence, log: int) -> float:
     """When its last phase ends, less a row."""
-    end_ns = max(seen.raw.phase.end_ns for seen in evidence.seen if seen.log == log)
+    end_ns = max(seen.raw.phase.end_ns for seen in evidence.phases if seen.log == log)
     return end_ns * 1e-9 - 1 / evidence.rows_per_s
 
 

@@ -67,12 +67,12 @@ class _Rate:
     """The phases at rest with so many rows a second."""
 
     rows_per_s: float
-    seen: tuple[PhaseEvidence, ...]
+    phases: tuple[PhaseEvidence, ...]
 
     @property
     def spectra(self) -> list[Spectrum]:
         """Spectra with at least one segment."""
-        return [phase.raw.spectrum for phase in self.seen if phase.raw.spectrum.segments]
+        return [phase.raw.spectrum for phase in self.phases if phase.raw.spectrum.segments]
 
     def height(self, hertz: float) -> float:
         """How far a line of that frequency stands above what is beside it, in standard deviations, where rows of this
@@ -109,7 +109,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
     rates = _rates(evidence)
     for rate in rates:
-        spectrum = pooled([phase.raw.spectrum for phase in rate.seen])
+        spectrum = pooled([phase.raw.spectrum for phase in rate.phases])
         if spectrum is None:
             continue
         bin_hz = rate.rows_per_s / spectrum.segment_rows

@@ -78,7 +78,7 @@ def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
 
 
 def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
-    moving = [phase.cross for phase in evidence.seen if not phase.is_still and phase.cross is not None]
+    moving = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
     window_rows = max(moving[0].window_s * evidence.rows_per_s, 1.0) if moving else 1.0
     variance = evidence.noise**2 * np.exp(np.nanmedian(evidence.values["motion_residual"], axis=0))
     x, y, z = np.sqrt(np.nan_to_num(variance) * window_rows).tolist()
