@@ -446,8 +446,8 @@ def _unobservable(
     """Candidates other than the causes that the recordings can't show; without a gap, also those that are not
     excluded.
     """
-    comparison, named = case.comparison, {cause.effect for cause in suspected}
-    others = {name: candidate for name, candidate in candidates.items() if name not in named}
+    comparison, suspected_effects = case.comparison, {cause.effect for cause in suspected}
+    others = {name: candidate for name, candidate in candidates.items() if name not in suspected_effects}
     hidden = unobservable_effects(set(comparison.bench.kinds), facts_of(comparison.campaign), others, case.headers)
     if case.is_gap:
         return hidden

@@ -59,7 +59,7 @@ def probabilities(round_: Round, present: Collection[str] = ()) -> list[float]:
 
 def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
     """All causes, the most probable first; the same cause in several sensors of a chip is listed once."""
-    single = [cause for unit, own in rounds.items() for cause in _of_unit(bench, unit, own, seed)]
+    single = [cause for unit, unit_rounds in rounds.items() for cause in _of_unit(bench, unit, unit_rounds, seed)]
     merged = [
         replace(joint, probability=calibrated_probability(joint.share, joint.all_closed))
         for joint in _merged(bench, single)
@@ -85,35 +85,35 @@ def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluation, ...]:
     """All confirmed candidates, and the placebos."""
-    judged = []
-    for unit, own in rounds.items():
-        for round_ in own:
-            judged += [
+    evaluations = []
+    for unit, unit_rounds in rounds.items():
+        for round_ in unit_rounds:
+            evaluations += [
                 CandidateEvaluation(
                     trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is round_.selection
                 )
                 for trial in round_.confirmed
             ]
-        if own[0].confirmed:
-            judged.append(CandidateEvaluation("", "add", unit, math.nan, own[0].placebo_gain, False))
-    return tuple(judged)
+        if unit_rounds[0].confirmed:
+            evaluations.append(CandidateEvaluation("", "add", unit, math.nan, unit_rounds[0].placebo_gain, False))
+    return tuple(evaluations)
 
 
 def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> Iterator[Cause]:
     """The causes that the rounds took and that remain, each with its likely alternatives."""
     first = rounds[0].before
     all_closed = _all_closed(bench, first, rounds, seed)
-    taken = {round_.selection.trial.name for round_ in rounds if round_.selection is not None}
+    selected_names = {round_.selection.trial.name for round_ in rounds if round_.selection is not None}
     for number, round_ in enumerate(rounds):
         if round_.selection is None or _is_undone(round_.selection, rounds[number + 1 :]):
             continue
         by_name: dict[str, tuple[float, Evaluation]] = {}
-        present = taken - {round_.selection.trial.name}
+        present = selected_names - {round_.selection.trial.name}
         for chance, trial in zip(probabilities(round_, present), round_.confirmed, strict=True):
             before = by_name.get(trial.trial.name, (0.0, trial))
             by_name[trial.trial.name] = (before[0] + chance, trial if trial is round_.selection else before[1])
-        own = by_name[round_.selection.trial.name][0]
-        likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
+        selected_chance = by_name[round_.selection.trial.name][0]
+        likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * selected_chance}
         for name, (chance, trial) in by_name.items():
             if name in present:
                 continue
@@ -127,16 +127,18 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
 
 def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: int) -> float | None:
     """Share of a unit's gap that all its causes together close."""
-    taken = [round_.selection for round_ in rounds if round_.selection is not None]
-    last = taken[-1].standing if taken else first
-    in_either = bool(taken) and all(evaluation.trial.needs_both for evaluation in taken)
+    selections = [round_.selection for round_ in rounds if round_.selection is not None]
+    last = selections[-1].standing if selections else first
+    in_either = bool(selections) and all(evaluation.trial.needs_both for evaluation in selections)
     before, after = (_deviating(bench, first, state, in_either) for state in (first, last))
     return replace(before, after=after.after).closure(seed).closed
 
 
-def _is_undone(taken: Evaluation, later: Sequence[Round]) -> bool:
+def _is_undone(evaluation: Evaluation, later: Sequence[Round]) -> bool:
     """True if a later round removed the effect, or replaced it by another of its kind."""
-    return any(round_.selection is not None and round_.selection.trial.removed == taken.trial.name for round_ in later)
+    return any(
+        round_.selection is not None and round_.selection.trial.removed == evaluation.trial.name for round_ in later
+    )
 
 
 def _undoes(trial: Evaluation, before: UnitState) -> bool:
@@ -152,20 +154,22 @@ class Support(NamedTuple):
     confusable: tuple[str, ...]
 
 
-def _cause(bench: Bench, first: UnitState, before: UnitState, taken: Evaluation, support: Support, seed: int) -> Cause:
-    counted = _deviating(bench, first, before, taken.trial.needs_both)
-    with_it = _deviating(bench, first, taken.standing, taken.trial.needs_both)
+def _cause(
+    bench: Bench, first: UnitState, before: UnitState, evaluation: Evaluation, support: Support, seed: int
+) -> Cause:
+    counted = _deviating(bench, first, before, evaluation.trial.needs_both)
+    with_it = _deviating(bench, first, evaluation.standing, evaluation.trial.needs_both)
     closure = replace(counted, before=counted.after, after=with_it.after).closure(seed)
-    effect = taken.trial.effects[0] if taken.trial.effects else None
-    own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
-    sensors = (own, *others) if own else taken.trial.members or first.unit
-    effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
-    models = taken.standing.models
+    effect = evaluation.trial.effects[0] if evaluation.trial.effects else None
+    sensor, others = evaluation.trial.sensor, evaluation.trial.others if evaluation.trial.opposite else ()
+    sensors = (sensor, *others) if sensor else evaluation.trial.members or first.unit
+    effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(evaluation.trial.opposite), None))
+    models = evaluation.standing.models
     whole = {name: _with_fitted(acting, models.get(name)) if acting else None for name, acting in effects.items()}
     each = {name: to_table(acting, bench.base.headers[name].unit) if acting else {} for name, acting in whole.items()}
     return Cause(
-        taken.trial.name,
-        taken.trial.action,
+        evaluation.trial.name,
+        evaluation.trial.action,
         sensors,
         _axes(effect),
         support.probability,
@@ -173,10 +177,10 @@ def _cause(bench: Bench, first: UnitState, before: UnitState, taken: Evaluation,
         closure.closed,
         closure.interval,
         support.confusable,
-        _origin(taken.trial),
-        taken.gain,
+        _origin(evaluation.trial),
+        evaluation.gain,
         each,
-        taken.trial.needs_both,
+        evaluation.trial.needs_both,
         support.probability,
         preceding=_changes(before),
     )
@@ -230,14 +234,14 @@ def _origin(trial: Hypothesis) -> Origin:
 
 def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
     """Causes that are the same in several sensors of a chip, joined."""
-    kept: list[Cause] = []
+    merged: list[Cause] = []
     for cause in causes:
-        twin = next((at for at, other in enumerate(kept) if _is_same(bench.base.headers, other, cause)), None)
+        twin = next((at for at, other in enumerate(merged) if _is_same(bench.base.headers, other, cause)), None)
         if twin is None:
-            kept.append(cause)
+            merged.append(cause)
         else:
-            kept[twin] = _joined(kept[twin], cause)
-    return kept
+            merged[twin] = _joined(merged[twin], cause)
+    return merged
 
 
 def _is_same(headers: Mapping[str, SensorHeader], first: Cause, other: Cause) -> bool:

@@ -69,7 +69,7 @@ class DeviatingStatistics:
 
     def of(self, chosen: Booleans) -> DeviatingStatistics:
         """Some of the statistics, with equal weights for domains."""
-        keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
+        keys = tuple(key for key, is_chosen in zip(self.keys, chosen, strict=True) if is_chosen)
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
     def domains(self) -> tuple[str, ...]:
@@ -88,9 +88,9 @@ class DeviatingStatistics:
         excess = np.stack([_squares(scores + chance) - 2 for scores in (self.before, self.after)])
         weighted = np.stack([(excess[:, :, rows] * self.weights[rows]).sum(axis=-1) for rows in blocks], axis=-1)
         weights = np.array([self.weights[rows].sum() for rows in blocks])
-        drawn = stream.integers(0, len(blocks), (_DRAWS, len(blocks)))
-        total = np.take_along_axis(weighted, np.broadcast_to(drawn, weighted.shape), axis=-1).sum(axis=-1)
-        before, after = total / weights[drawn].sum(axis=-1)
+        draws = stream.integers(0, len(blocks), (_DRAWS, len(blocks)))
+        total = np.take_along_axis(weighted, np.broadcast_to(draws, weighted.shape), axis=-1).sum(axis=-1)
+        before, after = total / weights[draws].sum(axis=-1)
         has_gap = before >= _LEAST_EXCESS
         if not has_gap.any():
             return None
@@ -112,7 +112,7 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
     if not chosen.any():
         chosen = np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
     places = pairs.held_out[chosen]
-    keys = tuple(key for key, taken in zip(pairs.keys, chosen, strict=True) if taken)
+    keys = tuple(key for key, is_chosen in zip(pairs.keys, chosen, strict=True) if is_chosen)
     return _of(keys, places, before, after)
 
 

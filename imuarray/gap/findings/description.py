@@ -126,8 +126,8 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
     The scale is widened by the relative error of form times the shift from `before` to `after`; `replicates` are those
     of `after`.
     """
-    moved = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
-    wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * moved))
+    shift = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
+    wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * shift))
     scores = pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likelihood.scores(replicates)))
     return after.tails.normal(scores, pairs.keys)
 
@@ -151,10 +151,10 @@ def _worst_places(
     sizes, keys = np.nan_to_num(np.abs(after.normal)), comparison.pairs.keys
     worst: dict[tuple[str, str], int] = {}
     for group in one_sided:
-        own = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (group.sensor, group.probe)]
-        worst.setdefault((group.sensor, group.probe), max(own, key=lambda at: sizes[at]))
-    named = {(keys[at].sensor, keys[at].probe) for at in known}
-    return [at for place, at in worst.items() if place not in named]
+        places = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (group.sensor, group.probe)]
+        worst.setdefault((group.sensor, group.probe), max(places, key=lambda at: sizes[at]))
+    known_groups = {(keys[at].sensor, keys[at].probe) for at in known}
+    return [at for place, at in worst.items() if place not in known_groups]
 
 
 def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
@@ -173,8 +173,8 @@ def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause
     """A sentence for each sensor with a deviating line or a line as cause: the frequencies of the lines of its mean
     spectrum at rest, the highest first, explained or not, with aliases of the mains marked.
     """
-    named = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
-    names = dict.fromkeys([*named, *(entry.sensor for entry in odd if entry.statistic == "line")])
+    tone_sensors = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
+    names = dict.fromkeys([*tone_sensors, *(entry.sensor for entry in odd if entry.statistic == "line")])
     sentences = ((name, "; ".join(_lines_of(campaign, name))) for name in list(names)[:MOST])
     return tuple(f"{name}, lines at rest: {lines}." for name, lines in sentences if lines)
 
@@ -185,12 +185,12 @@ def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
     if rows_per_s is None or spectrum is None:
         return
     bin_hz = rows_per_s / spectrum.segment_rows
-    seen: list[float] = []
+    bins: list[float] = []
     for line in highest_lines(spectrum, _SEARCHED):
         is_line = line.height.max() > _SCORE and line.bin > _APART
-        if not is_line or any(abs(line.bin - other) < _APART for other in seen) or len(seen) == LINES:
+        if not is_line or any(abs(line.bin - other) < _APART for other in bins) or len(bins) == LINES:
             continue
-        seen.append(line.bin)
+        bins.append(line.bin)
         hertz = line.bin * bin_hz
         axes = "".join(axis for axis, height in zip(AXES, line.height, strict=True) if height > _SCORE)
         true_hz = unaliased_hz(hertz, bin_hz, rows_per_s)

@@ -218,8 +218,8 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
     `noise` (3,) of single readings in the sensor's unit, `rows_per_s` and `seconds` of the log. KeyError for a probe
     without a rule.
     """
-    own = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
-    return MARGINS[key.probe](Setting(header, own, rows_per_s, seconds))
+    axis_noise = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
+    return MARGINS[key.probe](Setting(header, axis_noise, rows_per_s, seconds))
 
 
 def sized(shift: float, scale: float, margin: float) -> Size:
@@ -287,7 +287,11 @@ class StatisticReport:
         sides = (bench.split.train(campaign), bench.split.held_out(campaign))
         keys = (bench.keys[: bench.of_train], bench.keys[bench.of_train :])
         values = [statistics(side.campaign) for side in sides]
-        self._raw = pairs.means(np.array([said[key] for said, own in zip(values, keys, strict=True) for key in own]))
+        self._raw = pairs.means(
+            np.array(
+                [side_values[key] for side_values, side_keys in zip(values, keys, strict=True) for key in side_keys]
+            )
+        )
         self._logs = [[names[log] for log in side.logs] for side in sides]
         self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
 
@@ -326,9 +330,9 @@ class StatisticReport:
         """Rows per second of the sensor, and the seconds of its log that were used."""
         key = self._key(at)
         phases = self._phases[self._side(at)][max(key.log, 0)]
-        own = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
+        summaries = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
         seconds = sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases)
-        rates = [1 / summary.intervals.mean_s for summary in own if summary.intervals.count]
+        rates = [1 / summary.intervals.mean_s for summary in summaries if summary.intervals.count]
         return (float(np.median(rates)) if rates else 1.0), seconds
 
     def scale(self, at: int, assessment: Assessment) -> float:

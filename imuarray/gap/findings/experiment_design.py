@@ -152,10 +152,22 @@ def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
     sensors = rivals.sensors[:2]
     benches = run(_bench_of_experiment, [_ExperimentRequest(kind, sides[0]) for kind in MENU])
     numbers = range(_FIRST, _FIRST + REPLICATES)
-    values = run(_replicates, [_SimulationRequest(own, side, sensors, numbers) for own in benches for side in sides])
+    values = run(
+        _replicates,
+        [
+            _SimulationRequest(experiment_bench, side, sensors, numbers)
+            for experiment_bench in benches
+            for side in sides
+        ],
+    )
     nats: dict[Kind, float] = {}
-    for kind, own, first, second in zip(MENU, benches, values[::2], values[1::2], strict=True):
-        nats[kind] = nats_between(first, second, own.resolutions[own.columns(sensors, cross=True)], rivals.independent)
+    for kind, experiment_bench, first, second in zip(MENU, benches, values[::2], values[1::2], strict=True):
+        nats[kind] = nats_between(
+            first,
+            second,
+            experiment_bench.resolutions[experiment_bench.columns(sensors, cross=True)],
+            rivals.independent,
+        )
     return nats
 
 
@@ -205,9 +217,9 @@ def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
 
 def _pair(cause: Cause, round_: Round) -> tuple[Evaluation, Evaluation] | None:
     """The best trials of the cause and of an effect that is confusable with it."""
-    taken = next((trial for trial in round_.confirmed if _is(trial, cause)), None)
+    evaluation = next((trial for trial in round_.confirmed if _is(trial, cause)), None)
     rival = next((trial for trial in round_.confirmed if trial.trial.name in cause.confusable_with), None)
-    return None if taken is None or rival is None else (taken, rival)
+    return None if evaluation is None or rival is None else (evaluation, rival)
 
 
 def _is(trial: Evaluation, cause: Cause) -> bool:
@@ -216,10 +228,14 @@ def _is(trial: Evaluation, cause: Cause) -> bool:
 
 def _models_of(bench: Bench, rivals: Rivals, models: Models) -> Models:
     """Models of the unit's first two sensors, and of the sensors whose data they have."""
-    own = {name: models[name] for name in rivals.sensors[:2]}
-    drawn = bench.base.effects(0)
-    sources = {getattr(effect, "sensor", "") for name, model in own.items() for effect in (*drawn[name], *model.added)}
-    return {**{name: model for name, model in bench.models().items() if name in sources}, **own}
+    unit_models = {name: models[name] for name in rivals.sensors[:2]}
+    drawn_effects = bench.base.effects(0)
+    sources = {
+        getattr(effect, "sensor", "")
+        for name, model in unit_models.items()
+        for effect in (*drawn_effects[name], *model.added)
+    }
+    return {**{name: model for name, model in bench.models().items() if name in sources}, **unit_models}
 
 
 class _ExperimentRequest(NamedTuple):

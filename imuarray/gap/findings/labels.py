@@ -135,7 +135,9 @@ def corrected(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> t
     the log's own track is kept.
     """
     return tuple(
-        _with_labels(recording, own) if (own := [label for label in wrong if label.log == number]) else recording
+        _with_labels(recording, log_labels)
+        if (log_labels := [label for label in wrong if label.log == number])
+        else recording
         for number, recording in enumerate(recordings)
     )
 
@@ -206,14 +208,16 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
     """
     wrong, odd = [], set(turns)
     for log, name, phase, readings_g in noted:
-        readings = {sensor: turns[sensor].T @ read if sensor in turns else read for sensor, read in readings_g.items()}
+        readings = {
+            sensor: turns[sensor].T @ reading if sensor in turns else reading for sensor, reading in readings_g.items()
+        }
         up = face_of(np.median(list(readings.values()), axis=0))
-        agree = tuple(sensor for sensor, read in readings.items() if up and face_of(read) == up)
+        agree = tuple(sensor for sensor, reading in readings.items() if up and face_of(reading) == up)
         is_wrong = up not in ("", phase.up) and len(readings) >= LEAST and 2 * len(agree) > len(readings)
         if is_wrong:
             wrong.append(WrongLabel(log, name, phase, up, readings, agree))
         true = up if is_wrong else phase.up
-        odd |= {sensor for sensor, read in readings.items() if face_of(read) not in ("", true)}
+        odd |= {sensor for sensor, reading in readings.items() if face_of(reading) not in ("", true)}
     return _LabelCheck(tuple(wrong), len(wrong) + len(odd))
 
 

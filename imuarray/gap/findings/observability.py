@@ -173,9 +173,9 @@ def unobservable_effects(
     heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
     needs is left out, since nothing can be suggested.
     """
-    done, met = _kinds_done(kinds, facts), {need for need in _KIND if _is_met(need, kinds, facts)}
+    recorded_kinds, met_needs = _kinds_done(kinds, facts), {need for need in _KIND if _is_met(need, kinds, facts)}
     triads = {name: header for name, header in sensors.items() if len(header.columns) == _TRIAD}
-    unobservable = (_of_candidate(candidate, done, met, triads) for candidate in candidates.values())
+    unobservable = (_of_candidate(candidate, recorded_kinds, met_needs, triads) for candidate in candidates.values())
     return tuple(effect for effect in unobservable if effect is not None)
 
 
@@ -267,7 +267,10 @@ def _is_met(need: Need, kinds: Collection[str], facts: Facts) -> bool:
 
 
 def _of_candidate(
-    candidate: Candidate, done: Collection[str], met: Collection[Need], triads: Mapping[str, SensorHeader]
+    candidate: Candidate,
+    recorded_kinds: Collection[str],
+    met_needs: Collection[Need],
+    triads: Mapping[str, SensorHeader],
 ) -> Unobservable | None:
     effect = candidate.effect
     concerned = {
@@ -275,19 +278,23 @@ def _of_candidate(
         for name, header in triads.items()
         if _ONLY.get(effect, header.quantity) == header.quantity
     }
-    texts = {name: _needed_record(candidate, quantity, done, met) for name, quantity in concerned.items()}
+    texts = {
+        name: _needed_record(candidate, quantity, recorded_kinds, met_needs) for name, quantity in concerned.items()
+    }
     lacking = {name: text for name, text in texts.items() if text}
     return Unobservable(effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values()))) if lacking else None
 
 
-def _needed_record(candidate: Candidate, quantity: str, done: Collection[str], met: Collection[Need]) -> str:
+def _needed_record(
+    candidate: Candidate, quantity: str, recorded_kinds: Collection[str], met_needs: Collection[Need]
+) -> str:
     """Return what to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
     special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
     needs = special.get(candidate.effect, _NEEDS.get(candidate.effect, ()))
     if not needs:
-        is_shown = any(kind in done for kind in candidate.shown_by)
+        is_shown = any(kind in recorded_kinds for kind in candidate.shown_by)
         return "" if is_shown else next((f"{kind}: {text}" for kind, text in candidate.shown_by.items()), "")
-    missing = [[need for need in group if need not in met] for group in needs]
+    missing = [[need for need in group if need not in met_needs] for group in needs]
     return " and ".join(_words(candidate, need) for need in missing[0]) if all(missing) else ""
 
 

@@ -80,8 +80,8 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
         if _reaches(together, headers):
             names = tuple(dict.fromkeys(tone.header.name for tone in together))
             axes = {_strongest(tone) for tone in together}
-            own = tuple(cause for cause in causes if _is_whole(cause, together))
-            lines.append(Line(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, own))
+            line_causes = tuple(cause for cause in causes if _is_whole(cause, together))
+            lines.append(Line(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, line_causes))
     return tuple(lines)
 
 
@@ -115,9 +115,9 @@ class _Tone(NamedTuple):
     @classmethod
     def of(cls, cause: Cause, header: SensorHeader) -> _Tone:
         table = cause.each.get(header.name) or cause.parameters
-        own = np.abs(_sizes(table, f"amplitude_{header.unit}"))
-        turned = np.abs(np.array(header.orientation)) @ own
-        return cls(cause, header, float(table["frequency_hz"]), turned, own)
+        amplitude = np.abs(_sizes(table, f"amplitude_{header.unit}"))
+        amplitude_box = np.abs(np.array(header.orientation)) @ amplitude
+        return cls(cause, header, float(table["frequency_hz"]), amplitude_box, amplitude)
 
 
 def _is_tone(cause: Cause) -> bool:
@@ -167,8 +167,8 @@ def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedS
         and signal.correlation >= LEAST_COMMON_SHARE
     }
     table = cause.each.get(header.name) or cause.parameters
-    own = _sizes(table, f"rms_{header.unit}", f"amplitude_{header.unit}", f"density_{header.unit}_per_sqrt_s")
-    squares = np.abs(np.array(header.orientation)) @ np.square(own)
+    sizes = _sizes(table, f"rms_{header.unit}", f"amplitude_{header.unit}", f"density_{header.unit}_per_sqrt_s")
+    squares = np.abs(np.array(header.orientation)) @ np.square(sizes)
     felt = sum(float(squares["XYZ".index(axis)]) for axis in axes)
     return felt > 0 and 2 * felt >= float(squares.sum())
 

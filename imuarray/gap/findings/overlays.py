@@ -122,11 +122,11 @@ def overlays_of(
         _overlay(
             bench,
             curve,
-            own,
+            summaries,
             bands([replicate[at] for replicate in before]),
             bands([replicate[at] for replicate in after]),
         )
-        for at, (curve, own) in enumerate(curves)
+        for at, (curve, summaries) in enumerate(curves)
     )
 
 
@@ -134,13 +134,13 @@ def curves_of(
     bench: Bench, campaign: Campaign, where: Sequence[Where], most: int, names: Sequence[str] = ()
 ) -> tuple[Curve, ...]:
     """The curves to draw for the statistics `where`, worst first."""
-    kept: dict[tuple[str, str, int], Curve] = {}
+    curves: dict[tuple[str, str, int], Curve] = {}
     many: Counter[str] = Counter()
     for entry in where:
         kind = KINDS.get(entry.domain)
         axis = entry.axis or next((other.axis for other in where if other.sensor == entry.sensor and other.axis), "x")
         what = (kind or "", entry.sensor, "xyz".index(axis))
-        if kind is None or what in kept or many[entry.sensor] >= OF_SENSOR or len(kept) >= most:
+        if kind is None or what in curves or many[entry.sensor] >= OF_SENSOR or len(curves) >= most:
             continue
         place = (
             _widest_heating(bench, campaign, entry)
@@ -148,9 +148,9 @@ def curves_of(
             else _phase(bench, campaign, entry, kind, names)
         )
         if place is not None:
-            kept[what] = Curve(kind, entry.sensor, what[2], *place)
+            curves[what] = Curve(kind, entry.sensor, what[2], *place)
             many[entry.sensor] += 1
-    return tuple(kept.values())
+    return tuple(curves.values())
 
 
 def summaries_of(campaign: Campaign, curve: Curve) -> tuple[Summary, ...]:
@@ -209,9 +209,9 @@ def _phase(
         for log, at in _held_out(bench, campaign, entry.sensor)
         if kind == "codes" or campaign.logs[log].phases[at].is_still
     ]
-    own = [(log, at) for log, at in known if campaign.logs[log].phases[at].phase.name == entry.phase]
+    in_phase = [(log, at) for log, at in known if campaign.logs[log].phases[at].phase.name == entry.phase]
     still = [(log, at) for log, at in known if campaign.logs[log].phases[at].is_still]
-    choice = [place for place in own if place[0] == own_log] or own or still
+    choice = [place for place in in_phase if place[0] == own_log] or in_phase or still
     if not choice:
         return None
     log, at = max(choice, key=lambda place: campaign.logs[place[0]].phases[place[1]].sensors[entry.sensor].rows)
@@ -256,8 +256,8 @@ def _spectrum(axis: int, recorded: Sequence[Summary]) -> CurveShape:
     rows_per_s = 1 / recorded[0].intervals.mean_s
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
 
-    def values(own: Sequence[Summary]) -> Floats:
-        density = own[0].spectrum.density[1:, axis]
+    def values(summaries: Sequence[Summary]) -> Floats:
+        density = summaries[0].spectrum.density[1:, axis]
         return np.asarray(factor * np.sqrt(density / rows_per_s))
 
     return CurveShape(np.asarray(recorded[0].spectrum.frequency_hz[1:] * rows_per_s), values)
@@ -270,7 +270,7 @@ def _allan(axis: int, recorded: Sequence[Summary]) -> CurveShape:
     factors = 2.0 ** np.flatnonzero(known)
     return CurveShape(
         np.asarray(factors * recorded[0].intervals.mean_s),
-        lambda own: np.asarray(factor * np.sqrt(own[0].allan.variance[known, axis])),
+        lambda summaries: np.asarray(factor * np.sqrt(summaries[0].allan.variance[known, axis])),
     )
 
 
@@ -286,11 +286,11 @@ def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
     margin = (high - low) // 4 + width
     edges = np.arange(low - margin, high + margin + width, width)
 
-    def values(own: Sequence[Summary]) -> Floats:
-        codes = own[0].codes[axis]
+    def values(summaries: Sequence[Summary]) -> Floats:
+        codes = summaries[0].codes[axis]
         step = int(np.lcm(_step(real), _step(codes)))
-        moved = step * round((middle - _quantile(codes, 0.5)) / step)
-        counts, _ = np.histogram(codes.codes + moved, edges - 0.5, weights=codes.counts)
+        shift = step * round((middle - _quantile(codes, 0.5)) / step)
+        counts, _ = np.histogram(codes.codes + shift, edges - 0.5, weights=codes.counts)
         return np.asarray(counts / max(int(codes.counts.sum()), 1), float)
 
     return CurveShape(np.asarray(edges[:-1] + (width - 1) / 2, float), values)
@@ -303,19 +303,19 @@ def _temperature(axis: int, recorded: Sequence[Summary]) -> CurveShape:
         np.concatenate([np.asarray(getattr(summary.segments, name), float) for summary in recorded])
         for name in ("temperature_degc", "rows")
     )
-    held = (rows > 0) & np.isfinite(degc)
-    edges = np.linspace(degc[held].min(), degc[held].max(), BINS + 1)
+    is_usable = (rows > 0) & np.isfinite(degc)
+    edges = np.linspace(degc[is_usable].min(), degc[is_usable].max(), BINS + 1)
     place = np.clip(np.searchsorted(edges, degc, side="right") - 1, 0, BINS - 1)
-    filled = np.flatnonzero(np.bincount(place[held], minlength=BINS))
+    filled = np.flatnonzero(np.bincount(place[is_usable], minlength=BINS))
 
     def means(of: Floats) -> Floats:
-        known = held & np.isfinite(of)
+        known = is_usable & np.isfinite(of)
         weights = np.bincount(place[known], rows[known], BINS)[filled]
         sums = np.bincount(place[known], rows[known] * of[known], BINS)[filled]
         return np.asarray(np.divide(sums, weights, out=np.full(len(filled), np.nan), where=weights > 0))
 
-    def values(own: Sequence[Summary]) -> Floats:
-        course = means(factor * np.concatenate([summary.segments.mean[:, axis] for summary in own]))
+    def values(summaries: Sequence[Summary]) -> Floats:
+        course = means(factor * np.concatenate([summary.segments.mean[:, axis] for summary in summaries]))
         return np.asarray(course - np.nanmean(course)) if np.isfinite(course).any() else course
 
     return CurveShape(means(degc), values)
@@ -339,15 +339,15 @@ def _readable(summary: Summary) -> tuple[float, str]:
     return READABLE.get(summary.header.unit, (1.0, summary.header.unit))
 
 
-def _quantile(seen: Histogram, share: float) -> int:
+def _quantile(histogram: Histogram, share: float) -> int:
     """The code at or below which this share of the readings lies; 0 without readings."""
-    if not len(seen.codes):
+    if not len(histogram.codes):
         return 0
-    passed = np.cumsum(seen.counts)
-    return int(seen.codes[min(int(np.searchsorted(passed, share * passed[-1])), len(seen.codes) - 1)])
+    cumulative = np.cumsum(histogram.counts)
+    return int(histogram.codes[min(int(np.searchsorted(cumulative, share * cumulative[-1])), len(histogram.codes) - 1)])
 
 
-def _step(seen: Histogram) -> int:
+def _step(histogram: Histogram) -> int:
     """The greatest common divisor of the distances of the usual codes; 1 without codes."""
-    usual = seen.codes[seen.counts > _RARE * seen.counts.sum()]
+    usual = histogram.codes[histogram.counts > _RARE * histogram.counts.sum()]
     return max(int(np.gcd.reduce(np.diff(usual))), 1) if len(usual) > 1 else 1

@@ -53,11 +53,11 @@ def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
         added.setdefault(effect.name, []).append(_recipe(effect, header))
     effects: dict[str, tuple[Recipe, ...]] = {}
     for kind in EFFECTS:
-        had = tuple(_kept(kind, parts[kind].effects[kind])) if kind in parts else ()
-        kept = () if kind in own_model.removed else had
+        present = tuple(_kept(kind, parts[kind].effects[kind])) if kind in parts else ()
+        remaining = () if kind in own_model.removed else present
         is_own = kind in parts and bool(parts[kind].name)
-        if kind in added or (kept and is_own):
-            effects[kind] = (*kept, *added.get(kind, ()))
+        if kind in added or (remaining and is_own):
+            effects[kind] = (*remaining, *added.get(kind, ()))
         elif kind in own_model.removed and kind in model.parts(header, population=True):
             effects[kind] = (_HARMLESS,)
     known = TRIADS.get(header.chip)
@@ -83,13 +83,15 @@ def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str
     """Describes what was diagnosed from which logs."""
     kinds = " and ".join(f"{count} {kind}" for kind, count in Counter(bench.kinds).items())
     source = ", ".join(logs) or f"{kinds} {'log' if len(bench.kinds) == 1 else 'logs'}"
-    own_model = [f"{name} {words}" for name, own in models.items() if (words := ", ".join(_changes(own)))]
+    changed_sensors = [
+        f"{name} {words}" for name, sensor_model in models.items() if (words := ", ".join(_changes(sensor_model)))
+    ]
     before = f"model {model.name}" if model else "the data sheets"
-    changes = f"with {'; '.join(own_model)}" if own_model else "with no cause found"
+    changes = f"with {'; '.join(changed_sensors)}" if changed_sensors else "with no cause found"
     return f"{len(bench.base.headers)} sensors as diagnosed from {source}: {before}, fitted, {changes}."
 
 
-def _changes(own: SensorModel) -> Iterator[str]:
-    kinds = [effect.name for effect in own.added]
+def _changes(sensor_model: SensorModel) -> Iterator[str]:
+    kinds = [effect.name for effect in sensor_model.added]
     yield from dict.fromkeys(kinds)
-    yield from (f"without {kind}" for kind in sorted(own.removed - set(kinds)))
+    yield from (f"without {kind}" for kind in sorted(sensor_model.removed - set(kinds)))

@@ -44,12 +44,16 @@ def sentence_of(
     worst = where[0]
     parts = [f"The recordings differ from {other}, most in {worst.domain.replace('_', ' ')} of {_place(worst)}."]
     likely = [cause for cause in causes if cause.probability >= EVEN] or list(causes[:1])
-    named = [f"{_named(cause)}." for cause in likely[:_MOST_CAUSES]]
+    cause_sentences = [f"{_named(cause)}." for cause in likely[:_MOST_CAUSES]]
     if verdict == "unexplained":
         parts.append(_unexplained(unexplained or where))
-        parts += ["No known effect makes these recordings likely; the nearest is", *named[:1]] if named else []
+        parts += (
+            ["No known effect makes these recordings likely; the nearest is", *cause_sentences[:1]]
+            if cause_sentences
+            else []
+        )
     else:
-        parts += named
+        parts += cause_sentences
     if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)
         data = "the data that showed it" if needs_both_parts(causes) else "held-out data"
