@@ -60,13 +60,13 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     first, second = (float(np.tanh(evidence.typical(f"lag_{lag}")).mean()) for lag in (1, 2))
     shares = (0.0, 1.0) if evidence.is_odd("motion_delay", beyond=_BEYOND) else (0.0,)
-    tried: list[float] = []
+    cutoffs_hz: list[float] = []
     for phi in (first, math.sqrt(max(second, 0.0)), second / first if first > 0 else 0.0):
         if not _LEAST < phi < _MOST:
             continue
         cutoff_hz = -math.log(phi) * evidence.rows_per_s / (2 * math.pi)
-        if all(max(cutoff_hz / other, other / cutoff_hz) > _ALIKE for other in tried):
-            tried.append(cutoff_hz)
+        if all(max(cutoff_hz / other, other / cutoff_hz) > _ALIKE for other in cutoffs_hz):
+            cutoffs_hz.append(cutoff_hz)
             for share in shares:
                 yield Hypothesis((Bandwidth(cutoff_hz, share),), ("cutoff_hz",))
     if _LEAST < first < _MOST:

@@ -72,15 +72,15 @@ def behind(evidence: Evidence, coded: Coded, period: int, stretch: int) -> Fitte
     """Parameters with which `coded`, that does with all codes what it does with those of one `period`, and moves none
     by more than a `stretch`, makes the means and variances that the phases at rest have; None without such phases.
     """
-    scale, found = evidence.header.sensitivity, []
+    scale, parameters = evidence.header.sensitivity, []
     for axis in range(3):
         bins = _bins(evidence, axis)
         if bins is None:
             return None
         fitted = evidence.fitted
         start = np.array([fitted.offset[axis], fitted.slope[axis], evidence.noise[axis]]) * scale
-        found.append(_behind(bins, start, coded, period, stretch) / scale)
-    offset, slope, rms = (tuple(column) for column in np.array(found).T.tolist())
+        parameters.append(_behind(bins, start, coded, period, stretch) / scale)
+    offset, slope, rms = (tuple(column) for column in np.array(parameters).T.tolist())
     return FittedParameters(rms, offset, slope)
 
 
@@ -99,15 +99,15 @@ def _bins(evidence: Evidence, axis: int) -> _Bins | None:
 
 def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
     """Sums of each temperature as `_Bins` has them, except the face."""
-    raw, left = phase.raw.segments, phase.residual.segments
-    held = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
+    raw, residual = phase.raw.segments, phase.residual.segments
+    is_usable = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
-    felt = raw.mean[:, axis] - left.mean[:, axis] - offset - slope * warm
+    felt = raw.mean[:, axis] - residual.mean[:, axis] - offset - slope * warm
     variance = raw.steady_variance[:, axis] * raw.rows / np.maximum(raw.rows - 1, 1)
     degc = np.zeros(len(warm), np.int64)
-    degc[held] = np.floor(raw.temperature_degc[held] / _BIN_DEGC)
-    for number in np.unique(degc[held]):
-        at = held & (degc == number)
+    degc[is_usable] = np.floor(raw.temperature_degc[is_usable] / _BIN_DEGC)
+    for number in np.unique(degc[is_usable]):
+        at = is_usable & (degc == number)
         weight = raw.rows[at]
         middle = [float(np.average(values[at], weights=weight)) for values in (felt, warm, raw.mean[:, axis], variance)]
         yield float(weight.sum()), *middle
@@ -120,37 +120,39 @@ def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int)
     offsets = offset + np.linspace(-_STRETCHES, _STRETCHES, 2 * _OFFSETS + 1) * stretch
     span = float(np.ptp(bins.warm_degc))
     slopes = slope + np.linspace(-1.0, 1.0, _SLOPES) * stretch / span if span > 1 else np.array([slope])
-    best, found = np.inf, start
+    least_cost, parameters = np.inf, start
     for sigma in np.maximum(_SHARES * noise, _LEAST_LSB):
         table = _moments(coded, period, float(sigma))
         for steep in slopes if units == 0 else [slope]:
             cost = _over_faces(bins, offsets, float(steep), float(sigma), table, period, units)
             at = int(cost.argmin())
-            if cost[at] < best:
-                best, found = float(cost[at]), np.array([offsets[at], steep, sigma])
+            if cost[at] < least_cost:
+                least_cost, parameters = float(cost[at]), np.array([offsets[at], steep, sigma])
     return (
-        _nearer(bins, found, coded, period, stretch, span) if not units else _quieter(bins, found, coded, period, units)
+        _nearer(bins, parameters, coded, period, stretch, span)
+        if not units
+        else _quieter(bins, parameters, coded, period, units)
     )
 
 
-def _nearer(bins: _Bins, found: Floats, coded: Coded, period: int, stretch: int, span: float) -> Floats:
-    """From the best one of the grid."""
-    size = np.array([stretch / _OFFSETS, stretch / (_SLOPES * max(span, 1.0)), 0.1 * found[2]])
+def _nearer(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int, span: float) -> Floats:
+    """Refines the best parameters of the grid."""
+    size = np.array([stretch / _OFFSETS, stretch / (_SLOPES * max(span, 1.0)), 0.1 * start[2]])
 
     def cost(by: Floats) -> float:
-        offset, slope, sigma = found + by * size
+        offset, slope, sigma = start + by * size
         sigma = max(float(sigma), _LEAST_LSB)
         table = _moments(coded, period, sigma)
         return float(_costs(bins, np.array([offset]), float(slope), sigma, table, period).sum())
 
     optimum = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"maxfev": 200, "xatol": 0.02, "fatol": 0.02})
-    nearer = found + np.asarray(optimum.x) * size
+    nearer = start + np.asarray(optimum.x) * size
     return np.array([nearer[0], nearer[1], max(float(nearer[2]), _LEAST_LSB)])
 
 
-def _quieter(bins: _Bins, found: Floats, coded: Coded, period: int, units: float) -> Floats:
-    """With the noise that is best between those of the grid."""
-    offset, slope, sigma = found
+def _quieter(bins: _Bins, start: Floats, coded: Coded, period: int, units: float) -> Floats:
+    """Refines the noise between the values of the grid."""
+    offset, slope, sigma = start
 
     def cost(by: float) -> float:
         table = _moments(coded, period, sigma * by)
@@ -190,8 +192,8 @@ def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
     fine = _FINE if period <= 1024 / _FINE else 1
     reach = int(np.ceil(_REACH * sigma)) + 1
     counts = np.arange(-reach, period + reach)
-    moved = (coded(counts) - counts).astype(float)
-    powers = [moved**power for power in range(_POWERS + 1)]
+    displacement = (coded(counts) - counts).astype(float)
+    powers = [displacement**power for power in range(_POWERS + 1)]
     raw = np.empty((_POWERS + 1, period, fine))
     for part in range(fine):
         apart = np.arange(-reach, reach + 1) - part / fine
@@ -199,9 +201,9 @@ def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
         share /= share.sum()
         for power in range(1, _POWERS + 1):
             raw[power, :, part] = (share * apart**power).sum()
-            for own in range(1, power + 1):
-                kernel = comb(power, own) * share * apart ** (power - own)
-                raw[power, :, part] += correlate(powers[own], kernel, "valid")
+            for order in range(1, power + 1):
+                kernel = comb(power, order) * share * apart ** (power - order)
+                raw[power, :, part] += correlate(powers[order], kernel, "valid")
     _, first, second, third, fourth = raw.reshape(_POWERS + 1, -1)
     variance = second - first**2
     about = fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4

@@ -67,32 +67,32 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((Bias((x, y, z), float(logs[at])),), ("offset",))
 
 
-def _within_logs(found: Levels) -> Iterator[Hypothesis]:
-    """Of each log with one to three such stretches, between which levels are steady."""
-    for log in np.unique(found.log).tolist():
-        own = np.flatnonzero(found.log == log)
-        order = own[np.argsort(found.time_s[own])]
-        mean, error = found.mean[order], np.sqrt(found.square_error[order])
+def _within_logs(table: Levels) -> Iterator[Hypothesis]:
+    """Suggests a bias in one to three stretches of a log whose levels are steady otherwise."""
+    for log in np.unique(table.log).tolist():
+        rows = np.flatnonzero(table.log == log)
+        order = rows[np.argsort(table.time_s[rows])]
+        mean, error = table.mean[order], np.sqrt(table.square_error[order])
         if len(order) < _FEWEST_SEGMENTS:
             continue
         for change in islice(changes(mean, np.median(error, axis=0)), 1):
             inside = ~change.inside if change.inside[0] else change.inside  # what it is at first is the usual level
             edges = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
             step = mean[inside].mean(axis=0) - mean[~inside].mean(axis=0)
-            left = np.where(inside[:, None], mean - step, mean)
-            scatter = np.sqrt((np.diff(left, axis=0) ** 2).mean(axis=0) / 2)
+            without_step = np.where(inside[:, None], mean - step, mean)
+            scatter = np.sqrt((np.diff(without_step, axis=0) ** 2).mean(axis=0) / 2)
             sure = np.abs(step) > _SURE * scatter * math.sqrt(1 / inside.sum() + 1 / (~inside).sum())
-            is_steady = left.std(axis=0) < _STEADY * scatter
+            is_steady = without_step.std(axis=0) < _STEADY * scatter
             if len(edges) <= 2 * _STRETCHES and (sure & is_steady).any() and not (sure & ~is_steady).any():
                 x, y, z = np.where(sure, step, 0.0).tolist()
-                yield Hypothesis((Bias((x, y, z)),), ("offset",)).at(_when(log, found, order, inside, edges))
+                yield Hypothesis((Bias((x, y, z)),), ("offset",)).at(_when(log, table, order, inside, edges))
 
 
-def _when(log: int, found: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:
+def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:
     """The stretches between `edges`: each where the two segments beside it, of which one or the other is divided by it,
     have taken as much of the step as they have.
     """
-    time_s, mean, width_s = found.time_s[order], found.mean[order], found.width_s[order]
+    time_s, mean, width_s = table.time_s[order], table.mean[order], table.width_s[order]
     low, high = (np.median(mean[side], axis=0) for side in (~inside, inside))
     axis = int(np.abs(high - low).argmax())
     shares = np.clip((mean[:, axis] - low[axis]) / (high - low)[axis], 0.0, 1.0)

@@ -22,13 +22,13 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
-    if not evidence.is_odd(*TRACES, beyond=BEYOND) or (found := wander_of(evidence)) is None:
+    if not evidence.is_odd(*TRACES, beyond=BEYOND) or (wander := wander_of(evidence)) is None:
         return
     score = evidence.score(*TRACES)
-    for one in (found, slower(evidence, found)):
-        if one.rms.any():
+    for process in (wander, slower(evidence, wander)):
+        if process.rms.any():
             yield Hypothesis(
-                (BiasInstability(sized(one.rms, score), one.time_constant_s),),
+                (BiasInstability(sized(process.rms, score), process.time_constant_s),),
                 _FREE,
                 limits={"time_constant_s": (0.0, longest_s(evidence))},
             )
@@ -37,8 +37,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _over_logs(evidence: Evidence) -> Iterator[Hypothesis]:
     """A bias that wanders as much as the logs' levels differ."""
-    if (found := over_logs(evidence)) is not None:
-        effect = BiasInstability(sized(found.rms, evidence.score(*TRACES)), found.time_constant_s)
+    if (wander := over_logs(evidence)) is not None:
+        effect = BiasInstability(sized(wander.rms, evidence.score(*TRACES)), wander.time_constant_s)
         limits = {"time_constant_s": (0.0, SLOWEST * longest_s(evidence))}
         yield Hypothesis((effect,), _FREE, limits=limits)
 

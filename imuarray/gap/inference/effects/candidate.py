@@ -58,7 +58,9 @@ class Hypothesis:
         if not when.spans:
             return self
         spans = spans_of(when.triples)
-        effects, opposite = (tuple(replace(one, spans=spans) for one in side) for side in (self.effects, self.opposite))
+        effects, opposite = (
+            tuple(replace(effect, spans=spans) for effect in side) for side in (self.effects, self.opposite)
+        )
         rarity = self.rarity + NUMBERS * (when.numbers - self.when.numbers)
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
@@ -83,13 +85,13 @@ class Hypothesis:
         """What is done with which effects, and which of their parameters do something: a line that drifts is another
         form than one that stays, and so is another range than a third one. When it does so doesn't matter.
         """
-        used = [
+        parameters = [
             f"{effect.name}.{item.name}" + (f"={getattr(effect, item.name)}" if item.name in _CHOICES else "")
             for effect in (*self.effects, *self.opposite)
             for item in fields(effect)
             if item.name != "spans" and repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
         ]
-        return (self.name, self.action, *used)
+        return (self.name, self.action, *parameters)
 
     @property
     def action(self) -> Action:

@@ -67,8 +67,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _crossed(sensor: str, other: str) -> Hypothesis:
     """Their plugs were crossed: each is set up and read in the other's place."""
-    one, its = ChannelSwap(other, "place"), ChannelSwap(sensor, "place")
-    return Hypothesis((one,), shared=True, sensor=sensor, others=(other,), opposite=(its,))
+    swap, opposite_swap = ChannelSwap(other, "place"), ChannelSwap(sensor, "place")
+    return Hypothesis((swap,), shared=True, sensor=sensor, others=(other,), opposite=(opposite_swap,))
 
 
 class _Course(NamedTuple):
@@ -90,24 +90,28 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
     The usual levels are the medians: the part has to be the smaller one.
     """
     faces: dict[str, int] = {}
-    own, its = _course(evidence.still, faces), _course(phases, faces)
-    if not len(own.log) or not len(its.log):
+    course, other_course = _course(evidence.still, faces), _course(phases, faces)
+    if not len(course.log) or not len(other_course.log):
         return
-    usual, other_usual = _usual_levels(own, len(faces)), _usual_levels(its, len(faces))
+    usual, other_usual = _usual_levels(course, len(faces)), _usual_levels(other_course, len(faces))
     distance = other_usual - usual
-    is_apart = np.asarray((np.abs(distance) > _APART * np.maximum(own.noise, its.noise)).any(axis=1))
-    inside = is_apart[own.face] & (_share(own, usual, distance) > 0.5)
-    if not inside.any() or not _is_at(own, inside, other_usual, distance):
+    is_apart = np.asarray((np.abs(distance) > _APART * np.maximum(course.noise, other_course.noise)).any(axis=1))
+    inside = is_apart[course.face] & (_share(course, usual, distance) > 0.5)
+    if not inside.any() or not _is_at(course, inside, other_usual, distance):
         return
-    when = _when(own, inside, _share(own, usual, distance))
-    its_inside = np.array([_is_within(when, *moment) for moment in zip(its.log, its.time_s, strict=True)], bool)
-    is_exchange = bool(its_inside.any()) and _is_at(its, its_inside, usual, distance)
+    when = _when(course, inside, _share(course, usual, distance))
+    other_inside = np.array(
+        [_is_within(when, *moment) for moment in zip(other_course.log, other_course.time_s, strict=True)], bool
+    )
+    is_exchange = bool(other_inside.any()) and _is_at(other_course, other_inside, usual, distance)
     yield _reading(
         evidence,
         other,
         when,
-        _refitted(evidence.fitted, own, inside, evidence.header),
-        _refitted(evidence.twin_fitted[other], its, its_inside, phases[0].raw.header) if is_exchange else None,
+        _refitted(evidence.fitted, course, inside, evidence.header),
+        _refitted(evidence.twin_fitted[other], other_course, other_inside, phases[0].raw.header)
+        if is_exchange
+        else None,
     )
 
 
@@ -141,24 +145,24 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
     if not phases or phases[0].raw.header.sensitivity != evidence.header.sensitivity:
         return
     faces: dict[str, int] = {}
-    own, its = _in_common(_course(evidence.still, faces), _course(phases, faces))
-    if len(own.log) < 2 * _LEAST_SEGMENTS:
+    course, other_course = _in_common(_course(evidence.still, faces), _course(phases, faces))
+    if len(course.log) < 2 * _LEAST_SEGMENTS:
         return
-    predicted, its_predicted = own.mean - own.deviation, its.mean - its.deviation
-    here = np.concatenate([own.deviation, its.deviation], axis=1)
-    there = np.concatenate([its.mean - predicted, own.mean - its_predicted], axis=1)
-    floor = np.square(np.concatenate([own.noise, its.noise]))
-    last = np.searchsorted(own.log, own.log, side="right")  # of each segment's log
+    predicted, other_predicted = course.mean - course.deviation, other_course.mean - other_course.deviation
+    here = np.concatenate([course.deviation, other_course.deviation], axis=1)
+    there = np.concatenate([other_course.mean - predicted, course.mean - other_predicted], axis=1)
+    floor = np.square(np.concatenate([course.noise, other_course.noise]))
+    last = np.searchsorted(course.log, course.log, side="right")  # of each segment's log
     for ends in (last, np.full(len(last), len(last))):
         gains = _gains_of_exchange(here, there, ends, floor)
         begin = int(gains.argmax())
         if gains[begin] < _CLEAR:
             continue
-        inside = np.zeros(len(own.log), bool)
+        inside = np.zeros(len(course.log), bool)
         inside[begin : ends[begin]] = True
         deviation = np.where(inside[:, None], there, here)
         offsets = np.median(deviation, axis=0)
-        way = its_predicted + offsets[3:] - predicted - offsets[:3]
+        way = other_predicted + offsets[3:] - predicted - offsets[:3]
         error = np.linalg.norm((deviation - offsets)[:, :3], axis=1)
         is_far = error > _NEAR * np.linalg.norm(way, axis=1)
         if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # the moment lies within a segment
@@ -167,25 +171,25 @@ def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEviden
         yield _reading(
             evidence,
             other,
-            _when(own, inside, _part_of_way(own.deviation - offsets[:3], way)),
+            _when(course, inside, _part_of_way(course.deviation - offsets[:3], way)),
             _with_offset(evidence.fitted, offsets[:3] / scale),
             _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
         )
 
 
-def _in_common(own: _Course, its: _Course) -> tuple[_Course, _Course]:
+def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course]:
     """The segments that both courses have at the same time."""
     pairs = [np.zeros((2, 0), np.int64)]
-    for log in np.unique(own.log).tolist():
-        mine, others = np.flatnonzero(own.log == log), np.flatnonzero(its.log == log)
-        if len(mine) < 2 or not len(others):
+    for log in np.unique(course.log).tolist():
+        rows_of_log, other_rows_of_log = np.flatnonzero(course.log == log), np.flatnonzero(other_course.log == log)
+        if len(rows_of_log) < 2 or not len(other_rows_of_log):
             continue
-        apart_s = np.abs(own.time_s[mine, None] - its.time_s[others])
+        apart_s = np.abs(course.time_s[rows_of_log, None] - other_course.time_s[other_rows_of_log])
         nearest = apart_s.argmin(axis=1)
-        is_same = apart_s.min(axis=1) < np.median(np.diff(own.time_s[mine])) / 4
-        pairs.append(np.stack([mine[is_same], others[nearest[is_same]]]))
-    own_rows, its_rows = np.concatenate(pairs, axis=1)
-    return _chosen(own, own_rows), _chosen(its, its_rows)
+        is_same = apart_s.min(axis=1) < np.median(np.diff(course.time_s[rows_of_log])) / 4
+        pairs.append(np.stack([rows_of_log[is_same], other_rows_of_log[nearest[is_same]]]))
+    rows, other_rows = np.concatenate(pairs, axis=1)
+    return _chosen(course, rows), _chosen(other_course, other_rows)
 
 
 def _chosen(course: _Course, rows: Integers) -> _Course:
@@ -202,8 +206,10 @@ def _gains_of_exchange(here: Floats, there: Floats, ends: Integers, floor: Float
     middle = np.median(here, axis=0)
 
     def total(power: int) -> Floats:
-        own, its = (np.cumsum(np.pad((side - middle) ** power, ((1, 0), (0, 0))), axis=0) for side in (here, there))
-        return np.asarray(own[-1] - own[ends] + own[begins] + its[ends] - its[begins])
+        here_sums, there_sums = (
+            np.cumsum(np.pad((side - middle) ** power, ((1, 0), (0, 0))), axis=0) for side in (here, there)
+        )
+        return np.asarray(here_sums[-1] - here_sums[ends] + here_sums[begins] + there_sums[ends] - there_sums[begins])
 
     variance = total(2) / count - (total(1) / count) ** 2
     usual = np.maximum(here.var(axis=0), floor)
@@ -224,13 +230,13 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
     parts = []
     for phase in phases:
         raw, residual = phase.raw.segments, phase.residual.segments
-        held = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
+        is_usable = phase.is_still & (raw.rows >= _LEAST_ROWS) & np.isfinite(raw.mean).all(axis=1)
         feels = phase.raw.header.quantity != "angular_rate"
         attitude = faces.setdefault(phase.raw.phase.up if feels else "", len(faces))
-        noise = np.sqrt(raw.steady_variance[held] / raw.rows[held, None])
-        count = int(held.sum())
-        numbers = np.full(count, phase.log), raw.time_s[held], np.full(count, attitude)
-        parts.append((*numbers, raw.mean[held], residual.mean[held], noise))
+        noise = np.sqrt(raw.steady_variance[is_usable] / raw.rows[is_usable, None])
+        count = int(is_usable.sum())
+        numbers = np.full(count, phase.log), raw.time_s[is_usable], np.full(count, attitude)
+        parts.append((*numbers, raw.mean[is_usable], residual.mean[is_usable], noise))
     if not any(len(part[0]) for part in parts):
         none, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
         return _Course(none, np.zeros(0), none, nothing, nothing, np.zeros(3))
@@ -253,9 +259,9 @@ def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
     return _part_of_way(course.mean - usual[course.face], distance[course.face])
 
 
-def _part_of_way(gone: Floats, way: Floats) -> Floats:
-    """(s,) part of each way (s, 3) that lies along the distance `gone` (s, 3); 0 for no way."""
-    along, square = (gone * way).sum(axis=1), (way**2).sum(axis=1)
+def _part_of_way(distance: Floats, way: Floats) -> Floats:
+    """(s,) part of each way (s, 3) that lies along the distance `distance` (s, 3); 0 for no way."""
+    along, square = (distance * way).sum(axis=1), (way**2).sum(axis=1)
     return np.asarray(np.divide(along, square, out=np.zeros(len(along)), where=square > 0))
 
 
@@ -270,8 +276,8 @@ def _when(course: _Course, inside: Booleans, share: Floats) -> When:
     """The stretches of segments inside; a moment lies where both segments beside it have their share of the step."""
     spans: list[Span] = []
     for log in np.unique(course.log).tolist():
-        own = course.log == log
-        within, time_s, shares = inside[own], course.time_s[own], np.clip(share[own], 0.0, 1.0)
+        is_of_log = course.log == log
+        within, time_s, shares = inside[is_of_log], course.time_s[is_of_log], np.clip(share[is_of_log], 0.0, 1.0)
         width_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
         edges = np.flatnonzero(np.diff(np.concatenate([[0], within.astype(np.int8), [0]])))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -308,9 +314,11 @@ def _twins(evidence: Evidence) -> set[str]:
         if phase.cross is None or not takes_part(evidence, phase.cross):
             continue
         for other in phase.cross.others(name, family=False):
-            own, its = phase.cross.columns(name), phase.cross.columns(other)
-            size = np.sqrt(np.diag(phase.cross.fast[own, own]) * np.diag(phase.cross.fast[its, its]))
-            shared = np.diag(phase.cross.fast[own, its])
+            columns, other_columns = phase.cross.columns(name), phase.cross.columns(other)
+            size = np.sqrt(
+                np.diag(phase.cross.fast[columns, columns]) * np.diag(phase.cross.fast[other_columns, other_columns])
+            )
+            shared = np.diag(phase.cross.fast[columns, other_columns])
             if (size > 0).all():
                 largest[other] = max(largest.get(other, -1.0), float((shared / size).min()))
     return {other for other, correlation in largest.items() if correlation > _SAME}
@@ -321,7 +329,7 @@ def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> 
     expected = np.array(other.orientation).T @ np.array(evidence.header.orientation) * scale
     if np.allclose(expected, np.eye(3)):
         return False
-    return any((np.abs(shown - expected) < _NEAR).all() for shown in _shown(evidence))
+    return any((np.abs(response - expected) < _NEAR).all() for response in _shown(evidence))
 
 
 def _shown(evidence: Evidence) -> Iterator[Floats]:
@@ -332,9 +340,9 @@ def _shown(evidence: Evidence) -> Iterator[Floats]:
             continue
         turned = ideal.copy()
         for step, probes in enumerate(_AXES):
-            shown = evidence.values.get(probes[kind], np.full((1, 3), np.nan))
-            known = np.isfinite(shown).all(axis=1)
-            turned[rows, (rows + step) % 3] += np.median(shown[known], axis=0) if known.any() else np.nan
+            response = evidence.values.get(probes[kind], np.full((1, 3), np.nan))
+            known = np.isfinite(response).all(axis=1)
+            turned[rows, (rows + step) % 3] += np.median(response[known], axis=0) if known.any() else np.nan
         if np.isfinite(turned).all():
             yield turned
 

@@ -50,13 +50,15 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
-    """What is read by one clock is behind by the same, polled or not. Lags are of whole logs, and what they make of a
-    phase shows where the motion begins or ends too soon for it: in either part, or in one.
+    """Suggests an error of the host's clock, by which all sensors lag alike, polled or not.
+
+    Lags are of whole logs, and what they make of a phase shows where the motion begins or ends too soon for it: in
+    either part, or in one.
     """
-    seen = [lag for host in evidence.hosts for lag in host.lags]
-    if len(seen) < _FEWEST:
+    host_lags = [lag for host in evidence.hosts for lag in host.lags]
+    if len(host_lags) < _FEWEST:
         return
-    at_s, lag_s, error_s = np.array(seen).T
+    at_s, lag_s, error_s = np.array(host_lags).T
     weight = 1 / np.hypot(error_s, _FLOOR_S)
     still, steady = _fitted([np.ones_like(at_s)], lag_s, weight), _steady(at_s, lag_s, weight)
     if still.nats - steady.nats > _TELLING and abs(steady.ppm[0]) < _MOST_PPM:

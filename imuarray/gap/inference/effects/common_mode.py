@@ -87,7 +87,11 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
-    pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
+    pairs = [
+        (phase, phase.cross)
+        for phase in evidence.still
+        if phase.cross is not None and takes_part(evidence, phase.cross)
+    ]
     partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
     if not partners:
         return
@@ -98,9 +102,11 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
             x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
             yield Hypothesis((CommonMode((x, y, z), time_s),), _FREE, shared=True)
     score = evidence.score(*TRACES)
-    for one in (None if wander is None else slower(evidence, wander), over):
-        if one is not None and one.rms.any():  # few values of a slow process are independent: a covariance says little
-            yield Hypothesis((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
+    for process in (None if wander is None else slower(evidence, wander), over):
+        if (
+            process is not None and process.rms.any()
+        ):  # few values of a slow process are independent: a covariance says little
+            yield Hypothesis((CommonMode(sized(process.rms, score), process.time_constant_s),), _FREE, shared=True)
 
 
 class _Common(NamedTuple):
@@ -127,21 +133,32 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
     """Noise that some units have in common, from one reading to the next: those of any chip that measure the same, with
     which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes alike.
     """
-    seen = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
-    partners = seen[0][1].others(evidence.header.name, family=False) if seen else ()
-    common = {partner: _common([cross for _, cross in seen], evidence.header.name, partner) for partner in partners}
-    if not seen:
+    pairs = [
+        (phase, phase.cross)
+        for phase in evidence.still
+        if phase.cross is not None and takes_part(evidence, phase.cross)
+    ]
+    partners = pairs[0][1].others(evidence.header.name, family=False) if pairs else ()
+    common = {partner: _common([cross for _, cross in pairs], evidence.header.name, partner) for partner in partners}
+    if not pairs:
         return
-    rows = evidence.rows_per_s * float(np.median([cross.window_s for _, cross in seen]))
-    length_s = float(np.median([1e-9 * (cross.phase.end_ns - cross.phase.start_ns) for _, cross in seen]))
+    rows = evidence.rows_per_s * float(np.median([cross.window_s for _, cross in pairs]))
+    length_s = float(np.median([1e-9 * (cross.phase.end_ns - cross.phase.start_ns) for _, cross in pairs]))
     wander = wander_of(evidence)
     for shared in (0.0, 1.0):
-        together = {name: one for name, one in common.items() if (one.across if shared else one.own) > _PAIRED}
-        if not together or (not shared and any(one.across > _PAIRED for one in together.values())):
+        together = {
+            name: covariance
+            for name, covariance in common.items()
+            if (covariance.across if shared else covariance.own) > _PAIRED
+        }
+        if not together or (not shared and any(covariance.across > _PAIRED for covariance in together.values())):
             continue
         members = tuple(sorted((evidence.header.name, *together)))
         group = "+".join(members)
-        fast, slow = (np.mean([getattr(one, pace) for one in together.values()], axis=0) for pace in ("fast", "slow"))
+        fast, slow = (
+            np.mean([getattr(covariance, pace) for covariance in together.values()], axis=0)
+            for pace in ("fast", "slow")
+        )
         if any(rms := _each(fast * max(rows, 1.0), shared)):
             effect = CommonMode(rms, _WHITE_S, shared, group)
             yield Hypothesis((effect,), ("rms",), shared=True, members=members)
@@ -165,12 +182,12 @@ def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
     for cross in crosses:
         if not any(item.name == partner for item in cross.sensors) or not cross.windows:
             continue
-        own, other = cross.columns(sensor), cross.columns(partner)
-        size = np.sqrt(np.outer(np.diag(cross.fast)[own], np.diag(cross.fast)[other]))
-        ratio = np.divide(cross.fast[own, other], size, out=np.zeros((3, 3)), where=size > 0)
+        columns, other_columns = cross.columns(sensor), cross.columns(partner)
+        size = np.sqrt(np.outer(np.diag(cross.fast)[columns], np.diag(cross.fast)[other_columns]))
+        ratio = np.divide(cross.fast[columns, other_columns], size, out=np.zeros((3, 3)), where=size > 0)
         scores.append(np.arctanh(ratio.clip(-_PERFECT, _PERFECT)) * math.sqrt(cross.windows))
-        fast.append(cross.fast[own, other])
-        slow.append(np.nan_to_num(cross.slow_covariance[own, other]))
+        fast.append(cross.fast[columns, other_columns])
+        slow.append(np.nan_to_num(cross.slow_covariance[columns, other_columns]))
         weights.append(cross.windows)
     if not weights:
         return _Common(*np.zeros((3, 3, 3)))
@@ -184,62 +201,62 @@ def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> 
     times_s = [first_s, min(_APART * first_s, 3 * longest_s(evidence))]
     if over is not None:
         times_s.append(over.time_constant_s)
-    kept: list[float] = []
+    distinct_s: list[float] = []
     for time_s in times_s:
-        if all(max(time_s / other, other / time_s) > _ALIKE for other in kept):
-            kept.append(time_s)
-    return kept
+        if all(max(time_s / other, other / time_s) > _ALIKE for other in distinct_s):
+            distinct_s.append(time_s)
+    return distinct_s
 
 
 def _between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A change of level that the others have too, and beside it what this one's own differs from it."""
+    """Suggests a change of level that the others share, and the sensor's difference from it as a turn-on bias."""
     change = change_between_logs(evidence)
     if not change.any():
         return
-    own = np.where(np.abs(evidence.score("level_apart")) > _BEYOND, evidence.shift("level_apart"), 0.0)
-    common = np.where(change == 0, 0.0, change - own)
+    individual = np.where(np.abs(evidence.score("level_apart")) > _BEYOND, evidence.shift("level_apart"), 0.0)
+    common = np.where(change == 0, 0.0, change - individual)
     if not common.any():
         return
     a, b, c = (np.abs(common) / np.sqrt(2)).tolist()
     shared = CommonMode((a, b, c), _FOR_EVER_S)
     yield Hypothesis((shared,), shared=True, whole=True)
-    if own.any():
-        x, y, z = (np.abs(own) / np.sqrt(2)).tolist()
+    if individual.any():
+        x, y, z = (np.abs(individual) / np.sqrt(2)).tolist()
         yield Hypothesis((shared, TurnOnBias((x, y, z))), shared=True, whole=True)
 
 
 def _variance(
-    seen: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
+    pairs: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
 ) -> Floats:
     """(3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about their
     means, show of a process of this time constant.
     """
-    found, shown, weights = [], [], []
-    for phase, cross in seen:
-        own = _slow(phase, cross, sensor)
-        known = np.isfinite(own).all(axis=1)
+    covariances, shares, weights = [], [], []
+    for phase, cross in pairs:
+        levels = _slow(phase, cross, sensor)
+        known = np.isfinite(levels).all(axis=1)
         if known.sum() < _LEAST:
             continue
-        slow = [np.mean((own * _slow(phase, cross, partner))[known], axis=0) for partner in partners]
+        slow = [np.mean((levels * _slow(phase, cross, partner))[known], axis=0) for partner in partners]
         fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
-        found.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
-        shown.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
-        weights.append(len(own))
-    if not found:
+        covariances.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
+        shares.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
+        weights.append(len(levels))
+    if not covariances:
         return np.zeros(3)
-    return np.asarray(np.average(found, axis=0, weights=weights) / np.average(shown, weights=weights))
+    return np.asarray(np.average(covariances, axis=0, weights=weights) / np.average(shares, weights=weights))
 
 
 def _slow(phase: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
     """(s, 3) means less their mean, and less what follows the temperature if it changes."""
     means, part = cross.slow[:, cross.columns(sensor)], phase.raw.segments
-    known, held = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
-    if not known.any() or not held.any():
+    known, is_usable = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
+    if not known.any() or not is_usable.any():
         return means
     design = np.ones((len(means), 1))
-    if np.ptp(part.temperature_degc[held]) > _LEAST_DEGC:
-        at = np.linspace(part.time_s[held][0], part.time_s[held][-1], len(means))
-        degc = np.interp(at, part.time_s[held], part.temperature_degc[held])
+    if np.ptp(part.temperature_degc[is_usable]) > _LEAST_DEGC:
+        at = np.linspace(part.time_s[is_usable][0], part.time_s[is_usable][-1], len(means))
+        degc = np.interp(at, part.time_s[is_usable], part.temperature_degc[is_usable])
         design = np.stack([np.ones_like(degc), degc - degc.mean()], axis=1)
     return np.asarray(means - design @ np.linalg.lstsq(design[known], means[known], rcond=None)[0])
 

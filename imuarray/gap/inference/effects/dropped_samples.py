@@ -27,7 +27,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     yield from _one_by_one(evidence)
-    summaries = [seen.raw for seen in evidence.phases if seen.raw.rows]
+    summaries = [phase.raw for phase in evidence.phases if phase.raw.rows]
     interval_s = _interval_s(evidence)
     bursts = sum(max(summary.intervals.gaps, summary.flags["lost_before"]) for summary in summaries)
     if not bursts:

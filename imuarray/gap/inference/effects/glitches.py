@@ -59,7 +59,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.is_odd("words"):
-        yield from _words([seen.raw for seen in evidence.phases])
+        yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):
         yield from _again(evidence)
     if evidence.is_odd(*_STEPS, _IN_MOTION):
@@ -81,12 +81,12 @@ def _torn_by_lag(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _again(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Spikes and torn readings that come again and again."""
-    tails = [tail for seen in evidence.still for tail in _tails(seen.raw)]
+    """Suggests spikes and torn readings that recur."""
+    tails = [tail for phase in evidence.still for tail in _tails(phase.raw)]
     rows = sum(tail.rows for tail in tails) / 3
-    found, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
-    if found >= usual + 3 * math.sqrt(usual) + 2:
-        hits = (found - usual) / 2  # there and back
+    count, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
+    if count >= usual + 3 * math.sqrt(usual) + 2:
+        hits = (count - usual) / 2  # there and back
         size = _median(tails)
         spike = Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity)
         yield Hypothesis((spike,), ("probability", "amplitude"))
@@ -104,11 +104,11 @@ class _Hit(NamedTuple):
 
 def _few(evidence: Evidence) -> Iterator[Hypothesis]:
     """Where chance hit so few readings that it left most phases out: these very readings, all of which are known."""
-    hits = [hit for seen in evidence.still for hit in _hits(seen)]
+    hits = [hit for phase in evidence.still for hit in _hits(phase)]
     hits += _torn_in_motion(evidence)
     if not 0 < len(hits) <= SINGLE:
         return
-    rows = sum(seen.raw.rows for seen in evidence.phases)
+    rows = sum(phase.raw.rows for phase in evidence.phases)
     scale = evidence.header.sensitivity
     jumps = [hit.jump / scale if axis == hit.axis else 0.0 for hit in hits for axis in range(3)]
     effect = Glitches(
@@ -121,20 +121,20 @@ def _few(evidence: Evidence) -> Iterator[Hypothesis]:
     yield Hypothesis((effect,), whole=True, rarity=NUMBERS * len(hits))
 
 
-def _hits(seen: PhaseEvidence) -> Iterator[_Hit]:
+def _hits(phase: PhaseEvidence) -> Iterator[_Hit]:
     """Lone readings beyond what noise makes, each due half a row before it came."""
-    limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(seen.raw), _FEWEST_LSB)
-    half_s = seen.raw.intervals.mean_s / 2
-    lone = seen.raw.outliers
+    limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(phase.raw), _FEWEST_LSB)
+    half_s = phase.raw.intervals.mean_s / 2
+    lone = phase.raw.outliers
     for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True):
         if abs(apart) > limits[axis]:
-            yield _Hit(seen.log, time_ns * 1e-9 - half_s, axis, apart)
+            yield _Hit(phase.log, time_ns * 1e-9 - half_s, axis, apart)
 
 
 def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
-    """As often as readings of the moving sensor are, of those whose high byte is another than the one before's."""
+    """Suggests torn readings as often as they occur in motion, among readings whose high byte has changed."""
     hits, weight = len(_torn_in_motion(evidence)), high_byte(evidence.header.chip)
-    moving = [(seen.raw.rows, steps) for seen in evidence.phases if not seen.is_still for steps in seen.raw.steps]
+    moving = [(phase.raw.rows, steps) for phase in evidence.phases if not phase.is_still for steps in phase.raw.steps]
     shares = [np.minimum(steps.codes / weight, 1.0) @ steps.counts / max(steps.counts.sum(), 1) for _, steps in moving]
     changes = sum(rows * float(share) for (rows, _), share in zip(moving, shares, strict=True)) / 3
     if hits >= _AGAIN and changes > 0:
@@ -146,7 +146,7 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     is off by anything else may have come late.
     """
     weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
-    phases = [(seen.log, seen.raw.phase) for seen in evidence.phases if not seen.is_still]
+    phases = [(moving.log, moving.raw.phase) for moving in evidence.phases if not moving.is_still]
     spikes = []
     for log, lone in evidence.outliers:
         nearest = [float(np.abs(lone.deviation[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
@@ -155,7 +155,9 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
         ):
             bytes_off = round(apart / weight)
             is_torn = bytes_off and abs(apart / weight - bytes_off) < _NEAR and abs(apart) > _AMONG * nearest[axis]
-            if is_torn and any(log == own and phase.start_ns <= time_ns < phase.end_ns for own, phase in phases):
+            if is_torn and any(
+                log == log_of_phase and phase.start_ns <= time_ns < phase.end_ns for log_of_phase, phase in phases
+            ):
                 spikes.append(_Hit(log, time_ns * 1e-9 - half_s, axis, bytes_off * weight))
     return spikes
 

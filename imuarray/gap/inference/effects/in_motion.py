@@ -30,8 +30,8 @@ class Moments:
         """What the reference doesn't explain: products (c, c) of these columns, (c, 3) of them with the sensor's
         readings, and (3,) squares of the readings.
         """
-        given = self.products[REFERENCE, REFERENCE]
-        solved = np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ self.products[REFERENCE]
+        reference_products = self.products[REFERENCE, REFERENCE]
+        solved = np.linalg.pinv(reference_products, rcond=1e-9, hermitian=True) @ self.products[REFERENCE]
         remaining = self.products - self.products[:, REFERENCE] @ solved
         return remaining[columns, columns], remaining[columns, OWN], np.diag(remaining[OWN, OWN])
 

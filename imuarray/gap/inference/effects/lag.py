@@ -53,22 +53,22 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
     share = np.where(share > 0, share, np.nan)
     sensor = evidence.header.name
     for phase, cross in motions(evidence):
-        seen, moved = _pace(cross, sensor)
-        pace = np.arcsin(np.minimum(seen * cross.window_s, 1.0)) / cross.window_s
-        found = np.arctan2(seen * (quadrature(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
-        known = np.isfinite(found) & (moved > 0)
+        rate, weight = _pace(cross, sensor)
+        pace = np.arcsin(np.minimum(rate * cross.window_s, 1.0)) / cross.window_s
+        lag_of_axis = np.arctan2(rate * (quadrature(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
+        known = np.isfinite(lag_of_axis) & (weight > 0)
         if known.any():
             middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9
-            lag_s, mean_pace = (float(np.average(item[known], weights=moved[known])) for item in (found, pace))
-            yield Lag(middle_s, lag_s, mean_pace, float(moved[known].sum()))
+            lag_s, mean_pace = (float(np.average(item[known], weights=weight[known])) for item in (lag_of_axis, pace))
+            yield Lag(middle_s, lag_s, mean_pace, float(weight[known].sum()))
 
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
     """The phases in which the box moves, and what the sensor and others have in common there."""
-    for seen in evidence.phases:
-        cross = None if seen.is_still else seen.cross
+    for phase in evidence.phases:
+        cross = None if phase.is_still else phase.cross
         if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
-            yield seen.raw.phase, cross
+            yield phase.raw.phase, cross
 
 
 def speed_squared(cross: Cross, sensor: str) -> Floats:

@@ -100,24 +100,24 @@ def log_levels(table: Levels) -> LogLevels:
     known = [apart[log] for log in logs]
     return LogLevels(
         np.array(logs, int),
-        np.array([np.mean([level for level, _ in one], axis=0) for one in known]).reshape(-1, 3),
-        np.array([np.mean([error for _, error in one], axis=0) / len(one) for one in known]).reshape(-1, 3),
+        np.array([np.mean([level for level, _ in pairs], axis=0) for pairs in known]).reshape(-1, 3),
+        np.array([np.mean([error for _, error in pairs], axis=0) / len(pairs) for pairs in known]).reshape(-1, 3),
     )
 
 
 def _of_phase(evidence: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], ...]:
     part, header = evidence.residual.segments, evidence.residual.header
-    held = (part.rows >= _LEAST_ROWS) & np.isfinite(part.mean).all(axis=1)
-    count = int(held.sum())
+    is_usable = (part.rows >= _LEAST_ROWS) & np.isfinite(part.mean).all(axis=1)
+    count = int(is_usable.sum())
     return (
         np.full(count, evidence.log),
         np.full(count, group),
-        part.time_s[held],
-        part.temperature_degc[held],
-        part.mean[held] / header.sensitivity,
-        part.steady_variance[held] / (part.rows[held, None] - 1) / header.sensitivity**2,
+        part.time_s[is_usable],
+        part.temperature_degc[is_usable],
+        part.mean[is_usable] / header.sensitivity,
+        part.steady_variance[is_usable] / (part.rows[is_usable, None] - 1) / header.sensitivity**2,
         np.broadcast_to(felt_g([evidence.residual])[0], (count, 3)),
-        part.thermometer[held],
+        part.thermometer[is_usable],
         np.full(count, part.width_s),
     )
 

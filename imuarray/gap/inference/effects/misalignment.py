@@ -24,13 +24,13 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
-    score, found = np.zeros((3, 3)), response(evidence)
+    score, measured_response = np.zeros((3, 3)), response(evidence)
     for step, way in enumerate(("next", "after"), start=1):
         score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}")
-    if found is None or not (score > ODD).any():
+    if measured_response is None or not (score > ODD).any():
         return
-    own = 1 + np.diag(found.error)
-    tangents = np.divide(found.error, own[:, None], out=np.zeros((3, 3)), where=own[:, None] > 0)
+    gain = 1 + np.diag(measured_response.error)
+    tangents = np.divide(measured_response.error, gain[:, None], out=np.zeros((3, 3)), where=gain[:, None] > 0)
     angles = np.degrees(np.arctan(np.where(score > DOUBTFUL, tangents, 0.0)))
     angles[np.abs(angles) > _LARGEST_DEG] = 0.0
     if angles.any():

@@ -80,8 +80,8 @@ def _nearest(evidence: Evidence) -> Indices:
 
 def _slope(table: Moments, columns: slice, at: Indices) -> Floats:
     """(3,) slopes of the axes' readings over the column of each axis, without what the reference explains of both."""
-    given, shared, _ = table.beside(columns)
-    size = given[at, at]
+    products, shared, _ = table.beside(columns)
+    size = products[at, at]
     return np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
 
 

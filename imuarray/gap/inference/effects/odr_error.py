@@ -100,9 +100,9 @@ def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Hypothesis]:
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Hypothesis]:
     """All codes are even from 1600 Hz on (ADX-47)."""
-    codes = [seen for item in evidence.phases for seen in item.raw.codes]
-    odd = sum(int(seen.counts[seen.codes % 2 == 1].sum()) for seen in codes)
-    total = sum(int(seen.counts.sum()) for seen in codes)
+    codes = [histogram for item in evidence.phases for histogram in item.raw.codes]
+    odd = sum(int(histogram.counts[histogram.codes % 2 == 1].sum()) for histogram in codes)
+    total = sum(int(histogram.counts.sum()) for histogram in codes)
     is_even, expected_even = odd < _FEW_ODD * total, code_span(evidence.header).step == 2
     if is_even == expected_even:
         return

@@ -40,16 +40,16 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     score = evidence.score(*TRACES)
-    found = wander_of(evidence)
+    wander = wander_of(evidence)
     fewest_per_s = _FEWEST / longest_s(evidence)
     limits = {"switches_per_s": (fewest_per_s, np.inf)}
     is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
-    for one in (found, slower(evidence, found)) if found is not None else ():
-        if one.rms.any():
-            effect = PopcornNoise(sized(2 * one.rms, score), 0.5 / one.time_constant_s)
+    for process in (wander, slower(evidence, wander)) if wander is not None else ():
+        if process.rms.any():
+            effect = PopcornNoise(sized(2 * process.rms, score), 0.5 / process.time_constant_s)
             yield Hypothesis((effect,), _FREE, limits=limits, rarity=_RARITY)
             if is_uneven:
-                yield _one_sided(evidence, one, score, limits)
+                yield _one_sided(evidence, process, score, limits)
     amplitude, switches_per_s = _jumps(evidence)
     if switches_per_s >= fewest_per_s:
         yield Hypothesis((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
@@ -76,16 +76,16 @@ def _one_sided(
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:
     """(3,) heights of the jumps and how many there are a second on an axis that has any; 0 where none is clear."""
-    found, amplitude, rates = levels(evidence), np.zeros(3), []
+    table, amplitude, rates = levels(evidence), np.zeros(3), []
     for axis in range(3):
         heights, jumps = [], 0
-        for at in found.groups():
-            height, crossings = _between(found.mean[at, axis], float(np.sqrt(found.square_error[at, axis].mean())))
+        for at in table.groups():
+            height, crossings = _between(table.mean[at, axis], float(np.sqrt(table.square_error[at, axis].mean())))
             jumps += crossings
             heights += [height] * bool(crossings)
         if heights:
             amplitude[axis] = float(np.median(heights))
-            rates.append(jumps / found.seconds)
+            rates.append(jumps / table.seconds)
     return amplitude, float(np.mean(rates)) if rates else 0.0
 
 

@@ -55,7 +55,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     usual = code_span(evidence.header).step
     if not evidence.is_odd(*_PROBES, *_LEAPS):
         return
-    of_axes = [[seen.raw.codes[axis] for seen in evidence.phases] for axis in range(3)]
+    of_axes = [[phase.raw.codes[axis] for phase in evidence.phases] for axis in range(3)]
     codes = [codes for axis in of_axes for codes in axis if len(codes.codes)]
     merged = reduce(Histogram.merge, codes, NOTHING)
     divisor = _divisor(merged)

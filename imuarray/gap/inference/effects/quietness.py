@@ -44,7 +44,7 @@ def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
     """Divides the logs by their noise; None if all have the fitted one."""
     logs = sorted({phase.log for phase in evidence.still})
     alone = {log: evidence.within([log]) for log in logs}
-    noisy = tuple(log for log, own in alone.items() if own.score("noise").max() > BEYOND)
+    noisy = tuple(log for log, log_evidence in alone.items() if log_evidence.score("noise").max() > BEYOND)
     if not 0 < len(noisy) < len(logs):
         return None
     quiet = tuple(log for log in logs if log not in noisy)
@@ -70,8 +70,8 @@ def rarity_behind(evidence: Evidence, cutoff_hz: float) -> float:
     for one that is quieter than printed by as much, positive for one that ought to be and is not. 0 if the filter
     passes all that the chip's own does, or nothing is printed.
     """
-    passed, found = passed_by(evidence, cutoff_hz), quietness(evidence)
-    return 0.0 if found is None else _rare(found - math.log(passed)) - _rare(found)
+    passed_share, log_ratio = passed_by(evidence, cutoff_hz), quietness(evidence)
+    return 0.0 if log_ratio is None else _rare(log_ratio - math.log(passed_share)) - _rare(log_ratio)
 
 
 def quietness(evidence: Evidence) -> float | None:

@@ -39,16 +39,16 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _from_levels(evidence: Evidence) -> Floats:
     """(3,) density from the first and last quarter of the segments of each log and face."""
-    found, squares, seconds = levels(evidence), np.zeros(3), 0.0
-    for at in found.groups():
+    table, squares, seconds = levels(evidence), np.zeros(3), 0.0
+    for at in table.groups():
         quarter = len(at) // 4
         if quarter == 0:
             continue
         first, last = at[:quarter], at[-quarter:]
-        step = found.mean[last].mean(axis=0) - found.mean[first].mean(axis=0)
-        error = (found.square_error[first].sum(axis=0) + found.square_error[last].sum(axis=0)) / quarter**2
+        step = table.mean[last].mean(axis=0) - table.mean[first].mean(axis=0)
+        error = (table.square_error[first].sum(axis=0) + table.square_error[last].sum(axis=0)) / quarter**2
         squares += (step**2 - error).clip(0.0)
-        seconds += float(found.time_s[last].mean() - found.time_s[first].mean())
+        seconds += float(table.time_s[last].mean() - table.time_s[first].mean())
     return np.asarray(np.sqrt(squares / seconds)) if seconds > 0 else np.zeros(3)
 
 

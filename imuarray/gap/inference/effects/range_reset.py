@@ -82,15 +82,15 @@ def _within(evidence: Evidence) -> Iterator[Hypothesis]:
     """
     steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
     guesses = [
-        (guess, own)
-        for other, own in steps.items()
-        for guess in (_guesses(evidence, [own[0].states]) if own else ())
+        (guess, steps_of_range)
+        for other, steps_of_range in steps.items()
+        for guess in (_guesses(evidence, [steps_of_range[0].states]) if steps_of_range else ())
         if guess.effect.range == other
     ]
-    least = _AS_CLEAR * max((own[0].nats for _, own in guesses), default=0.0)
-    clear = [(guess, own) for guess, own in guesses if own[0].nats >= least]
-    for guess, own in sorted(clear, key=lambda pair: pair[0].cost)[:_RANGES]:
-        yield from _since(evidence, guess.effect, own)
+    least = _AS_CLEAR * max((steps_of_range[0].nats for _, steps_of_range in guesses), default=0.0)
+    clear = [(guess, steps_of_range) for guess, steps_of_range in guesses if steps_of_range[0].nats >= least]
+    for guess, steps_of_range in sorted(clear, key=lambda pair: pair[0].cost)[:_RANGES]:
+        yield from _since(evidence, guess.effect, steps_of_range)
 
 
 def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
@@ -134,26 +134,28 @@ def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
     """Stretches that the recorder noticed, however short: the range that takes readings before to those within, and the
     rows that were lost while the chip was set up again.
     """
-    resets = [one for _, one in evidence.resets]
+    resets = [reset for _, reset in evidence.resets]
     scale = evidence.header.sensitivity
     sides = [
-        States(*(side / scale for side in (one.before, one.within, one.noise_before, one.noise_within)))
-        for one in resets
+        States(*(side / scale for side in (reset.before, reset.within, reset.noise_before, reset.noise_within)))
+        for reset in resets
     ]
     row_s = 1 / evidence.rows_per_s
     lost = [
         hole
         for hole in evidence.holes
-        if any(log == hole.log and abs(one.end_s - hole.moment_s) < _SOON * row_s for log, one in evidence.resets)
+        if any(log == hole.log and abs(reset.end_s - hole.moment_s) < _SOON * row_s for log, reset in evidence.resets)
     ]
-    known = stretches([Span(log, one.moment_s, one.end_s - one.moment_s) for log, one in evidence.resets])
-    doubts_s = tuple(one.moment_s - one.doubt_s for one in resets)
+    known = stretches([Span(log, reset.moment_s, reset.end_s - reset.moment_s) for log, reset in evidence.resets])
+    doubts_s = tuple(reset.moment_s - reset.doubt_s for reset in resets)
     missing = DroppedSamples(**stretches(lost))
     numbers = NUMBERS * (len(resets) + len(lost))
-    found = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
-    for rarity, effect in sorted(found, key=lambda one: one[0])[:_RANGES]:  # so few readings say little of the noise
-        told = replace(effect, **known, doubts_s=doubts_s, blanks_s=tuple(one.blank_s for one in resets))
-        effects = (told, *([missing] if lost else []))
+    candidates = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
+    for rarity, effect in sorted(candidates, key=lambda candidate: candidate[0])[
+        :_RANGES
+    ]:  # so few readings say little of the noise
+        reset_effect = replace(effect, **known, doubts_s=doubts_s, blanks_s=tuple(reset.blank_s for reset in resets))
+        effects = (reset_effect, *([missing] if lost else []))
         yield Hypothesis(effects, whole=True, rarity=numbers + rarity)
 
 
@@ -174,13 +176,13 @@ def _ratios(evidence: Evidence) -> dict[float, float]:
 
 
 def _always(evidence: Evidence) -> Iterator[Hypothesis]:
-    shown = []
+    ratios = []
     if evidence.header.quantity == "specific_force":
-        shown.append(1 + float(np.nanmedian(evidence.typical("force_own"))))
+        ratios.append(1 + float(np.nanmedian(evidence.typical("force_own"))))
     if "motion_gain" in evidence.values:
-        shown.append(float(np.nanmedian(np.append(evidence.values["motion_gain"], 1.0))))
+        ratios.append(float(np.nanmedian(np.append(evidence.values["motion_gain"], 1.0))))
     for other, ratio in _ratios(evidence).items():
-        if any(level_shown > 0 and abs(np.log(level_shown / ratio)) < _NEAR for level_shown in shown):
+        if any(level_shown > 0 and abs(np.log(level_shown / ratio)) < _NEAR for level_shown in ratios):
             yield Hypothesis((RangeReset(range=other),))
 
 

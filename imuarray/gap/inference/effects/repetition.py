@@ -12,7 +12,7 @@ def repeated_share(evidence: Evidence) -> float:
     """Probability that a row that would be new is a repetition, beyond what the model makes: the median over phases;
     negative where repetitions are missing.
     """
-    shares = [_share(seen.raw) for seen in evidence.phases if seen.raw.rows > seen.raw.repeats.longest]
+    shares = [_share(phase.raw) for phase in evidence.phases if phase.raw.rows > phase.raw.repeats.longest]
     usual = np.sin(evidence.expected.get("repeats", np.zeros((0, 1)))) ** 2
     known = usual[np.isfinite(usual)]
     chance = float(np.median(known)) if len(known) else 0.0

@@ -50,9 +50,9 @@ def response(evidence: Evidence) -> Response | None:
 
 
 def size_of_score(evidence: Evidence, *probes: str) -> Floats:
-    """(3,) how odd an axis is by these probes, or by the means on faces where these say nothing."""
-    said = [probe for probe in probes if np.isfinite(evidence.scores.get(probe, np.nan)).any()]
-    return np.abs(evidence.score(*(said or ["mean"])))
+    """Absolute scores (3,) by these probes, or by the means on faces where the probes have no values."""
+    scored = [probe for probe in probes if np.isfinite(evidence.scores.get(probe, np.nan)).any()]
+    return np.abs(evidence.score(*(scored or ["mean"])))
 
 
 def _of_faces(evidence: Evidence) -> Response | None:
@@ -60,28 +60,28 @@ def _of_faces(evidence: Evidence) -> Response | None:
     if evidence.header.quantity == "angular_rate" or not any(evidence.fitted.rms):
         return None
     faces: dict[tuple[float, ...], list[Floats]] = {}
-    for seen in evidence.still:
-        if seen.raw.rows:
-            read = evidence.fitted.unbiased(seen.raw)
-            felt = evidence.fitted.by_response(read - mean(seen.residual))
-            faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, read]))
+    for phase in evidence.still:
+        if phase.raw.rows:
+            reading = evidence.fitted.unbiased(phase.raw)
+            felt = evidence.fitted.by_response(reading - mean(phase.residual))
+            faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, reading]))
     if len(faces) < 2:
         return None
-    felt, read = np.array([np.mean(pairs, axis=0) for pairs in faces.values()]).transpose(1, 0, 2)
+    felt, reading = np.array([np.mean(pairs, axis=0) for pairs in faces.values()]).transpose(1, 0, 2)
     size = np.linalg.norm(felt, axis=1).mean()
-    return Response((felt - felt.mean(axis=0)) / size, (read - read.mean(axis=0)) / size) if size > 0 else None
+    return Response((felt - felt.mean(axis=0)) / size, (reading - reading.mean(axis=0)) / size) if size > 0 else None
 
 
 def _of_motion(evidence: Evidence) -> Response | None:
     """Shares of the reference's motion beside what the model makes of them, in the median over phases; along an axis
     about which the box hardly turned, or along which it hardly moved, both are small.
     """
-    read, felt = np.zeros((2, 3, 3))
+    reading, felt = np.zeros((2, 3, 3))
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
-        read[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _median(evidence, probe)
-    if not (np.isfinite([read, felt]).all() and (np.abs(felt) > _LEAST_SHARE).any()):
+        reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _median(evidence, probe)
+    if not (np.isfinite([reading, felt]).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
-    return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * read.T)
+    return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
 
 
 def _median(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:

@@ -33,24 +33,26 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     span = code_span(evidence.header)
     limits: list[set[int]] = [set(), set(), set()]
-    for seen in evidence.phases:
-        for own, codes in zip(limits, seen.raw.codes, strict=True):
-            own |= {abs(end) for end in _piled(codes) if span.lowest < end < span.highest and end}
+    for phase in evidence.phases:
+        for axis_limits, codes in zip(limits, phase.raw.codes, strict=True):
+            axis_limits |= {abs(end) for end in _piled(codes) if span.lowest < end < span.highest and end}
     for limit in _apart(sorted(set().union(*limits), reverse=True))[:_MOST]:
         yield Hypothesis((Saturation((limit / evidence.header.sensitivity,) * 3),), ("limit",))
     if any(limits) and not all(limits):
-        x, y, z = (max(own) / evidence.header.sensitivity if own else math.inf for own in limits)
+        x, y, z = (
+            max(axis_limits) / evidence.header.sensitivity if axis_limits else math.inf for axis_limits in limits
+        )
         yield Hypothesis((Saturation((x, y, z)),), ("limit",))
 
 
-def _piled(seen: Histogram) -> Iterator[int]:
+def _piled(histogram: Histogram) -> Iterator[int]:
     """The ends with a pile; the root of a Poisson count scatters by 1/2."""
-    if len(seen.codes) < 2:
+    if len(histogram.codes) < 2:
         return
     for last, before in ((0, 1), (-1, -2)):
-        here, roots = np.sqrt(seen.counts[[last, before]] + 3 / 8)
+        here, roots = np.sqrt(histogram.counts[[last, before]] + 3 / 8)
         if np.sqrt(2) * (here - roots) > _PILE:
-            yield int(seen.codes[last])
+            yield int(histogram.codes[last])
 
 
 def _apart(limits: list[int]) -> list[int]:

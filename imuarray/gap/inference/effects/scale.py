@@ -22,11 +22,11 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
-    score, found = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
-    if found is None or not (score > ODD).any():
+    score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
+    if measured_response is None or not (score > ODD).any():
         return
-    own, doubtful = np.diag(found.error), score > DOUBTFUL
-    error = np.where(doubtful & (np.abs(own) < _LARGEST), own, 0.0)
+    axis_error, doubtful = np.diag(measured_response.error), score > DOUBTFUL
+    error = np.where(doubtful & (np.abs(axis_error) < _LARGEST), axis_error, 0.0)
     if error.any():
         x, y, z = error.tolist()
         yield Hypothesis((Scale((x, y, z)),), ("error",))

@@ -78,10 +78,10 @@ def allan_of(evidence: Evidence) -> Allan:
         variance = np.maximum(variance - warming, np.minimum(variance, white / 2))
         sums += np.nan_to_num(variance) * count[:, None]
         terms += count
-    held = terms >= _FACTORS
-    times = 2.0 ** np.flatnonzero(held) / evidence.rows_per_s
-    free = terms[held] / (_FACTORS * 2.0 ** np.maximum(np.flatnonzero(held) - 2, 0))
-    mean = sums[held] / terms[held, None]
+    has_terms = terms >= _FACTORS
+    times = 2.0 ** np.flatnonzero(has_terms) / evidence.rows_per_s
+    free = terms[has_terms] / (_FACTORS * 2.0 ** np.maximum(np.flatnonzero(has_terms) - 2, 0))
+    mean = sums[has_terms] / terms[has_terms, None]
     known = free * _FACTORS >= 1
     variance = mean[known] / evidence.header.sensitivity**2
     return Allan(np.asarray(times[known]), variance, np.maximum(free, 0.5)[known], *_spread(evidence))
@@ -127,8 +127,8 @@ def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
             continue
         weight = np.sqrt(terms / 2) / observed
         table = np.stack([white, curve], axis=1) * weight[:, None]
-        (_, sizes[axis]), left = nnls(table, observed * weight)
-        misfit += left**2
+        (_, sizes[axis]), residual_norm = nnls(table, observed * weight)
+        misfit += residual_norm**2
     return sizes, misfit
 
 
@@ -174,7 +174,7 @@ def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:
 
 def longest_s(evidence: Evidence) -> float:
     """Length of the longest phase at rest."""
-    phases = [one.raw.phase for one in evidence.still]
+    phases = [item.raw.phase for item in evidence.still]
     return max((1e-9 * (phase.end_ns - phase.start_ns) for phase in phases), default=1.0)
 
 
@@ -194,13 +194,13 @@ def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
     """Mean over the phases at rest of the variance of segments' means less that of independent readings, at least a
     tenth of it; the phases' mean length, and how many there are.
     """
-    found, lengths = [], []
+    variances, lengths = [], []
     for phase in evidence.still:
         part = phase.residual.segments
-        held = part.rows > 1
-        if np.count_nonzero(held) > 2:
-            white = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
-            variance = part.mean[held].var(axis=0)
-            found.append(np.maximum(variance - white, variance / 10) / evidence.header.sensitivity**2)
+        has_rows = part.rows > 1
+        if np.count_nonzero(has_rows) > 2:
+            white = (part.steady_variance[has_rows] / (part.rows[has_rows, None] - 1)).mean(axis=0)
+            variance = part.mean[has_rows].var(axis=0)
+            variances.append(np.maximum(variance - white, variance / 10) / evidence.header.sensitivity**2)
             lengths.append(part.width_s * len(part.rows))
-    return (np.mean(found, axis=0), float(np.mean(lengths)), len(found)) if found else (np.zeros(3), 1.0, 0)
+    return (np.mean(variances, axis=0), float(np.mean(lengths)), len(variances)) if variances else (np.zeros(3), 1.0, 0)

@@ -73,11 +73,11 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
     """The values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the rare ones:
     a chip's own thermometer may have any zero.
     """
-    logs = sorted({one.log for one in evidence.still})
+    logs = sorted({phase.log for phase in evidence.still})
     if len(logs) != len(rare):
         return None
-    series = [_series(evidence, [one for one in evidence.still if one.log == log][:1]) for log in logs]
-    sides = [[one for one, is_rare in zip(series, rare, strict=True) if is_rare == side] for side in (False, True)]
+    series = [_series(evidence, [phase for phase in evidence.still if phase.log == log][:1]) for log in logs]
+    sides = [[item for item, is_rare in zip(series, rare, strict=True) if is_rare == side] for side in (False, True)]
     usual, other = (_Series(*(np.concatenate(column) for column in zip(*side, strict=True))) for side in sides)
     if not len(usual.time_s) or not len(other.time_s):
         return None
@@ -92,14 +92,14 @@ def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
 
 def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
     scale, parts = evidence.header.sensitivity, []
-    for one in phases:
-        raw, residual = one.raw.segments, one.residual.segments
-        held = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
-        warm = (raw.temperature_degc[held, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
-        predicted = (raw.mean[held] - residual.mean[held]) / scale
-        variance = raw.steady_variance[held] * (raw.rows[held] / (raw.rows[held] - 1.0))[:, None]
+    for phase in phases:
+        raw, residual = phase.raw.segments, phase.residual.segments
+        is_usable = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
+        warm = (raw.temperature_degc[is_usable, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
+        predicted = (raw.mean[is_usable] - residual.mean[is_usable]) / scale
+        variance = raw.steady_variance[is_usable] * (raw.rows[is_usable] / (raw.rows[is_usable] - 1.0))[:, None]
         variance = np.maximum(variance, _ROUNDING_LSB2) / scale**2
-        parts.append((raw.time_s[held], residual.mean[held] / scale, predicted, warm, variance))
+        parts.append((raw.time_s[is_usable], residual.mean[is_usable] / scale, predicted, warm, variance))
     return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -131,7 +131,7 @@ def _states(series: _Series, at: int, ratio: float) -> States:
 
 
 def _time(series: _Series, at: int, ratio: float) -> float:
-    """Within the segment before or after, by the share of the step that its mean has taken."""
+    """Time of the step, from the shares of it that are in the means of the segments before and after."""
     low = np.median(series.residual[: at - 1], axis=0)
     inner = slice(at - 1, at + 1)
     faces = series.predicted[inner]
@@ -139,5 +139,5 @@ def _time(series: _Series, at: int, ratio: float) -> float:
     axis = int(np.abs(high - low).sum(axis=0).argmax())
     width = float(np.median(np.diff(series.time_s)))
     step = high[:, axis] - low[axis]
-    taken = np.divide(series.residual[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
-    return float(series.time_s[at] + width / 2 - width * np.clip(taken, 0.0, 1.0).sum())
+    shares = np.divide(series.residual[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
+    return float(series.time_s[at] + width / 2 - width * np.clip(shares, 0.0, 1.0).sum())

@@ -61,67 +61,67 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
-    """As long as these are, and as often as it takes for all the rows that are held."""
+    """Suggests stretches as long as these `runs`, as often as explains all repeated rows."""
     length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
-    held = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.phases)
-    rows = sum(seen.raw.rows for seen in evidence.phases)
-    every_s = length_s * (rows / max(held, length_s * evidence.rows_per_s) - 1)
+    held_rows = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
+    rows = sum(phase.raw.rows for phase in evidence.phases)
+    every_s = length_s * (rows / max(held_rows, length_s * evidence.rows_per_s) - 1)
     if every_s > 0:
         stuck = Stuck(duration_s=length_s, every_s=every_s, kind=_kind(evidence))
         yield Hypothesis((stuck,), ("duration_s", "every_s"))
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """All stretches that are longer than the model makes them."""
+    """Suggests all stretches that are longer than the model makes them."""
     longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
-    held = [span for span, rows in evidence.repeated if rows >= least]
-    if not _FEWEST <= len(held) <= SINGLE:
+    spans = [span for span, rows in evidence.repeated if rows >= least]
+    if not _FEWEST <= len(spans) <= SINGLE:
         return
-    yield Hypothesis((Stuck(kind=_kind(evidence), **stretches(held)),), whole=True, rarity=NUMBERS * len(held))
+    yield Hypothesis((Stuck(kind=_kind(evidence), **stretches(spans)),), whole=True, rarity=NUMBERS * len(spans))
 
 
 def _kind(evidence: Evidence) -> str:
-    """True if the chip says that it has nothing new, of most rows that are repeated."""
-    repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.phases)
-    return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.phases) > repeated / 2 else "new"
+    """Return "stale" if the chip marks more than half of the repeated rows as stale, else "new"."""
+    repeated = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
+    return "stale" if sum(phase.raw.flags["stale"] for phase in evidence.phases) > repeated / 2 else "new"
 
 
 def _runs(evidence: Evidence) -> list[_Run]:
     """The longest of each phase, joined where one goes on in the next phase of the log."""
     joined: list[_Run] = []
-    order = sorted(evidence.phases, key=lambda seen: (seen.log, seen.raw.phase.start_ns))
-    for seen in order:
-        run = _longest(seen, evidence.rows_per_s)
+    order = sorted(evidence.phases, key=lambda phase: (phase.log, phase.raw.phase.start_ns))
+    for phase in order:
+        run = _longest(phase, evidence.rows_per_s)
         if run is None:
             continue
         last = joined[-1] if joined else None
-        if last is not None and last.open and last.log == seen.log and seen.raw.repeats.longest_row == 0:
+        if last is not None and last.open and last.log == phase.log and phase.raw.repeats.longest_row == 0:
             joined[-1] = last._replace(end_s=run.end_s, open=run.open)
         else:
             joined.append(run)
     return joined
 
 
-def _longest(seen: PhaseEvidence, rows_per_s: float) -> _Run | None:
-    """None for one that holding and chance make."""
-    repeats, phase = seen.raw.repeats, seen.raw.phase
+def _longest(phase: PhaseEvidence, rows_per_s: float) -> _Run | None:
+    """The longest run of repeated rows in a phase; None if the chip's hold and chance explain it."""
+    repeats, span = phase.raw.repeats, phase.raw.phase
     hold = _HOLDS / repeats.new_share if repeats.new_share > 0 else 0.0
     if repeats.longest < max(_LEAST_ROWS, hold):
         return None
-    rows = seen.raw.segments.rows
-    edges_s = phase.start_ns * 1e-9 + seen.raw.segments.width_s * np.arange(len(rows) + 1)
+    rows = phase.raw.segments.rows
+    edges_s = span.start_ns * 1e-9 + phase.raw.segments.width_s * np.arange(len(rows) + 1)
     upto = np.concatenate([[0], np.cumsum(rows)])
     first = repeats.longest_row + (repeats.longest_row > 0)  # the reading that is repeated is not one of them
     ends = (first, repeats.longest_row + repeats.longest)
     onset_s, end_s = np.interp(ends, upto, edges_s).tolist()
     half_s = 0.5 / rows_per_s  # between two rows
-    return _Run(seen.log, max(onset_s - half_s, 0.0), end_s - half_s, ends[1] >= seen.raw.rows)
+    return _Run(phase.log, max(onset_s - half_s, 0.0), end_s - half_s, ends[1] >= phase.raw.rows)
 
 
 def _end_s(evidence: Evidence, log: int) -> float:
-    """When its last phase ends, less a row."""
-    end_ns = max(seen.raw.phase.end_ns for seen in evidence.phases if seen.log == log)
+    """Time at which the log's last phase ends, less one row."""
+    end_ns = max(phase.raw.phase.end_ns for phase in evidence.phases if phase.log == log)
     return end_ns * 1e-9 - 1 / evidence.rows_per_s
 
 

@@ -85,9 +85,9 @@ def _misfit(table: Levels, degc: Floats) -> float:
     total += len(residuals) / 2 * float(np.log((residuals**2).sum(axis=0) + 1e-30).sum())
     if known.all():
         heat = centred(table.thermometer[:, None], table.group)
-        own = warm[:, :1]
-        rest = heat - own @ np.linalg.lstsq(own, heat, rcond=None)[0]
-        total += len(rest) / 2 * float(np.log((rest**2).sum() + 1e-30))
+        heated = warm[:, :1]
+        residual = heat - heated @ np.linalg.lstsq(heated, heat, rcond=None)[0]
+        total += len(residual) / 2 * float(np.log((residual**2).sum() + 1e-30))
     return total
 
 

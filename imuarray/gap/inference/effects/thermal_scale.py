@@ -42,15 +42,15 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _by_scale(evidence: Evidence, table: Levels) -> Floats:
     """(3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
-    shown, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
-    if shown is None or not known.any():
+    measured_response, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
+    if measured_response is None or not known.any():
         return np.zeros(3)
     faces, of_face = np.unique(table.felt_g[known], axis=0, return_inverse=True)
     warm = float(np.mean([warmth(table)[known][of_face.ravel() == at].mean() for at in range(len(faces))]))
     score = size_of_score(evidence, "force_own")
     if abs(warm) < LEAST_DEGC or not (score > ODD).any():
         return np.zeros(3)
-    return np.asarray(np.where(score > DOUBTFUL, np.diag(shown.error) / warm, 0.0))
+    return np.asarray(np.where(score > DOUBTFUL, np.diag(measured_response.error) / warm, 0.0))
 
 
 def _slope(table: Levels, axis: int) -> float:

@@ -119,33 +119,37 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
             for hertz in _true_hz(line.bin * bin_hz, bin_hz, rate, rates):
                 yield Hypothesis((Tone(amplitude, hertz),), ("amplitude",))
     if not any(effect.drift_hz_per_h for effect in known):
-        shown = [shown_hz(effect.frequency_hz, evidence.rows_per_s) for effect in known]
-        yield from _drifting(evidence, shown)
+        shown_at_hz = [shown_hz(effect.frequency_hz, evidence.rows_per_s) for effect in known]
+        yield from _drifting(evidence, shown_at_hz)
 
 
 def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]:
     """The line that is highest in most phases, if it moves straight on in each log. What a single log can't tell is
     how far from there others begin: twice as far, it is taken, as it drifts in this one.
     """
-    seen = list(_sightings(evidence, known_hz))
-    if len(seen) < max(_LEAST_PHASES, len(evidence.still) / 2):
+    sightings = list(_sightings(evidence, known_hz))
+    if len(sightings) < max(_LEAST_PHASES, len(evidence.still) / 2):
         return
-    logs, time_s, hertz = (np.array([getattr(one, name) for one in seen]) for name in ("log", "time_s", "hertz"))
-    centred = np.zeros((2, len(seen)))
+    logs, time_s, hertz = (
+        np.array([getattr(sighting, name) for sighting in sightings]) for name in ("log", "time_s", "hertz")
+    )
+    centred = np.zeros((2, len(sightings)))
     for log in set(logs.tolist()):
-        own = logs == log
-        centred[:, own] = [value[own] - np.median(value[own]) for value in (time_s, hertz)]
+        is_of_log = logs == log
+        centred[:, is_of_log] = [value[is_of_log] - np.median(value[is_of_log]) for value in (time_s, hertz)]
     if np.ptp(centred[0]) == 0:
         return
     slope = float(theilslopes(centred[1], centred[0]).slope)
     length_s = np.ptp(time_s)
     moved_hz = float(abs(slope) * length_s)
     off_hz = float(np.median(np.abs(centred[1] - slope * centred[0])))
-    if moved_hz < _DRIFTS * max(one.bin_hz for one in seen) or off_hz > _SCATTER * moved_hz:
+    if moved_hz < _DRIFTS * max(sighting.bin_hz for sighting in sightings) or off_hz > _SCATTER * moved_hz:
         return
     firsts = [float(np.median((hertz - slope * time_s)[logs == log])) for log in sorted(set(logs.tolist()))]
     spread_hz = float(np.std(firsts, ddof=1)) if len(firsts) > 1 else _BETWEEN * moved_hz
-    power, height = (np.median([getattr(one, name) for one in seen], axis=0) for name in ("power", "height"))
+    power, height = (
+        np.median([getattr(sighting, name) for sighting in sightings], axis=0) for name in ("power", "height")
+    )
     first_hz = max(float(np.mean(firsts)), 0.0)
     amplitude = _amplitude(evidence, power, height)
     tone = Tone(amplitude, first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope)
