@@ -70,8 +70,8 @@ class Earlier:
         requests = [[(models, number) for number in group] for group in groups]
         scatter = [self._discrepancy(values) for values in chain.from_iterable(self.run(_replicated, requests))]
         return tuple(
-            replace(replicate, values=replicate.values - np.nan_to_num(own))
-            for replicate, own in zip(simulated, scatter, strict=True)
+            replace(replicate, values=replicate.values - np.nan_to_num(discrepancy))
+            for replicate, discrepancy in zip(simulated, scatter, strict=True)
         )
 
     def _discrepancy(self, values: Floats) -> Floats:
@@ -87,19 +87,19 @@ def compared_with_earlier(
     """A new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on its
     bench `before`, measured by the parameters of the new bench's base model, which are fitted to it.
     """
-    own = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
-    run, models = run_on(own), own.models()
+    earlier_bench = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
+    run, models = run_on(earlier_bench), earlier_bench.models()
     groups = [range(first, min(first + TOGETHER, replicates)) for first in range(0, replicates, TOGETHER)]
     requests = [[(models, number) for number in group] for group in groups]
     simulated = np.array(list(chain.from_iterable(run(_replicated, requests))))
     known = np.isfinite(simulated).any(axis=0)
-    middle = np.full(len(own.keys), np.nan)
+    middle = np.full(len(earlier_bench.keys), np.nan)
     middle[known] = np.nanmedian(simulated[:, known], axis=0)
-    values = own.measured(campaign, own.base.fitted).values
-    places = _counterparts(bench, own)
+    values = earlier_bench.measured(campaign, earlier_bench.base.fitted).values
+    places = _counterparts(bench, earlier_bench)
     has_any = np.array([bool(np.isfinite(values[some] - middle[some]).any()) for some in places], bool)
-    kept = tuple(some for some, wanted in zip(places, has_any.tolist(), strict=True) if wanted)
-    return bench.of_keys(has_any), Earlier(own, values, middle, kept, run)
+    counterparts = tuple(some for some, is_present in zip(places, has_any.tolist(), strict=True) if is_present)
+    return bench.of_keys(has_any), Earlier(earlier_bench, values, middle, counterparts, run)
 
 
 def cut_to_equal_lengths(
@@ -161,6 +161,6 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
     """The properties that each key shares with its counterparts, the closest match first."""
     moving = {phase.name for phases in bench.split.phases() for phase in phases if not is_at_rest(phase)}
     for key, kind in zip(bench.keys, bench.log_kinds, strict=True):
-        own = (key.sensor, key.axis, key.probe)
+        statistic = (key.sensor, key.axis, key.probe)
         state = "moving" if key.phase in moving else "at rest"
-        yield (*own, "kind", kind, key.phase), (*own, "phase", key.phase, state), (*own, "any", state)
+        yield (*statistic, "kind", kind, key.phase), (*statistic, "phase", key.phase, state), (*statistic, "any", state)

@@ -99,7 +99,7 @@ class Evidence:
         """The evidence of these logs alone, by their numbers in the campaign; statistics of several logs are
         left out.
         """
-        chosen = {probe: [at in logs for at in own] for probe, own in self.rows_of.items()}
+        chosen = {probe: [at in logs for at in row_logs] for probe, row_logs in self.rows_of.items()}
         values, expected, scores = (
             {probe: rows[chosen[probe]] for probe, rows in table.items() if any(chosen.get(probe, ()))}
             for table in (self.values, self.expected, self.scores)
@@ -115,7 +115,7 @@ class Evidence:
             repeated=tuple((span, rows) for span, rows in self.repeated if span.log in logs),
             outliers=tuple((log, lone) for log, lone in self.outliers if log in logs),
             resets=tuple((log, reset) for log, reset in self.resets if log in logs),
-            rows_of={probe: tuple(at for at in own if at in logs) for probe, own in self.rows_of.items()},
+            rows_of={probe: tuple(at for at in row_logs if at in logs) for probe, row_logs in self.rows_of.items()},
             spells=(),
             twins={name: tuple(phase for phase in phases if phase.log in logs) for name, phases in self.twins.items()},
         )
@@ -124,7 +124,7 @@ class Evidence:
         """The evidence of a spell, against the model of whole phases of its log, with larger errors for fewer rows."""
         (log,) = {phase.log for phase in spell.phases}
         whole = self.within([log])
-        rows = [sum(phase.raw.rows for phase in seen) / len(seen) for seen in (whole.phases, spell.phases)]
+        rows = [sum(phase.raw.rows for phase in phases) / len(phases) for phases in (whole.phases, spell.phases)]
         values: dict[str, Floats] = {}
         expected: dict[str, Floats] = {}
         scores: dict[str, Floats] = {}
@@ -207,8 +207,8 @@ def evidence_of(
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
     residuals = residual(train.campaign, [motion for _, motion in logs], base)
-    seen = _phases_of(sensor, train, residuals)
-    header = seen[0].raw.header
+    phases = _phases_of(sensor, train, residuals)
+    header = phases[0].raw.header
     others = tuple(
         other for other in bench.base.headers.values() if other.quantity == header.quantity and other.name != sensor
     )
@@ -219,22 +219,22 @@ def evidence_of(
     return Evidence(
         header,
         modelled.fitted,
-        seen,
+        phases,
         _by_probe(scored, scored.values),
         _by_probe(scored, scored.expected),
         _by_probe(scored, scored.scores),
         effects,
         runs_in(series, sensor) if series else None,
         others,
-        tuple(hole for log, own in events for hole in _holes(log, own.holes)),
-        tuple(held for log, own in events for held in _repeated(log, own.repeated)),
-        tuple((log, lone) for log, own in events for lone in own.outliers),
-        tuple(own.host for _, own in events),
-        tuple((log, reset) for log, own in events for reset in own.resets),
+        tuple(hole for log, log_events in events for hole in _holes(log, log_events.holes)),
+        tuple(repetition for log, log_events in events for repetition in _repeated(log, log_events.repeated)),
+        tuple((log, lone) for log, log_events in events for lone in log_events.outliers),
+        tuple(log_events.host for _, log_events in events),
+        tuple((log, reset) for log, log_events in events for reset in log_events.resets),
         _logs_by_probe(scored),
         bench.is_refitted,
         tuple(_spells(bench, train, sensor, base)),
-        {name: phases for name in twins if (phases := _phases_of(name, train, residuals))},
+        {name: twin_phases for name in twins if (twin_phases := _phases_of(name, train, residuals))},
         {name: bench.base.fitted[name] for name in twins},
     )
 
@@ -284,22 +284,22 @@ def views(evidence: Evidence) -> Iterator[Evidence]:
     the largest deviation first. An effect that shows at one rate, or in one log, vanishes in the median over all.
     """
     yield evidence
-    logs = sorted({one.log for one in evidence.phases})
+    logs = sorted({phase.log for phase in evidence.phases})
     parts = [
         *_grouped(logs, [round(math.log(_rows_per_s(evidence, log), SAME_RATE)) for log in logs]),
-        *_grouped(logs, [next(one.kind for one in evidence.phases if one.log == log) for log in logs]),
+        *_grouped(logs, [next(phase.kind for phase in evidence.phases if phase.log == log) for log in logs]),
         *((log,) for log in logs),
     ]
     alone = [evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)]
     spells = [evidence.during(spell) for spell in evidence.spells]
     for several in (alone, spells):
-        ranked = sorted(several, key=lambda one: -one.furthest)
-        yield from (one for one in ranked[:VIEWS] if one.furthest > _SAYS)
+        ranked = sorted(several, key=lambda view: -view.furthest)
+        yield from (view for view in ranked[:VIEWS] if view.furthest > _SAYS)
 
 
 def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...]]:
     for value in dict.fromkeys(by):
-        yield tuple(log for log, own in zip(logs, by, strict=True) if own == value)
+        yield tuple(log for log, log_value in zip(logs, by, strict=True) if log_value == value)
 
 
 def _rows_per_s(evidence: Evidence, log: int) -> float:
@@ -311,14 +311,14 @@ def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell
     """The spells of the logs of a part, with the model's prediction subtracted from their means."""
     for number, log in zip(side.logs, side.campaign.logs, strict=True):
         for stretches, part in log.spells.get(sensor, ()):
-            (left,) = residual(Campaign((part,)), [bench.motions[number]], base).logs
+            (residuals,) = residual(Campaign((part,)), [bench.motions[number]], base).logs
             when = When(tuple(Span(number, begin_s, end_s - begin_s) for begin_s, end_s in stretches))
-            seen = tuple(
+            phases = tuple(
                 PhaseEvidence(number, log.kind, True, raw.sensors[sensor], without.sensors[sensor], None)
-                for raw, without in zip(part.phases, left.phases, strict=True)
+                for raw, without in zip(part.phases, residuals.phases, strict=True)
             )
-            if seen:
-                yield Spell(when, seen)
+            if phases:
+                yield Spell(when, phases)
 
 
 def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
@@ -328,9 +328,11 @@ def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
         yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
 
 
-def _repeated(log: int, held: RepeatedRows) -> Iterator[tuple[Span, int]]:
+def _repeated(log: int, repeated: RepeatedRows) -> Iterator[tuple[Span, int]]:
     """Spans of repeated rows, from half a row before the first repetition to half a row after the last one."""
-    for rows, begin_ns, end_ns in zip(held.rows.tolist(), held.begin_ns.tolist(), held.end_ns.tolist(), strict=True):
+    for rows, begin_ns, end_ns in zip(
+        repeated.rows.tolist(), repeated.begin_ns.tolist(), repeated.end_ns.tolist(), strict=True
+    ):
         row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
         yield Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows
 
@@ -353,7 +355,7 @@ def _logs_by_probe(scored: ScoredStatistics) -> dict[str, tuple[int, ...]]:
     rows: dict[str, dict[tuple[bool, int, str, int], int]] = {}
     for key, out, log in zip(scored.keys, scored.held_out, scored.logs, strict=False):
         rows.setdefault(key.probe, {})[out, key.log, key.phase, key.phase_number] = log
-    return {probe: tuple(own.values()) for probe, own in rows.items()}
+    return {probe: tuple(probe_rows.values()) for probe, probe_rows in rows.items()}
 
 
 def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:
@@ -361,4 +363,4 @@ def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:
     rows: dict[str, dict[tuple[bool, int, str, int], list[float]]] = {}
     for key, out, value in zip(scored.keys, scored.held_out, values.tolist(), strict=True):
         rows.setdefault(key.probe, {}).setdefault((out, key.log, key.phase, key.phase_number), []).append(value)
-    return {probe: np.array(list(own.values())) for probe, own in rows.items()}
+    return {probe: np.array(list(probe_rows.values())) for probe, probe_rows in rows.items()}

@@ -96,7 +96,7 @@ class Evaluation:
 @dataclass(frozen=True)
 class Round:
     """The result of one round for a unit in the state `before`: all confirmed trials, the likeliest first, the
-    placebo's gain, and the trial taken (None: nothing).
+    placebo's gain, and the selected one (None: nothing).
     """
 
     before: UnitState
@@ -138,47 +138,52 @@ def searched(
 ) -> dict[Unit, Round]:
     """One round over all units at once. If it is `known` that one of the trials is right, none needs proof."""
     looks = _looked_at(run, standings, trials)
-    for unit, own in _partly(run, standings, looks).items():
-        looks[unit] += own
-    likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
+    for unit, looks_at_parts in _partly(run, standings, looks).items():
+        looks[unit] += looks_at_parts
+    likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
     refined = _results_of(run, _refine, standings, likely)
-    best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
-    needed = {unit: [FittedHypothesis(placebos[unit])] for unit, own in best.items() if own and unit in placebos}
+    best = {unit: likeliest(hypotheses, CONFIRMED) for unit, hypotheses in refined.items()}
+    needed = {
+        unit: [FittedHypothesis(placebos[unit])] for unit, hypotheses in best.items() if hypotheses and unit in placebos
+    }
     fakes = _results_of(run, _refine, standings, needed)
     confirmed = _results_of(run, _confirm, standings, {unit: [*best[unit], *fakes.get(unit, ())] for unit in best})
-    return {unit: _round(standings[unit], own, bool(fakes.get(unit)), known) for unit, own in confirmed.items()}
+    return {
+        unit: _round(standings[unit], evaluations, bool(fakes.get(unit)), known)
+        for unit, evaluations in confirmed.items()
+    }
 
 
-def likeliest(tried: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
+def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
     """The best trials that gain enough and are not far behind, at most two of each form.
 
     Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
     the best of the other kind is added.
     """
-    several = [trial for trial in tried if trial.models is not None]
-    kept = _likeliest(several, count)
-    kinds = {trial.trial.needs_both for trial in kept}
+    several = [trial for trial in trials if trial.models is not None]
+    likely = _likeliest(several, count)
+    kinds = {trial.trial.needs_both for trial in likely}
     for needs_both in {True, False} - kinds if kinds else ():
-        kept += _likeliest([trial for trial in several if trial.trial.needs_both == needs_both], 1)
-    return kept
+        likely += _likeliest([trial for trial in several if trial.trial.needs_both == needs_both], 1)
+    return likely
 
 
-def _likeliest(tried: Sequence[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    ranked = sorted(tried, key=lambda trial: -trial.gain)
+def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHypothesis]:
+    ranked = sorted(trials, key=lambda trial: -trial.gain)
     least = ranked[0].gain - max(_MOST_BEHIND, ranked[0].gain / 2) if ranked else 0.0
-    kept: list[FittedHypothesis] = []
+    likely: list[FittedHypothesis] = []
     for trial in ranked:
-        same_form = sum(other.trial.form == trial.trial.form for other in kept)
-        if trial.gain > least and trial.gain * trial.counts > WORTH and same_form < 2 and len(kept) < count:
-            kept.append(trial)
-    return kept
+        same_form = sum(other.trial.form == trial.trial.form for other in likely)
+        if trial.gain > least and trial.gain * trial.counts > WORTH and same_form < 2 and len(likely) < count:
+            likely.append(trial)
+    return likely
 
 
 def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> list[StatisticValues]:
     """The unit's statistics in replicates of its models; those that a single sensor shares with others are left out."""
     replicates = bench.replicates([(standing.models, number) for number in numbers], other_models=standing.other_models)
-    kept = bench.among(standing.unit, standing.unit)
-    return [replace(replicate, values=replicate.values[kept]) for replicate in replicates]
+    columns = bench.among(standing.unit, standing.unit)
+    return [replace(replicate, values=replicate.values[columns]) for replicate in replicates]
 
 
 def replicated(bench: Bench, standing: UnitState) -> UnitState:
@@ -188,26 +193,26 @@ def replicated(bench: Bench, standing: UnitState) -> UnitState:
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
 
-def confirmed(bench: Bench, standing: UnitState, tried: FittedHypothesis) -> Evaluation:
+def confirmed(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
     """The gains of a trial with its parameters, by replicates of both parts."""
-    models = standing.models if tried.models is None else tried.models
+    models = standing.models if hypothesis.models is None else hypothesis.models
     changed = replicated(bench, replace(standing, models=models))
-    values, lost = changed.values, changed.misfit - standing.misfit
-    likelihood, moved = compared(standing, values)
+    values, misfit = changed.values, changed.misfit - standing.misfit
+    likelihood, shift = compared(standing, values)
     columns, before = bench.own(standing.unit), standing.likelihood
     out = bench.held_out[columns]
-    gains = gains_of(standing, likelihood, moved)
-    train_gain, gain = (float(gains[part].sum()) - lost for part in (~out, out))
-    if tried.trial.needs_both:
+    gains = gains_of(standing, likelihood, shift)
+    train_gain, gain = (float(gains[part].sum()) - misfit for part in (~out, out))
+    if hypothesis.trial.needs_both:
         gain = (train_gain + gain) / 2 - _BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
-    touched = touched_by(before, likelihood, moved)
+    touched = touched_by(before, likelihood, shift)
     independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
-    stands = replace(changed, likelihood=likelihood)
-    counted = np.ones_like(out) if tried.trial.needs_both else out
-    squared_scores = _squares(stands.scores[counted])
+    state = replace(changed, likelihood=likelihood)
+    counted = np.ones_like(out) if hypothesis.trial.needs_both else out
+    squared_scores = _squares(state.scores[counted])
     closes = squared_scores <= _squares(standing.scores[counted])
-    return Evaluation(tried, stands, train_gain, gain, share, independent, closes, squared_scores)
+    return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
 
 
 class _TrialRequest(NamedTuple):
@@ -223,9 +228,9 @@ def _looked_at(
     """A look at all trials, a few of a unit in each job."""
     most = TOGETHER // LOOKS
     requests = [
-        (unit, _LookRequest(standings[unit], own[first : first + most]))
-        for unit, own in trials.items()
-        for first in range(0, len(own), most)
+        (unit, _LookRequest(standings[unit], unit_trials[first : first + most]))
+        for unit, unit_trials in trials.items()
+        for first in range(0, len(unit_trials), most)
     ]
     looks: dict[Unit, list[FittedHypothesis]] = {unit: [] for unit in trials}
     for (unit, _), result in zip(requests, run(_look, [request for _, request in requests]), strict=True):
@@ -242,12 +247,14 @@ def _partly(
     explain; trials in a part of a log that lasts to its end, in the logs after it too. Both parts of the campaign
     decide which these are.
     """
-    divided = {unit: [replace(look.trial, whole=True) for look in _divided(own)] for unit, own in looks.items()}
-    divided = {unit: own for unit, own in divided.items() if own}
+    divided = {
+        unit: [replace(look.trial, whole=True) for look in _divided(unit_looks)] for unit, unit_looks in looks.items()
+    }
+    divided = {unit: hypotheses for unit, hypotheses in divided.items() if hypotheses}
     alone = _looked_at(run, standings, divided) if divided else {}
     requests: dict[Unit, list[Hypothesis]] = {}
-    for unit, own in looks.items():
-        spells = [look for look in own if look.trial.when.spans and look.gain > 0]
+    for unit, unit_looks in looks.items():
+        spells = [look for look in unit_looks if look.trial.when.spans and look.gain > 0]
         several = [*_where_it_gains(alone.get(unit, ()), spells), *_until_the_end(spells)]
         if several:
             requests[unit] = [replace(trial, whole=True) for trial in distinct(several)]
@@ -263,7 +270,7 @@ def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHy
             gain = spell.by_log.get(log, 0.0)
             if spell.trial.form == look.trial.form and gain > best.get(log, (EACH_NUMBER, None))[0]:
                 best[log] = (gain, spell.trial.when)
-        when = joined(own for _, own in best.values())
+        when = joined(part for _, part in best.values())
         if when.spans and {span.log for span in when.spans if span.is_whole} != set(look.by_log):
             yield look.trial.at(when)
 
@@ -280,8 +287,8 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     """Looks of which some logs gain enough and others lose; those that gain most first, one of each form."""
     best_of_form: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
     for look in looks:
-        gain = sum(max(own, 0.0) for own in look.by_log.values())
-        loss = sum(min(own, 0.0) for own in look.by_log.values())
+        gain = sum(max(log_gain, 0.0) for log_gain in look.by_log.values())
+        loss = sum(min(log_gain, 0.0) for log_gain in look.by_log.values())
         is_open = bool(look.trial.effects) and not look.trial.when.spans and not look.trial.is_brief
         if is_open and gain > WORTH and loss < -_LOST and gain > best_of_form.get(look.trial.form, (0.0, look))[0]:
             best_of_form[look.trial.form] = (gain, look)
@@ -314,7 +321,7 @@ def _results_of(
     items: Mapping[Unit, Sequence[FittedHypothesis]],
 ) -> dict[Unit, list[Any]]:
     """The job's results for each unit's items."""
-    flat = [(unit, _TrialRequest(standings[unit], item)) for unit, own in items.items() for item in own]
+    flat = [(unit, _TrialRequest(standings[unit], item)) for unit, unit_items in items.items() for item in unit_items]
     results: dict[Unit, list[Any]] = {unit: [] for unit in items}
     for (unit, _), result in zip(flat, run(job, [request for _, request in flat]), strict=True):
         results[unit].append(result)
@@ -370,8 +377,8 @@ def _tempering(standing: UnitState, evaluation: Evaluation) -> float:
     more.
     """
     ratio = evaluation.independent / standing.independent
-    own = min(max(evaluation.own_share, 0.0), 1.0)
-    return min(ratio, 1.0) + own * max(ratio - 1.0, 0.0)
+    own_share = min(max(evaluation.own_share, 0.0), 1.0)
+    return min(ratio, 1.0) + own_share * max(ratio - 1.0, 0.0)
 
 
 def _log_odds(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[float, ...]:

@@ -72,17 +72,17 @@ def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tupl
 
 def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
     """The trials except those that begin so near an earlier one that both would be refined to the same result."""
-    kept: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
-    kept_trials = []
+    by_form: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
+    distinct_trials = []
     for trial in trials:
         whose = (trial.shared, trial.sensor, trial.others, trial.members, trial.everywhere)
         target = (trial.removed, whose, trial.whole, trial.free)
         numbers, reach = _numbers(trial)
-        of_form = kept.setdefault((trial.form, target, trial.fitted, trial.opposite_fitted, len(numbers)), [])
-        if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in of_form):
+        of_form = by_form.setdefault((trial.form, target, trial.fitted, trial.opposite_fitted, len(numbers)), [])
+        if not any(_near(numbers, other, np.minimum(reach, other_reach)) for other, other_reach in of_form):
             of_form.append((numbers, reach))
-            kept_trials.append(trial)
-    return kept_trials
+            distinct_trials.append(trial)
+    return distinct_trials
 
 
 def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
@@ -93,7 +93,10 @@ def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
         for item in fields(effect):
             value = getattr(effect, item.name)
             several = value if isinstance(value, tuple) else (value,)
-            plain = [float(zlib.crc32(one.encode())) if isinstance(one, str) else float(one) for one in several]
+            plain = [
+                float(zlib.crc32(element.encode())) if isinstance(element, str) else float(element)
+                for element in several
+            ]
             numbers += plain
             reach += [_SAME_FREE if item.name in trial.free else _SAME] * len(plain)
     return np.array(numbers), np.array(reach)

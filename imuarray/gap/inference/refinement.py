@@ -80,10 +80,12 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
     for whole in (False, True):
         places = [at for at, trial in enumerate(trials) if trial.needs_both == whole]
         replicated = _replicate_each(bench, standing, [models[at] for at in places], whole, LOOKS)
-        for at, seen in zip(places, replicated, strict=True):
-            if seen is not None:
-                gain, counts = _gain(standing, seen, trials[at]), _counts(standing, seen)
-                fitted[at] = FittedHypothesis(trials[at], models[at], gain, counts, _by_log(bench, standing, seen))
+        for at, statistics in zip(places, replicated, strict=True):
+            if statistics is not None:
+                gain, counts = _gain(standing, statistics, trials[at]), _counts(standing, statistics)
+                fitted[at] = FittedHypothesis(
+                    trials[at], models[at], gain, counts, _by_log(bench, standing, statistics)
+                )
     return fitted
 
 
@@ -155,18 +157,18 @@ def _gained(state: _TrialState) -> float:
     return state.hypothesis.gain
 
 
-def _widens(standing: UnitState, seen: _TrialStatistics) -> bool:
+def _widens(standing: UnitState, statistics: _TrialStatistics) -> bool:
     """True if the change adds much scatter: then two draws of it say little."""
-    return bool(np.mean(seen.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
+    return bool(np.mean(statistics.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
 
 def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Models, looks: int) -> _TrialState | None:
     """Simulates a trial with these models in so many replicates; None for parameters that an effect refuses."""
-    seen = _replicate(bench, standing, models, trial.needs_both, looks)
-    if seen is None:
+    statistics = _replicate(bench, standing, models, trial.needs_both, looks)
+    if statistics is None:
         return None
-    gain = _gain(standing, seen, trial) - seen.misfit + standing.misfit
-    return _TrialState(FittedHypothesis(trial, models, gain, _counts(standing, seen)), seen)
+    gain = _gain(standing, statistics, trial) - statistics.misfit + standing.misfit
+    return _TrialState(FittedHypothesis(trial, models, gain, _counts(standing, statistics)), statistics)
 
 
 def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, count: int) -> _TrialStatistics | None:
@@ -188,7 +190,7 @@ def _replicate_each(
         if len(several) == 1:
             return [None]
         alone = [_replicate_each(bench, standing, [models], whole, count) for models in several]
-        return [seen for replicated in alone for seen in replicated]
+        return [statistics for replicated in alone for statistics in replicated]
     parts = [values[first : first + count] for first in range(0, len(values), count)]
     return [_replicated_from(bench, standing, models, part, whole) for models, part in zip(several, parts, strict=True)]
 
@@ -197,37 +199,37 @@ def _replicated_from(
     bench: Bench, standing: UnitState, models: Models, replicates: Sequence[StatisticValues], whole: bool
 ) -> _TrialStatistics:
     """Likelihood, shift and fits from replicates of models."""
-    kept = bench.among(standing.unit, standing.unit)
-    values = np.array([replicate.values[kept] for replicate in replicates])
+    columns = bench.among(standing.unit, standing.unit)
+    values = np.array([replicate.values[columns] for replicate in replicates])
     if not whole:
         out = bench.held_out[bench.own(standing.unit)]
         values[:, out] = standing.values[: len(values), out]
-    likelihood, moved = compared(standing, values)
+    likelihood, shift = compared(standing, values)
     fits = [replicate.fitted for replicate in replicates]
     settled, misfit = standing.settled(models, fits), standing.misfit_of(bench.base.headers, fits)
-    return _TrialStatistics(values, likelihood, moved, fits, settled, misfit)
+    return _TrialStatistics(values, likelihood, shift, fits, settled, misfit)
 
 
-def _gain(standing: UnitState, seen: _TrialStatistics, trial: Hypothesis) -> float:
+def _gain(standing: UnitState, statistics: _TrialStatistics, trial: Hypothesis) -> float:
     """Gain on the training part; for a trial that needs both parts the mean of both gains, unless it is brief and seen
     in one.
     """
-    gain = float(gains_of(standing, seen.likelihood, seen.shift).sum())
+    gain = float(gains_of(standing, statistics.likelihood, statistics.shift).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
-def _by_log(bench: Bench, standing: UnitState, seen: _TrialStatistics) -> dict[int, float]:
+def _by_log(bench: Bench, standing: UnitState, statistics: _TrialStatistics) -> dict[int, float]:
     """Gains of statistics of single logs."""
-    gains, logs = gains_of(standing, seen.likelihood, seen.shift), bench.logs[bench.own(standing.unit)]
+    gains, logs = gains_of(standing, statistics.likelihood, statistics.shift), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
-def _counts(standing: UnitState, seen: _TrialStatistics) -> float:
-    return counts_of(standing, seen.likelihood, seen.shift)
+def _counts(standing: UnitState, statistics: _TrialStatistics) -> float:
+    return counts_of(standing, statistics.likelihood, statistics.shift)
 
 
 def _slopes(
-    bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], seen: _TrialStatistics
+    bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], statistics: _TrialStatistics
 ) -> Floats:
     """Change (n, k) of each statistic with the log of each factor.
 
@@ -241,13 +243,13 @@ def _slopes(
     groups: dict[tuple[int, str, int], list[int]] = {}
     for at, factor in enumerate(factors):
         groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
-    nudged = _nudged(bench, standing, trial, factors, seen, list(groups.values()))
+    nudged = _nudged(bench, standing, trial, factors, statistics, list(groups.values()))
     for members, (nudge, values) in zip(groups.values(), nudged, strict=True):
-        change = np.nan_to_num((values - seen.values).mean(axis=0)) / nudge
+        change = np.nan_to_num((values - statistics.values).mean(axis=0)) / nudge
         for at in members:
             axis = factors[at].axis
-            own = np.ones(len(columns), bool) if axis is None else of_axis == AXES[axis]
-            slopes[:, at] = np.where(own, change, np.where(of_axis == "", change / len(members), 0.0))
+            is_of_axis = np.ones(len(columns), bool) if axis is None else of_axis == AXES[axis]
+            slopes[:, at] = np.where(is_of_axis, change, np.where(of_axis == "", change / len(members), 0.0))
     return slopes
 
 
@@ -256,22 +258,26 @@ def _nudged(
     standing: UnitState,
     trial: Hypothesis,
     factors: Sequence[Factor],
-    seen: _TrialStatistics,
+    statistics: _TrialStatistics,
     groups: Sequence[list[int]],
 ) -> list[tuple[float, Floats]]:
     """For each group of factors the step in their logs, upwards or where that can't be simulated downwards, and the
     statistics then; the old ones if neither can.
     """
-    outcomes = [(_NUDGE, seen.values)] * len(groups)
+    outcomes = [(_NUDGE, statistics.values)] * len(groups)
     open_groups = list(range(len(groups)))
     for nudge in (_NUDGE, -_NUDGE):
         several = []
         for at in open_groups:
             steps = np.zeros(len(factors))
             steps[groups[at]] = nudge
-            several.append(_with_fitted(standing.changed(moved(trial, factors, steps)), seen.settled))
+            several.append(_with_fitted(standing.changed(moved(trial, factors, steps)), statistics.settled))
         replicated = dict(
-            zip(open_groups, _replicate_each(bench, standing, several, trial.needs_both, len(seen.values)), strict=True)
+            zip(
+                open_groups,
+                _replicate_each(bench, standing, several, trial.needs_both, len(statistics.values)),
+                strict=True,
+            )
         )
         outcomes = [
             (nudge, outcome.values) if (outcome := replicated.get(at)) is not None else old
@@ -281,9 +287,9 @@ def _nudged(
     return outcomes
 
 
-def _step(standing: UnitState, seen: _TrialStatistics, slopes: Floats) -> Floats:
+def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> Floats:
     """Best changes (k,) of the logs of the factors."""
-    likelihood = seen.likelihood
+    likelihood = statistics.likelihood
     known = np.isfinite(likelihood.location) & np.isfinite(standing.real) & np.isfinite(likelihood.scale)
     deviation = np.where(known, standing.real - likelihood.location, 0.0)
     scale = np.where(known, likelihood.scale, 1.0)
@@ -328,11 +334,11 @@ def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialStat
     )
 
 
-def _most_of(gains: Floats, touched: Booleans, own: Booleans) -> float:
+def _most_of(gains: Floats, touched: Booleans, is_of_axis: Booleans) -> float:
     """Gain in nats of an axis by all of its own statistics, or by those that the effect touches, if that is more: a
     hundred levels that are slightly off for one reason cost as many times what one costs.
     """
-    return max(float(gains[own].sum()), float(gains[own & touched].sum()))
+    return max(float(gains[is_of_axis].sum()), float(gains[is_of_axis & touched].sum()))
 
 
 def _of_axis(bench: Bench, standing: UnitState, axis: int) -> Booleans:

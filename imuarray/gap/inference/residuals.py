@@ -54,17 +54,17 @@ def group_residuals(
     correlation of axes is ignored: effects are drawn for each axis, although a supply, or a bearing, has one course for
     all.
     """
-    scores, own = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
-    moved = np.nan_to_num(np.abs(after.location - before.location))
-    excused = np.minimum(FORM * moved / after.scale, _WILD)
-    says = np.isfinite(own) & np.isfinite(scores).all(axis=0) & ~after.is_silent
+    scores, real_scores = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
+    shift = np.nan_to_num(np.abs(after.location - before.location))
+    excused = np.minimum(FORM * shift / after.scale, _WILD)
+    says = np.isfinite(real_scores) & np.isfinite(scores).all(axis=0) & ~after.is_silent
     groups = list(_groups(keys, says))
     if not groups:
         return []
     means = np.stack([scores[:, places].mean(axis=1) for *_, places in groups], axis=1)
     least = _LEAST_SPREAD / np.sqrt([len(places) for *_, places in groups])
     form = np.array([excused[places].mean() for *_, places in groups])
-    deviation = np.array([own[places].mean() for *_, places in groups]) - means.mean(axis=0)
+    deviation = np.array([real_scores[places].mean() for *_, places in groups]) - means.mean(axis=0)
     score_of_group = deviation / np.hypot(np.maximum(means.std(axis=0, ddof=1), least), form)
     furthest = float(np.abs(_by_others(means, least)).max())
     order = np.argsort(-np.abs(score_of_group))

@@ -112,9 +112,9 @@ def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Uni
     ]
 
 
-def _worth(taken: Evaluation) -> float:
+def _worth(evaluation: Evaluation) -> float:
     """The gain less the rarity."""
-    return taken.gain - taken.trial.rarity
+    return evaluation.gain - evaluation.trial.rarity
 
 
 def _with_other_models(
@@ -130,8 +130,8 @@ def _with_other_models(
     ]
     changed = [state for state in requests if state.other_models != standings[state.unit].other_models]
     again = {
-        state.unit: replace(made, likelihood=compared(state, made.values)[0])
-        for state, made in zip(changed, run(replicated, changed), strict=True)
+        state.unit: replace(new_state, likelihood=compared(state, new_state.values)[0])
+        for state, new_state in zip(changed, run(replicated, changed), strict=True)
     }
     return {**units, **again}
 
@@ -151,28 +151,46 @@ def _families(
     missing = {(name,) for family in trials for name in family if (name,) not in standings}
     standings.update(_states_of(comparison, sorted(missing), run))
     families = dict(_states_of(comparison, list(trials), run))
-    placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
+    placebos = {
+        family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
+    }
     results = searched(families, trials, placebos, run, known)
-    taken = {name: own[-1].selection for (name, *more), own in rounds.items() if not more}
-    members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
+    selections = {
+        name: rounds_of_member[-1].selection for (name, *more), rounds_of_member in rounds.items() if not more
+    }
+    members = {
+        family: [evaluation for name in family if (evaluation := selections.get(name)) is not None] for family in trials
+    }
     staying = {family: _staying(comparison, results[family], members[family]) for family in trials}
     several = {family: trials[family] for family in trials if staying[family]}
-    asked = [(families[family], staying[family]) for family in several]
-    families.update({one.standing.unit: one.standing for one in run(together, asked)})
+    requests = [(families[family], staying[family]) for family in several]
+    families.update({evaluation.standing.unit: evaluation.standing for evaluation in run(together, requests)})
     results.update(searched({family: families[family] for family in several}, several, placebos, run))
-    kept = {family: {name for one in staying[family] for name in one.standing.unit} for family in trials}
+    kept_sensors = {
+        family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in trials
+    }
     others = [
-        (families[one], tuple(own for own in members[one] if not kept[one] & set(own.standing.unit))) for one in trials
+        (
+            families[family],
+            tuple(
+                evaluation for evaluation in members[family] if not kept_sensors[family] & set(evaluation.standing.unit)
+            ),
+        )
+        for family in trials
     ]
     alone = dict(zip(trials, run(together, others), strict=True))
-    counts = {one: len(own) for one, (_, own) in zip(trials, others, strict=True)}
-    won = {one: best for one in trials if (best := shared_wins(results[one], alone[one], counts[one])) is not None}
+    counts = {family: len(evaluations) for family, (_, evaluations) in zip(trials, others, strict=True)}
+    won = {
+        family: best
+        for family in trials
+        if (best := shared_wins(results[family], alone[family], counts[family])) is not None
+    }
     served: set[str] = set()
-    for family in sorted(won, key=lambda one: -won[one].gain):
+    for family in sorted(won, key=lambda family: -won[family].gain):
         if served & set(family):
             continue
         served |= set(family)
-        for name in set(family) - kept[family]:
+        for name in set(family) - kept_sensors[family]:
             rounds.pop((name,), None)
         rounds[family] = [results[family]]
         standings.update(members_of(comparison.bench, won[family].standing, standings))

@@ -66,9 +66,9 @@ def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
     """
     if family.selection is None:
         return False
-    own, real = bench.among(member.standing.unit, family.selection.standing.unit), member.standing.real
+    columns, real = bench.among(member.standing.unit, family.selection.standing.unit), member.standing.real
     before, shared = (
-        state.likelihood.of(own).log_density(real) for state in (family.before, family.selection.standing)
+        state.likelihood.of(columns).log_density(real) for state in (family.before, family.selection.standing)
     )
     gains = np.maximum(member.standing.likelihood.log_density(real) - before, 0.0)
     return bool(np.minimum(gains, np.maximum(shared - before, 0.0)).sum() > _MOST * gains.sum())
@@ -79,12 +79,12 @@ def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitSta
     states: dict[Unit, UnitState] = {}
     for name in family.unit:
         unit: Unit = (name,)
-        own = bench.among(unit, family.unit)
+        columns = bench.among(unit, family.unit)
         states[unit] = replace(
             standings[unit],
             models={name: family.models[name]},
-            likelihood=family.likelihood.of(own),
-            values=family.values[:, own],
+            likelihood=family.likelihood.of(columns),
+            values=family.values[:, columns],
         )
     return states
 

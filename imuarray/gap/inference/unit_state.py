@@ -104,12 +104,12 @@ class UnitState:
     ) -> SensorModel:
         if reads_another(model):
             return model
-        own = [fitted[name] for fitted in fits]
+        simulated = [fitted[name] for fitted in fits]
         if before is None:
-            return replace(model, fitted=model.fitted.moved(self.target[name], own))
+            return replace(model, fitted=model.fitted.moved(self.target[name], simulated))
         models, fits_before = before
         last = models[name].fitted, [fitted[name] for fitted in fits_before]
-        return replace(model, fitted=model.fitted.between(self.target[name], own, *last))
+        return replace(model, fitted=model.fitted.between(self.target[name], simulated, *last))
 
     def misfit_of(self, headers: Mapping[str, SensorHeader], fits: FitsOfReplicates) -> float:
         """Loss in nats of models whose replicates' `fits` have another noise than the recording's: statistics relative
@@ -129,10 +129,10 @@ def reads_another(model: SensorModel) -> bool:
 
 
 def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
-    kept = tuple(effect for effect in model.added if effect.name != trial.removed)
+    remaining = tuple(effect for effect in model.added if effect.name != trial.removed)
     removed = model.removed | ({trial.removed} if trial.removed else set())
     fitted = model.fitted if trial.fitted is None else trial.fitted
-    return replace(model, fitted=fitted, added=(*kept, *trial.effects), removed=removed)
+    return replace(model, fitted=fitted, added=(*remaining, *trial.effects), removed=removed)
 
 
 def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
@@ -140,20 +140,20 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
     those without it. Draws are the same in both, so that a few replicates suffice.
     """
     before, without = standing.likelihood, standing.values[: len(values)]
-    moved, has_value = values - without, np.isfinite(values)
+    shifts, has_value = values - without, np.isfinite(values)
     if standing.probes is not None:
-        moved = moved * _kept(moved / before.scale, standing.probes)
-    known = np.isfinite(moved).any(axis=0)
-    shift = np.zeros(moved.shape[1])
-    shift[known] = np.nanmean(moved[:, known], axis=0)
+        shifts = shifts * _kept(shifts / before.scale, standing.probes)
+    known = np.isfinite(shifts).any(axis=0)
+    shift = np.zeros(shifts.shape[1])
+    shift[known] = np.nanmean(shifts[:, known], axis=0)
     location, scale = before.location + shift, before.scale.copy()
     scatter_group = None if standing.scatter_group is None else standing.scatter_group[known]
     ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], scatter_group)
     scale[known] *= ratio
     # where a change takes the scatter away, as a delay that outdoes the noise, it doesn't matter where the same
     # replicates lay before it (a control variate, of a weight that is at most the ratio)
-    kept, straight = np.minimum(ratio, 1.0), np.nanmean(values[:, known], axis=0)
-    paired = kept * location[known] + (1 - kept) * straight
+    weight, straight = np.minimum(ratio, 1.0), np.nanmean(values[:, known], axis=0)
+    paired = weight * location[known] + (1 - weight) * straight
     location[known] = np.where(np.isfinite(location[known]), paired, location[known])
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
         least = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
@@ -164,24 +164,24 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
     alone = likelihood_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
     scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
-    untold = ~has_value.any(axis=0) & ~np.isfinite(without).any(
+    missing_in_both = ~has_value.any(axis=0) & ~np.isfinite(without).any(
         axis=0
     )  # as what is shared with sensors beside the unit
-    never = ~has_value.any(axis=0) & ~untold
+    never = ~has_value.any(axis=0) & ~missing_in_both
     location[never & before.always] = np.nan
-    always = (before.always & (has_value.all(axis=0) | untold)) | fresh
+    always = (before.always & (has_value.all(axis=0) | missing_in_both)) | fresh
     silent = np.asarray((never & before.always) | (~has_value.any(axis=0) & before.never))
-    return SyntheticLikelihood(location, scale, np.asarray(always), silent, *_branched(before, moved, shift)), shift
+    return SyntheticLikelihood(location, scale, np.asarray(always), silent, *_branched(before, shifts, shift)), shift
 
 
-def _branched(before: SyntheticLikelihood, moved: Floats, shift: Floats) -> tuple[Floats, Floats]:
+def _branched(before: SyntheticLikelihood, shifts: Floats, shift: Floats) -> tuple[Floats, Floats]:
     """Outcome of each replicate (k, n), on top of the branches of effects before, and the scatter there (n,); a
     replicate without the change gets the mean shift.
     """
     if before.branches is None or before.width is None:
-        return before.location + moved, before.scale
-    rest = np.broadcast_to(shift, (max(0, len(before.branches) - len(moved)), len(shift)))
-    return before.branches + np.concatenate([moved, rest])[: len(before.branches)], before.width
+        return before.location + shifts, before.scale
+    mean_shifts = np.broadcast_to(shift, (max(0, len(before.branches) - len(shifts)), len(shift)))
+    return before.branches + np.concatenate([shifts, mean_shifts])[: len(before.branches)], before.width
 
 
 def least_scale(before: SyntheticLikelihood) -> Floats:
@@ -191,47 +191,47 @@ def least_scale(before: SyntheticLikelihood) -> Floats:
     return FORM * before.scale
 
 
-def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> Floats:
+def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> Floats:
     """Log-likelihood ratio (n,) of each recorded statistic by a change, in nats; they add up."""
     before = standing.likelihood.log_density(standing.real)
-    return standing.weight * (likelihood.log_density(standing.real, moved) - before)
+    return standing.weight * (likelihood.log_density(standing.real, shift) - before)
 
 
-def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, moved: Floats) -> Booleans:
+def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
     """Which statistics (n,) a change moved, widened or narrowed beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
-    return np.asarray((np.abs(moved) > before.scale) | widened)
+    return np.asarray((np.abs(shift) > before.scale) | widened)
 
 
-def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> float:
+def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> float:
     """Factor of a gain whose statistics are more independent than those of the whole unit, at least 1.
 
     The few statistics that a curved response moves are independent, whatever hundreds of levels do; that a change moves
     many for one reason is considered when it is judged.
     """
-    touched = touched_by(standing.likelihood, likelihood, moved)
+    touched = touched_by(standing.likelihood, likelihood, shift)
     if not touched.any() or len(standing.values) < _PAIRS:
         return 1.0
     share = independent_share(standing.likelihood.scores(standing.values)[:, touched])
     return max(share / standing.independent, 1.0)
 
 
-def _kept(moved: Floats, probes: Indices) -> Floats:
+def _kept(shifts: Floats, probes: Indices) -> Floats:
     """Share (n,) of each statistic's shift (r, n), in standard deviations, that the change caused.
 
     If a change alters the random draws, pairs differ by chance alone. Its contribution to the mean of r pairs follows
     from their scatter, for all statistics of a probe together (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc.
     68, 1973).
     """
-    known = np.isfinite(moved).all(axis=0)
-    kept = np.ones(moved.shape[1])
-    for probe in np.unique(probes[known]) if len(moved) > 1 else ():
-        own = moved[:, known & (probes == probe)]
-        by_chance = min(float(own.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(own)
-        square = float((own.mean(axis=0) ** 2).mean())
-        kept[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
-    return kept
+    known = np.isfinite(shifts).all(axis=0)
+    share = np.ones(shifts.shape[1])
+    for probe in np.unique(probes[known]) if len(shifts) > 1 else ():
+        probe_shifts = shifts[:, known & (probes == probe)]
+        by_chance = min(float(probe_shifts.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(probe_shifts)
+        square = float((probe_shifts.mean(axis=0) ** 2).mean())
+        share[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
+    return share
 
 
 def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group: Indices | None = None) -> Floats:
@@ -256,21 +256,23 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group:
     return ratio
 
 
-def _added(moved: Floats, scatter_group: Indices | None) -> Floats:
+def _added(shifts: Floats, scatter_group: Indices | None) -> Floats:
     """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
 
     Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
     those alike, as if that were known from `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
     """
-    freedom = np.isfinite(moved).sum(axis=0) - 1
-    found = np.zeros(moved.shape[1])
+    freedom = np.isfinite(shifts).sum(axis=0) - 1
+    variance = np.zeros(shifts.shape[1])
     several = freedom > 0
-    found[several] = np.nanvar(moved[:, several], axis=0, ddof=1)
-    touched = several & (found > 0)  # of the part that isn't simulated nothing moves
+    variance[several] = np.nanvar(shifts[:, several], axis=0, ddof=1)
+    touched = several & (variance > 0)  # of the part that isn't simulated nothing moves
     for group in np.unique(scatter_group[touched]) if scatter_group is not None else ():
-        own = touched & (scatter_group == group)
-        found[own] = (freedom[own] * found[own] + _LIKE_IT * found[own].mean()) / (freedom[own] + _LIKE_IT)
-    return found
+        is_in_group = touched & (scatter_group == group)
+        variance[is_in_group] = (
+            freedom[is_in_group] * variance[is_in_group] + _LIKE_IT * variance[is_in_group].mean()
+        ) / (freedom[is_in_group] + _LIKE_IT)
+    return variance
 
 
 _NOISE_SURE = 0.05
