@@ -116,8 +116,8 @@ class Base:
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
-        drawn = self.drawn(replicate)
-        return {name: (*drawn[name], *fitted.effects()) for name, fitted in self.fitted.items()}
+        drawn_effects = self.drawn(replicate)
+        return {name: (*drawn_effects[name], *fitted.effects()) for name, fitted in self.fitted.items()}
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """The effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the slope if
@@ -189,10 +189,13 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
-        found = _filter_of(campaign, header, fitted[name])
-        if found is not None:
+        filter_effect = _filter_of(campaign, header, fitted[name])
+        if filter_effect is not None:
             fitted[name] = replace(
-                fitted[name], cutoff_hz=found.cutoff_hz, poles=found.poles, sampled_hz=found.sampled_hz
+                fitted[name],
+                cutoff_hz=filter_effect.cutoff_hz,
+                poles=filter_effect.poles,
+                sampled_hz=filter_effect.sampled_hz,
             )
     return Base(headers, fitted, model, seed)
 
@@ -267,20 +270,20 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
                 continue
             summary = phase.sensors[sensor]
             part = summary.segments
-            held = part.rows > 0
-            if held.any():
+            has_rows = part.rows > 0
+            if has_rows.any():
                 place = (number, phase.phase.start_ns)
                 stimulus = felt(summary, motion, forces.get(place))
                 alone = part.mean / summary.header.sensitivity - stimulus.felt
                 face = phase.phase.up or phase.phase.name
                 group = (number, face if place not in forces else f"attitude {attitude}")
-                force = np.average(stimulus.force[held], axis=0, weights=part.rows[held])
+                force = np.average(stimulus.force[has_rows], axis=0, weights=part.rows[has_rows])
                 yield Rest(
                     face,
                     group,
                     part,
-                    alone[held],
-                    part.steady_variance[held],
+                    alone[has_rows],
+                    part.steady_variance[has_rows],
                     np.asarray(force),
                 )
 
@@ -293,10 +296,10 @@ def _thermal_change(
 
     def change(summary: Summary) -> Floats:
         slope, part = slopes[summary.header.name], summary.segments
-        held = part.rows > 0
-        if slope is None or not held.any():
+        has_rows = part.rows > 0
+        if slope is None or not has_rows.any():
             return NO_CHANGE
-        degc = float(np.average(part.temperature_degc[held], weights=part.rows[held]))
+        degc = float(np.average(part.temperature_degc[has_rows], weights=part.rows[has_rows]))
         return np.array(slope) * (degc - REFERENCE_DEGC)
 
     return change
@@ -346,22 +349,22 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None
     reads = tuple(_reads(phase, _is_flagged(rests)) for phase in rests)
     again = np.array(
-        [[_samples_apart(read.samples_a_row, lag).get(0, 0.0) for lag in range(1, _LAGS + 1)] for read in reads]
+        [[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in range(1, _LAGS + 1)] for pace in reads]
     )
     lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
-    passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
-    seen = (lags - again) / max(float(passed), 0.1)
-    if not np.isfinite(seen).all() or np.abs(seen).max() < LEAST_CORRELATION:
+    noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
+    correlations = (lags - again) / max(float(noise_share), 0.1)
+    if not np.isfinite(correlations).all() or np.abs(correlations).max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
-    white = float(np.square(seen).sum())
+    white = float(np.square(correlations).sum())
     kinds = tuple(dict.fromkeys(reads))
-    of_kind = [kinds.index(read) for read in reads]
+    of_kind = [kinds.index(pace) for pace in reads]
     best, least = None, white
-    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(read.rows_per_s for read in reads)
+    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
     for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
-        misfit = float(np.square(seen - expected[of_kind]).sum())
+        misfit = float(np.square(correlations - expected[of_kind]).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None

@@ -86,7 +86,7 @@ class Bench(Stage):
         numbers: dict[tuple[str, int], int] = {}
         parts: list[list[int]] = []
         for held_out in (False, True):
-            kinds = [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
+            kinds = [kind for kind, phases in zip(self.kinds, self.split.phases(held_out), strict=True) if phases]
             places = [(kind, kinds[:at].count(kind)) for at, kind in enumerate(kinds)]
             parts.append([numbers.setdefault(place, len(numbers)) for place in places])
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
@@ -94,14 +94,14 @@ class Bench(Stage):
 
     def of_keys(self, chosen: Booleans) -> Bench:
         """The bench of some of the statistics (n,)."""
-        keys = tuple(key for key, wanted in zip(self.keys, chosen.tolist(), strict=True) if wanted)
+        keys = tuple(key for key, is_chosen in zip(self.keys, chosen.tolist(), strict=True) if is_chosen)
         of_train = int(np.count_nonzero(chosen[: self.of_train]))
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
 
     @cached_property
     def logs(self) -> Indices:
         """Number (n,) of each key's log in the campaign; -1 for several logs."""
-        numbers = [[at for at, own in enumerate(self.split.phases(out)) if own] for out in (False, True)]
+        numbers = [[at for at, phases in enumerate(self.split.phases(out)) if phases] for out in (False, True)]
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return np.array([numbers[out][key.log] if key.log >= 0 else -1 for key, out in sides], np.intp)
 
@@ -109,7 +109,7 @@ class Bench(Stage):
     def log_kinds(self) -> tuple[str, ...]:
         """Kind (n,) of each key's log, "" for a statistic of several logs."""
         kinds = [
-            [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
+            [kind for kind, phases in zip(self.kinds, self.split.phases(held_out), strict=True) if phases]
             for held_out in (False, True)
         ]
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
@@ -157,11 +157,15 @@ class Bench(Stage):
         return values
 
     def replicates(
-        self, asked: Sequence[ReplicateRequest], *, held_out: bool = True, other_models: Models = MappingProxyType({})
+        self,
+        requests: Sequence[ReplicateRequest],
+        *,
+        held_out: bool = True,
+        other_models: Models = MappingProxyType({}),
     ) -> list[StatisticValues]:
         """`replicate` for several replicates of the same sensors, which is faster than one after the other."""
-        campaigns = self.campaigns(asked, held_out=held_out, other_models=other_models)
-        return self.each_measured(campaigns, asked[0][0], held_out=held_out)
+        campaigns = self.campaigns(requests, held_out=held_out, other_models=other_models)
+        return self.each_measured(campaigns, requests[0][0], held_out=held_out)
 
     def observed(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
         """`measured`, with figures of use."""
@@ -176,7 +180,7 @@ class Bench(Stage):
             uses_of(campaign, residual(campaign, self.motions, base))
             for campaign, base in zip(campaigns, bases, strict=True)
         ]
-        return [replace(values, uses=own) for values, own in zip(measured, uses, strict=True)]
+        return [replace(values, uses=replicate_uses) for values, replicate_uses in zip(measured, uses, strict=True)]
 
     def measured(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
         """Statistics of these sensors in a campaign that was summarised like the recorded one, nan where it has
@@ -199,8 +203,8 @@ class Bench(Stage):
                 sides = [self.split.held_out(campaign) for campaign in campaigns]
                 motions = [all_motions[at] for at in sides[0].logs]
             self._put(values, replicated_statistics([side.campaign for side in sides], motions, bases, sensors), part)
-        own = values[:, self._places(frozenset(sensors))]
-        return [StatisticValues(row, base.fitted) for row, base in zip(own, bases, strict=True)]
+        sensor_values = values[:, self._places(frozenset(sensors))]
+        return [StatisticValues(row, base.fitted) for row, base in zip(sensor_values, bases, strict=True)]
 
     def _known_motions(self, campaign: Campaign) -> tuple[Motion, ...]:
         """The motions as the sensors of a campaign can determine them: attitudes that all accelerometers estimate
@@ -212,9 +216,9 @@ class Bench(Stage):
 
     def _put(self, values: Floats, statistics: ReplicateStatistics, part: int) -> None:
         """Writes statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""
-        own = slice(self.of_train, None) if part else slice(self.of_train)
-        if statistics.keys == self.keys[own]:
-            values[:, own] = statistics.values
+        columns = slice(self.of_train, None) if part else slice(self.of_train)
+        if statistics.keys == self.keys[columns]:
+            values[:, columns] = statistics.values
             return
         places = np.array([self._index[part].get(key, -1) for key in statistics.keys], np.intp)
         known = places >= 0

@@ -89,10 +89,10 @@ def _misfit(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats
     """Chi-squared of readings about a straight line over temperature, with one level for each attitude."""
     products, squares, total = np.zeros(3), 0.0, np.zeros(3)
     for members in attitudes:
-        held = [rest.segments.rows > 0 for rest in members]
-        rows = np.concatenate([rest.segments.rows[has] for rest, has in zip(members, held, strict=True)])
+        has_rows = [rest.segments.rows > 0 for rest in members]
+        rows = np.concatenate([rest.segments.rows[mask] for rest, mask in zip(members, has_rows, strict=True)])
         degc = np.concatenate(
-            [lagged_degc(rest.segments, rest.motion, lag_s)[has] for rest, has in zip(members, held, strict=True)]
+            [lagged_degc(rest.segments, rest.motion, lag_s)[mask] for rest, mask in zip(members, has_rows, strict=True)]
         )
         readings = np.concatenate([rest.readings for rest in members])
         warm = degc - np.average(degc, weights=rows)
@@ -128,11 +128,11 @@ def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
     of_motion = _cache.setdefault(motion, {})
     key = segments.time_s.tobytes(), lag_s
     if key not in of_motion:
-        held = segments.rows > 0
-        degc = np.full(len(held), np.nan)
-        if held.any():
-            at_ns = np.rint(segments.time_s[held] * 1e9).astype(np.int64)
-            degc[held] = ThermalLag(lag_s).temperature_degc(at_ns, motion)
+        has_rows = segments.rows > 0
+        degc = np.full(len(has_rows), np.nan)
+        if has_rows.any():
+            at_ns = np.rint(segments.time_s[has_rows] * 1e9).astype(np.int64)
+            degc[has_rows] = ThermalLag(lag_s).temperature_degc(at_ns, motion)
         if len(of_motion) >= _MOST_CACHED:
             of_motion.clear()
         of_motion[key] = degc

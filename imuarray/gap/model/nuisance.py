@@ -116,11 +116,11 @@ def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
         np.concatenate([np.asarray(getattr(phase.segments, name), float) for phase in phases])
         for name in ("thermometer", "rows", "temperature_degc")
     )
-    held = np.isfinite(counts) & np.isfinite(degc) & (rows > 0)
-    if not held.any():
+    is_usable = np.isfinite(counts) & np.isfinite(degc) & (rows > 0)
+    if not is_usable.any():
         return math.nan
-    shown = counts[held] / converter.lsb_per_degc + converter.zero_degc
-    return float(np.average(shown - degc[held], weights=rows[held]))
+    thermometer_degc = counts[is_usable] / converter.lsb_per_degc + converter.zero_degc
+    return float(np.average(thermometer_degc - degc[is_usable], weights=rows[is_usable]))
 
 
 def _rests(campaign: Campaign, sensor: str) -> list[Summary]:

@@ -101,8 +101,8 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
             # at rest, the thermal slope of a magnetometer is that of its scale, which is drawn as that of its bias
             printed = PRINTED - {"thermal_scale"} if header.unit == "gauss" else PRINTED
-            if kept := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in printed}:
-                parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
+            if effects := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in printed}:
+                parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=effects)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
         if missing := {kind: (recipe,) for kind, recipe in _usual(header).items() if kind not in known}:
             unit = own_unit(header)

@@ -105,7 +105,7 @@ class Stage:
 
     def campaigns(
         self,
-        asked: Sequence[ReplicateRequest],
+        requests: Sequence[ReplicateRequest],
         *,
         held_out: bool = True,
         other_models: Models = MappingProxyType({}),
@@ -115,15 +115,17 @@ class Stage:
         `logs` (None: all), the others without phases.
         """
         chosen = range(len(self.kinds)) if logs is None else logs
-        effects = [self._effects({**other_models, **models}, number) for models, number in asked]
+        effects = [self._effects({**other_models, **models}, number) for models, number in requests]
         parts = [
-            self._replicated(at, asked, effects, held_out) if at in chosen else [LogSummary(kind, ())] * len(asked)
+            self._replicated(at, requests, effects, held_out)
+            if at in chosen
+            else [LogSummary(kind, ())] * len(requests)
             for at, kind in enumerate(self.kinds)
         ]
         return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
 
     def _replicated(
-        self, log: int, asked: Sequence[ReplicateRequest], effects: Sequence[Effects], held_out: bool
+        self, log: int, requests: Sequence[ReplicateRequest], effects: Sequence[Effects], held_out: bool
     ) -> list[LogSummary]:
         """One log in several replicates, as many at a time as memory allows."""
         kind, (plan, motion) = self.kinds[log], self.experiments[log]
@@ -131,11 +133,11 @@ class Stage:
         rows = max((line.rows for _, line in plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
         summaries: list[LogSummary] = []
-        for first in range(0, len(asked), at_once):
+        for first in range(0, len(requests), at_once):
             some = slice(first, first + at_once)
             replicates = [
-                self._sources(log, *request, own, alone=not held_out)
-                for request, own in zip(asked[some], effects[some], strict=True)
+                self._sources(log, *request, request_effects, alone=not held_out)
+                for request, request_effects in zip(requests[some], effects[some], strict=True)
             ]
             summaries += summarise_logs(kind, replicates, phases, reference_of(motion), self._layouts(log, held_out))
         return summaries
@@ -146,12 +148,12 @@ class Stage:
         needed.
         """
         plan, motion = self.experiments[log]
-        wanted = [
+        names = [
             name
             for name in plan.sensors
             if name in models or (name in effects and self._is_compared_with(log, name, models))
         ]
-        swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
+        swapped = [name for name in names if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
         array = (
             simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=self.first_boot + log))
@@ -162,7 +164,7 @@ class Stage:
             name: array[name]
             if name in swapped
             else (self._source if name in models else self._cached_source)(log, name, effects[name], seed, alone)
-            for name in wanted
+            for name in names
         }
 
     def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
@@ -180,8 +182,8 @@ class Stage:
     def _source(self, log: int, name: str, effects: tuple[Effect, ...], seed: int, alone: bool) -> Source:
         """The simulation of a sensor that does not depend on others."""
         plan, motion = self.experiments[log]
-        own = replace(plan, sensors={name: plan.sensors[name]})
-        simulation = Simulation(own, motion, {name: effects}, seed=seed, boot=self.first_boot + log)
+        sensor_plan = replace(plan, sensors={name: plan.sensors[name]})
+        simulation = Simulation(sensor_plan, motion, {name: effects}, seed=seed, boot=self.first_boot + log)
         return simulated_sources(simulation, alone=alone)[name]
 
     @cached_property
@@ -192,10 +194,12 @@ class Stage:
     def _effects(self, models: Models, number: int) -> Effects:
         """The effects of every sensor, those of the base model where no other model is given."""
         effects = {}
-        for name, drawn in self._drawn_effects(number).items():
+        for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
-            kept = (effect for effect in (*drawn, *model.fitted.effects()) if effect.name not in model.removed)
-            effects[name] = (*kept, *model.added)
+            remaining = (
+                effect for effect in (*base_effects, *model.fitted.effects()) if effect.name not in model.removed
+            )
+            effects[name] = (*remaining, *model.added)
         return effects
 
     def _layouts(self, log: int, held_out: bool) -> tuple[Layout, ...]:

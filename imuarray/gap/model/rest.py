@@ -104,12 +104,12 @@ class FittedParameters:
         The difference of the noise variances is added, unless little or nothing would remain: then the simulation
         scales the noise, which is scaled back. Offsets are assumed to scale with the noise.
         """
-        own, mean = np.square(self.rms), np.mean([np.square(parameters.rms) for parameters in simulated], axis=0)
-        gain = np.clip(np.divide(mean, own, out=np.ones(3), where=own > 0), 1 / _LARGEST, _LARGEST)
-        added = own + np.square(target.rms) - mean
+        variance, mean = np.square(self.rms), np.mean([np.square(parameters.rms) for parameters in simulated], axis=0)
+        gain = np.clip(np.divide(mean, variance, out=np.ones(3), where=variance > 0), 1 / _LARGEST, _LARGEST)
+        added = variance + np.square(target.rms) - mean
         ratio = np.divide(np.square(target.rms), mean, out=np.ones(3), where=mean > 0)
-        is_added = added > _ADDED * own
-        squares = np.where(is_added, added, own * np.clip(ratio, 1 / _LARGEST, _LARGEST))
+        is_added = added > _ADDED * variance
+        squares = np.where(is_added, added, variance * np.clip(ratio, 1 / _LARGEST, _LARGEST))
         gain = np.where(is_added, 1.0, gain)
         offset = np.subtract(target.offset, np.mean([parameters.offset for parameters in simulated], axis=0)) / np.sqrt(
             gain
@@ -134,15 +134,15 @@ class FittedParameters:
         """`moved` once more, with the noise by a secant through the simulations of these parameters and of those
         `before`, whatever the simulation adds to the noise's variance or scales it by.
         """
-        own, last = np.square(self.rms), np.square(before.rms)
+        variance, last = np.square(self.rms), np.square(before.rms)
         mean, mean_before = (
             np.mean([np.square(parameters.rms) for parameters in some], axis=0)
             for some in (simulated, simulated_before)
         )
-        is_distinct = np.abs(own - last) > _DISTINCT * np.maximum(own, last)
-        gain = np.divide(mean - mean_before, own - last, out=np.ones(3), where=is_distinct)
+        is_distinct = np.abs(variance - last) > _DISTINCT * np.maximum(variance, last)
+        gain = np.divide(mean - mean_before, variance - last, out=np.ones(3), where=is_distinct)
         gain = np.clip(gain, 1 / _LARGEST, _LARGEST)
-        squares = np.maximum(own + (np.square(target.rms) - mean) / gain, own / _LARGEST**2)
+        squares = np.maximum(variance + (np.square(target.rms) - mean) / gain, variance / _LARGEST**2)
         parameters_moved = self.moved(target, simulated)
         return replace(
             parameters_moved, rms=_triple(np.sqrt(np.where(is_distinct, squares, np.square(parameters_moved.rms))))
@@ -163,9 +163,9 @@ class FittedParameters:
     def unbiased(self, summary: Summary) -> Floats:
         """Mean (3,) of the readings without offset and slope."""
         part = summary.segments
-        held = part.rows > 0
-        levels = part.mean[held] / summary.header.sensitivity - self._biases(summary)[held]
-        return np.asarray(np.average(levels, axis=0, weights=part.rows[held]))
+        has_rows = part.rows > 0
+        levels = part.mean[has_rows] / summary.header.sensitivity - self._biases(summary)[has_rows]
+        return np.asarray(np.average(levels, axis=0, weights=part.rows[has_rows]))
 
     def by_response(self, readings: Floats) -> Floats:
         """Specific force (3,) for which an accelerometer without bias has these readings."""
@@ -217,10 +217,10 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus
     """The stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2, if
     given.
     """
-    kept: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
-    if "felt" not in kept or kept["felt"][0] is not motion:
-        kept["felt"] = (motion, _stimulus(summary, motion))
-    known = kept["felt"][1]
+    cache: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
+    if "felt" not in cache or cache["felt"][0] is not motion:
+        cache["felt"] = (motion, _stimulus(summary, motion))
+    known = cache["felt"][1]
     if force_box is None:
         return known
     along = np.broadcast_to(force_box @ np.array(summary.header.orientation), known.force.shape)
@@ -317,11 +317,11 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
     """
     rows = np.concatenate([phase.rows for phase in phases])
     variance = np.concatenate([phase.variance for phase in phases])
-    held = rows >= _LEAST_ROWS
-    if not held.any():
+    has_rows = rows >= _LEAST_ROWS
+    if not has_rows.any():
         return np.zeros(3)
-    freedom = rows[held, None] - 1.0
-    unbiased = variance[held] * rows[held, None] / freedom / (1 - 2 / (9 * freedom)) ** 3
+    freedom = rows[has_rows, None] - 1.0
+    unbiased = variance[has_rows] * rows[has_rows, None] / freedom / (1 - 2 / (9 * freedom)) ** 3
     return np.asarray(np.sqrt(np.maximum(np.median(unbiased, axis=0) - rounding_lsb2(header), 0.0)))
 
 

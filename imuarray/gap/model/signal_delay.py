@@ -74,8 +74,8 @@ def fit_signal_delays(
         observed = _rows(_crosses(campaign), names, nominal_s, late)
         steps = []
         for simulated, replicates in trials[-2:]:
-            seen = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
-            comparable = [delay_s for delay_s in seen if len(delay_s) == len(observed.delay_s)]
+            simulated_s = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
+            comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
             ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
             start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
             if comparable and len(observed.delay_s):
@@ -88,8 +88,10 @@ def fit_signal_delays(
         most = np.array([MOST_RATIO, *offset_s.values()])
         least = np.array([0.0, *(-most[1:])])
         ratio, *stamps_s = _solve(observed, seen_s, start, (least, most)).tolist()
-        own = dict(zip(late, stamps_s, strict=True))
-        delays |= {name: SignalDelay(_truncate(ratio * nominal_s[name]), own.get(name, 0.0)) for name in names}
+        stamp_s_by_name = dict(zip(late, stamps_s, strict=True))
+        delays |= {
+            name: SignalDelay(_truncate(ratio * nominal_s[name]), stamp_s_by_name.get(name, 0.0)) for name in names
+        }
     return delays
 
 
@@ -140,19 +142,21 @@ class _Delays(NamedTuple):
 def _rows(
     crosses: Sequence[Cross], names: Collection[str], nominal_s: Mapping[str, float], late: Sequence[str]
 ) -> _Delays:
-    seen, information = [np.zeros(0)], [np.zeros(0)]
+    delays, information = [np.zeros(0)], [np.zeros(0)]
     design = [np.zeros((0, 1 + len(late)))]
     for cross in crosses:
         for name in (item.name for item in cross.sensors if item.name in names):
             others = cross.others(name, family=False)
             if not others and name not in cross.tracked:
                 continue
-            own = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
-            rest = [[nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others]
-            seen.append(delay(cross, name))
+            coefficients = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
+            other_coefficients = [
+                [nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others
+            ]
+            delays.append(delay(cross, name))
             information.append(information_on_delay(cross, name))
-            design.append(np.tile(own - (np.mean(rest, axis=0) if others else 0.0), (3, 1)))
-    return _Delays(np.concatenate(seen), np.concatenate(information), np.concatenate(design))
+            design.append(np.tile(coefficients - (np.mean(other_coefficients, axis=0) if others else 0.0), (3, 1)))
+    return _Delays(np.concatenate(delays), np.concatenate(information), np.concatenate(design))
 
 
 def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> Floats:

@@ -97,38 +97,43 @@ def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[lis
         if header.quantity != "specific_force" or spectrum is None:
             continue
         longest = max(rests, key=lambda rest: rest.rows)
-        own = _Spectrum(header, spectrum, 1 / longest.intervals.mean_s)
+        member = _Spectrum(header, spectrum, 1 / longest.intervals.mean_s)
         for group in groups:
             first = group[0]
-            is_same_rate = abs(own.rows_per_s / first.rows_per_s - 1) < _SAME_RATE
+            is_same_rate = abs(member.rows_per_s / first.rows_per_s - 1) < _SAME_RATE
             if is_same_rate and spectrum.segment_rows == first.spectrum.segment_rows:
-                group.append(own)
+                group.append(member)
                 break
         else:
-            groups.append([own])
+            groups.append([member])
     return groups
 
 
 def _vibrations(group: Sequence[_Spectrum]) -> Iterator[Vibration]:
     known: list[float] = []
-    lines = [(own, line) for own in group for line in highest_lines(own.spectrum, _LINES) if line.height.max() > _HIGH]
-    for own, line in sorted(lines, key=lambda item: -float(item[1].height.max())):
+    lines = [
+        (member, line)
+        for member in group
+        for line in highest_lines(member.spectrum, _LINES)
+        if line.height.max() > _HIGH
+    ]
+    for member, line in sorted(lines, key=lambda item: -float(item[1].height.max())):
         if any(abs(line.bin - place) <= HALF_WIDTH + 1 for place in known):
             continue
         known.append(line.bin)
-        amplitude_box_g = _amplitude_box_g(own, line)
+        amplitude_box_g = _amplitude_box_g(member, line)
         if amplitude_box_g.max() <= MOST_G and not any(
-            _contradicts(other, line.bin, amplitude_box_g) for other in group if other is not own
+            _contradicts(other, line.bin, amplitude_box_g) for other in group if other is not member
         ):
             x, y, z = amplitude_box_g.tolist()
-            hertz = line.bin * own.rows_per_s / own.spectrum.segment_rows
+            hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
             yield Vibration(hertz, (x, y, z), tuple(item.header.name for item in group))
 
 
-def _amplitude_box_g(own: _Spectrum, line: Line) -> Floats:
+def _amplitude_box_g(member: _Spectrum, line: Line) -> Floats:
     """Amplitudes (3,) along the box axes by one accelerometer."""
-    power_g2 = np.maximum(line.power, 0.0) / own.counts_per_g**2
-    return np.asarray(np.abs(np.array(own.header.orientation)) @ np.sqrt(2 * power_g2))
+    power_g2 = np.maximum(line.power, 0.0) / member.counts_per_g**2
+    return np.asarray(np.abs(np.array(member.header.orientation)) @ np.sqrt(2 * power_g2))
 
 
 def _contradicts(other: _Spectrum, place: float, amplitude_box_g: Floats) -> bool:

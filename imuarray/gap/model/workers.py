@@ -95,7 +95,7 @@ class Run(Protocol):
 
 def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
     """A progress bar that shows nothing."""
-    return nullcontext(lambda done: None)
+    return nullcontext(lambda count: None)
 
 
 def runner(fixed: object, executor: Executor | None = None, bar: Bar = no_bar) -> Run:
