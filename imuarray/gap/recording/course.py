@@ -89,11 +89,14 @@ def stretches_of(source: Source, phases: Sequence[Phase]) -> tuple[Stretches, ..
     windows = _window_table(source, phases)
     if windows is None:
         return ()
-    kept: list[ChangedWindows] = []
+    distinct_changes: list[ChangedWindows] = []
     for change in sorted(changes(windows.statistics, windows.least), key=lambda change: -change.nats):
-        if all(_are_distinct(change.inside, other.inside) for other in kept) and len(kept) < _MOST_SETS:
-            kept.append(change)
-    edged = [(change.inside, _edges(source, windows, change.inside)) for change in kept]
+        if (
+            all(_are_distinct(change.inside, other.inside) for other in distinct_changes)
+            and len(distinct_changes) < _MOST_SETS
+        ):
+            distinct_changes.append(change)
+    edged = [(change.inside, _edges(source, windows, change.inside)) for change in distinct_changes]
     return tuple(_joined(edges_s, side) for inside, edges_s in edged for side in (inside, ~inside))
 
 

@@ -58,8 +58,8 @@ def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
             runs[0, 1] = open_run[0, 1]
         else:
             runs = np.concatenate([open_run, runs])
-        done = len(runs) - int(len(still) > 0 and still[-1])
-        longest, open_run, last = _longest(np.concatenate([longest, runs[:done]])), runs[done:], counts[-1:]
+        complete = len(runs) - int(len(still) > 0 and still[-1])
+        longest, open_run, last = _longest(np.concatenate([longest, runs[:complete]])), runs[complete:], counts[-1:]
     longest = _longest(np.concatenate([longest, open_run]))
     return RepeatedRows(longest[:, 0], longest[:, 1], longest[:, 2])
 
@@ -144,11 +144,11 @@ def _host(timelines: Collection[Timeline]) -> Host:
 def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known: Collection[str], host: Host) -> Events:
     sensor = log[name]
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
-    own = line.own if isinstance(line, DelayedTimes) else line
+    row_times = line.own if isinstance(line, DelayedTimes) else line
     return Events(
         repeated_rows_in(recorded_source(sensor, line).blocks(0, _END_NS)),
         tuple(outliers_in_motion(sensor, others, phase) for phase in moving),
-        tuple(own.holes()) if isinstance(own, GapFilledTimes) else (),
+        tuple(row_times.holes()) if isinstance(row_times, GapFilledTimes) else (),
         host,
         resets_in(sensor),
     )

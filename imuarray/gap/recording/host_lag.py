@@ -68,15 +68,15 @@ def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near
     """The lag in one window; None where no lag fits, or more than one does."""
     near = round(near_s / GRID_S)
     reach = _grid(start_ns - _ns(near), _MOST_LAG_ROWS)
-    read, track = _read(sensors, _grid(start_ns, 0)), track_values(motion, reach)
+    readings, track = _read(sensors, _grid(start_ns, 0)), track_values(motion, reach)
     unexplained, square, noise = np.zeros(2 * _MOST_LAG_ROWS + 1), np.zeros(_WINDOW), 0.0
-    for quantity, own in read.items():
+    for quantity, values in readings.items():
         expected = track[quantity]
         size = float(np.var(expected, axis=0).sum())
         if size < _LEAST_RMS**2:
             continue
         shifted = sliding_window_view(expected, _WINDOW, axis=0)[::-1]  # the first is the furthest behind
-        difference = own.T - own.mean(axis=0)[:, None] - (shifted - shifted.mean(axis=2, keepdims=True))
+        difference = values.T - values.mean(axis=0)[:, None] - (shifted - shifted.mean(axis=2, keepdims=True))
         unexplained += (difference**2).sum(axis=(1, 2)) / size
         square += (np.gradient(expected, GRID_S, axis=0) ** 2).sum(axis=1)[_MOST_LAG_ROWS:-_MOST_LAG_ROWS] / size
         noise += _WINDOW

@@ -74,7 +74,7 @@ class OutlierTally:
 
     def result(self) -> Outliers:
         """The readings collected so far, axis by axis, the furthest first."""
-        rows = [(axis, time, by) for axis, own in enumerate(self._furthest) for _, time, by in own]
+        rows = [(axis, time, by) for axis, axis_readings in enumerate(self._furthest) for _, time, by in axis_readings]
         axes, times, deviation = zip(*rows, strict=True) if rows else ((), (), ())
         return Outliers(np.array(axes, np.int64), np.array(times, np.int64), np.array(deviation, float))
 

@@ -126,11 +126,11 @@ def _detected_poses(log: Log) -> tuple[list[Phase], list[str]]:
     except CalibrationError:
         return [], []
     lengths = [phase.end_ns - phase.start_ns for phase in rests]
-    kept = [phase for phase, length in zip(rests, lengths, strict=True) if length >= _SHORT * max(lengths)]
-    notes = [f"No phase is marked as at rest: {len(kept)} static stretches were detected."] if kept else []
-    if (short := len(rests) - len(kept)) > 0:
+    long_rests = [phase for phase, length in zip(rests, lengths, strict=True) if length >= _SHORT * max(lengths)]
+    notes = [f"No phase is marked as at rest: {len(long_rests)} static stretches were detected."] if long_rests else []
+    if (short := len(rests) - len(long_rests)) > 0:
         notes.append(f"Static stretches left out because they are much shorter than the longest: {short}.")
-    return kept, notes
+    return long_rests, notes
 
 
 def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:

@@ -63,7 +63,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     """Detects the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: _usual_ns(sensor) for name, sensor in log.sensors.items()}
     delays = [_delay(event) for event in log.events if event.kind == "late" and not event.sensor]
-    kept, ends_ns = dict(lines), {}
+    timelines, ends_ns = dict(lines), {}
     most: list[_Gap] = []
     for name, line in lines.items():
         if not isinstance(line, GapFilledTimes):
@@ -77,14 +77,14 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
             is_common[:] = False
         is_own = ~(is_late | is_common)
-        of_recorder = [gap for gap, own in zip(gaps, is_own.tolist(), strict=True) if not own]
+        of_recorder = [gap for gap, is_of_sensor in zip(gaps, is_own.tolist(), strict=True) if not is_of_sensor]
         if not of_recorder:
             continue
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
-        kept[name] = lost if is_own.any() else line.recorded
+        timelines[name] = lost if is_own.any() else line.recorded
         ends_ns[name] = np.array([gap.end_ns for gap in of_recorder])
         most = max(most, of_recorder, key=len)
-    return RecorderGaps(kept, ends_ns, _sentence(most))
+    return RecorderGaps(timelines, ends_ns, _sentence(most))
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:

@@ -295,12 +295,14 @@ class _Comparable:
 
 def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
     """The names of the sensors to compare, and notes on those left out."""
-    wanted = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if sensor.is_triad]
-    for sensor in wanted:
+    sensors = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if sensor.is_triad]
+    for sensor in sensors:
         if not sensor.is_triad:
             raise LogError(f"{sensor.where}: {sensor.quantity} has no three axes; allowed are triads")
-    notes = [f"{sensor.name} is left out: its sensitivity is not known." for sensor in wanted if not sensor.sensitivity]
-    chosen = [sensor.name for sensor in wanted if sensor.sensitivity and len(sensor)]
+    notes = [
+        f"{sensor.name} is left out: its sensitivity is not known." for sensor in sensors if not sensor.sensitivity
+    ]
+    chosen = [sensor.name for sensor in sensors if sensor.sensitivity and len(sensor)]
     if not chosen:
         raise LogError(f"{log.path}: no sensor with three axes, readings and a known sensitivity")
     return chosen, notes
@@ -338,9 +340,9 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
 def _refuse_two_arrays(logs: Sequence[Log]) -> None:
     """Raises LogError for a log that has no triad in common with another log."""
     triads = [{name for name, sensor in log.sensors.items() if sensor.is_triad} for log in logs]
-    for at, (log, own) in enumerate(zip(logs, triads, strict=True)):
+    for at, (log, names) in enumerate(zip(logs, triads, strict=True)):
         others = set().union(*triads[:at], *triads[at + 1 :])
-        if len(logs) > 1 and not own & others:
+        if len(logs) > 1 and not names & others:
             rest = logs[0 if at else 1].path
             raise LogError(
                 f"{log.path}: no sensor in common with {rest}: logs of different arrays are diagnosed separately"

@@ -82,13 +82,13 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
         return None
     level, noise = _middle(before)
     blank = _is_blank(sensor, begin, inside)
-    read = np.flatnonzero(~blank)
-    onset = _onset(inside[read], level, noise)
+    rows = np.flatnonzero(~blank)
+    onset = _onset(inside[rows], level, noise)
     if onset is None:
         return None
-    changed = inside[read[onset:]]
-    since = int(read[onset])
-    emptied = int(read[onset - 1]) + 1 if onset else 0  # zeros in between come of the reset
+    changed = inside[rows[onset:]]
+    since = int(rows[onset])
+    emptied = int(rows[onset - 1]) + 1 if onset else 0  # zeros in between come of the reset
     within, noise_within = _middle(changed)
     if len(changed) < _FEWEST // 2:
         noise_within = np.full(3, np.nan)

@@ -189,10 +189,10 @@ def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) 
     """Groups the places of replicates whose blocks have the same times."""
     groups: list[list[int]] = []
     for at in places:
-        own = replicates[at]
+        blocks = replicates[at]
         for some in groups:
             others = replicates[some[0]]
-            if len(own) == len(others) and all(map(_have_same_times, own, others)):
+            if len(blocks) == len(others) and all(map(_have_same_times, blocks, others)):
                 some.append(at)
                 break
         else:
@@ -234,7 +234,7 @@ def _crosses(
     waiting = {
         name: list(zip(*(block[name] for block in blocks), strict=True)) for name in sources if name in cross.sensors
     }
-    for name, several in _interleaved({name: iter(own) for name, own in waiting.items()}, phase):
+    for name, several in _interleaved({name: iter(sensor_blocks) for name, sensor_blocks in waiting.items()}, phase):
         cross.accept(name, several)
     return cross.results()
 

@@ -136,23 +136,23 @@ def _by_place(
         for sensor in _sensors(replicates[0].phases, sensors):
             yield _Place(number, sensor, "", WHOLE_LOG), _of_log(replicates, sensor)
     series = [campaign.series() for campaign in campaigns]
-    for kind, own in series[0].items() if series else ():
-        for sensor in _sensors(own[0].phases, sensors):
+    for kind, series_logs in series[0].items() if series else ():
+        for sensor in _sensors(series_logs[0].phases, sensors):
             yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs([by_kind[kind] for by_kind in series], sensor)
 
 
-def _sensors(phases: Sequence[PhaseSummary], wanted: Collection[str] | None) -> list[str]:
+def _sensors(phases: Sequence[PhaseSummary], only: Collection[str] | None) -> list[str]:
     """The sensors of these phases that are wanted, each once."""
     there = dict.fromkeys(sensor for phase in phases for sensor in phase.sensors)
-    return [sensor for sensor in there if wanted is None or sensor in wanted]
+    return [sensor for sensor in there if only is None or sensor in only]
 
 
-def _of_phase(replicates: Sequence[PhaseSummary], wanted: Collection[str] | None) -> dict[str, list[_ProbeValues]]:
+def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) -> dict[str, list[_ProbeValues]]:
     """Values of the probes of a phase by sensor. One probe of all sensors after the other is faster than one sensor
     after the other.
     """
     first = replicates[0]
-    sensors = _sensors([first], wanted)
+    sensors = _sensors([first], only)
     single = {sensor: [phase.sensors[sensor] for phase in replicates] for sensor in sensors}
     together = {sensor: _grouped(several) for sensor, several in single.items()}
     crosses = [phase.cross for phase in replicates if phase.cross is not None]
@@ -208,7 +208,7 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
 
 
 def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[_ProbeValues]:
-    runs = [own for logs in replicates if (own := runs_in(logs, sensor)) is not None]
+    runs = [replicate_runs for logs in replicates if (replicate_runs := runs_in(logs, sensor)) is not None]
     if not runs or runs[0].header.quantity == "magnetic_field":  # nobody knows the field of another day
         return []
     return [

@@ -118,10 +118,10 @@ class Cross:
     @cached_property
     def _others(self) -> dict[tuple[str, bool], tuple[str, ...]]:
         names: dict[tuple[str, bool], tuple[str, ...]] = {}
-        for own in self.sensors:
-            same = [item for item in self.sensors if item.quantity == own.quantity and item.name != own.name]
-            names[own.name, False] = tuple(item.name for item in same)
-            names[own.name, True] = tuple(item.name for item in same if item.chip == own.chip)
+        for sensor in self.sensors:
+            same = [item for item in self.sensors if item.quantity == sensor.quantity and item.name != sensor.name]
+            names[sensor.name, False] = tuple(item.name for item in same)
+            names[sensor.name, True] = tuple(item.name for item in same if item.chip == sensor.chip)
         return names
 
     @cached_property
@@ -131,8 +131,8 @@ class Cross:
 
 def window_ns(rates_hz: Sequence[float]) -> int:
     """The shortest of the usual windows in which the slowest sensor has two rows."""
-    wanted = _WINDOW_ROWS / min(rates_hz)
-    return round(next((window_s for window_s in _WINDOWS_S if window_s >= wanted), _WINDOWS_S[-1]) * 1e9)
+    needed_s = _WINDOW_ROWS / min(rates_hz)
+    return round(next((window_s for window_s in _WINDOWS_S if window_s >= needed_s), _WINDOWS_S[-1]) * 1e9)
 
 
 class CrossTally:
@@ -236,14 +236,14 @@ class CrossTally:
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
-            Cross(self._sensors, self._phase, window_s, self._windows, *own, self._lone)
-            for own in zip(slow, fast, turning, changes, strict=True)
+            Cross(self._sensors, self._phase, window_s, self._windows, *moments, self._lone)
+            for moments in zip(slow, fast, turning, changes, strict=True)
         ]
 
     def _accumulate(self, place: int, windows: Any, sums: Floats, rows: Integers) -> None:
         """Adds sums (r, 3, w) or (3, w) over so many rows (w,) to windows, given by a slice or their places (w,)."""
-        own = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
-        own[:, :, windows] += sums
+        place_sums = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
+        place_sums[:, :, windows] += sums
         self._rows[place, windows] += rows
 
     def _extend(self, window: int) -> None:
@@ -258,13 +258,15 @@ class CrossTally:
         count = (reached - self._base) // self._length
         if count < 1:
             return
-        done = count * self._length
-        self._extend(self._base + done - 1)
-        self._add(*(kept[..., :done].reshape(*kept.shape[:-1], count, -1) for kept in (self._sums, self._rows)))
-        for kept in (self._sums, self._rows):
-            kept[..., :-done] = kept[..., done:].copy()
-            kept[..., -done:] = 0
-        self._base += done
+        finished = count * self._length
+        self._extend(self._base + finished - 1)
+        self._add(
+            *(buffer[..., :finished].reshape(*buffer.shape[:-1], count, -1) for buffer in (self._sums, self._rows))
+        )
+        for buffer in (self._sums, self._rows):
+            buffer[..., :-finished] = buffer[..., finished:].copy()
+            buffer[..., -finished:] = 0
+        self._base += finished
 
     def _add(self, sums: Floats, rows: Floats) -> None:
         """Adds segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read do not count."""

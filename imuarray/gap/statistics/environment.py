@@ -101,9 +101,9 @@ def groups_of(sensors: Sequence[SensorHeader], quantity: str, axis: int) -> tupl
     for sensor in sensors:
         if sensor.quantity == quantity:
             row = np.array(sensor.orientation)[axis]
-            own = int(np.abs(row).argmax())
-            names_of_group.setdefault((sensor.chip, own, float(row[own])), []).append(sensor.name)
-    return tuple(Group(tuple(names), own, sign) for (_, own, sign), names in names_of_group.items())
+            sensor_axis = int(np.abs(row).argmax())
+            names_of_group.setdefault((sensor.chip, sensor_axis, float(row[sensor_axis])), []).append(sensor.name)
+    return tuple(Group(tuple(names), sensor_axis, sign) for (_, sensor_axis, sign), names in names_of_group.items())
 
 
 def slow_test(means: Floats) -> tuple[float, float]:

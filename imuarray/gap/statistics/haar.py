@@ -120,9 +120,9 @@ class _Coarse:
 
     def differences(self, sums: Floats) -> Iterator[tuple[int, Floats]]:
         """Differences (k, m) of each octave whose windows end in the next sums (k, n); they begin at every quarter."""
-        own = np.cumsum(sums, axis=1)
-        own += self._running[:, -1:]
-        line = np.concatenate([self._running, own], axis=1)
+        cumulative = np.cumsum(sums, axis=1)
+        cumulative += self._running[:, -1:]
+        line = np.concatenate([self._running, cumulative], axis=1)
         for octave, first in enumerate(self._next):
             stride = 1 << octave
             count = (line.shape[1] - 1 - first) // stride - 7
@@ -132,6 +132,6 @@ class _Coarse:
                 middle = line[:, first + 4 * stride : end + 4 * stride : stride]
                 second = line[:, first + 8 * stride : end + 8 * stride : stride] - middle
                 yield octave, second - (middle - line[:, first:end:stride])
-        done = min(self._next, default=line.shape[1] - 1)
-        self._next = [first - done for first in self._next]
-        self._running = line[:, done:].copy()
+        consumed = min(self._next, default=line.shape[1] - 1)
+        self._next = [first - consumed for first in self._next]
+        self._running = line[:, consumed:].copy()

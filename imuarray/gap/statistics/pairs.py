@@ -74,9 +74,9 @@ def scores_by_others(pairs: Pairs, values: Floats, floor: Floats) -> Floats:
     scores = np.empty((len(values), len(pairs.keys)))
     folds = min(_FOLDS, len(values))
     for fold in range(folds):
-        own = np.arange(len(values)) % folds == fold
-        others = values[~own]
-        scores[own] = scorer_of(pairs, likelihood_of(others, floor), others)(values[own])
+        is_in_fold = np.arange(len(values)) % folds == fold
+        others = values[~is_in_fold]
+        scores[is_in_fold] = scorer_of(pairs, likelihood_of(others, floor), others)(values[is_in_fold])
     return scores
 
 

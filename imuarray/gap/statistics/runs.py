@@ -80,10 +80,10 @@ def runs_of(summaries: Sequence[Summary]) -> Runs:
 def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
     """Mean, its error and profile of one run, in counts."""
     part = summary.segments
-    held, total = part.rows > 0, part.rows.sum()
-    sums = np.where(held[:, None], part.rows[:, None] * part.mean, 0.0)
+    has_rows, total = part.rows > 0, part.rows.sum()
+    sums = np.where(has_rows[:, None], part.rows[:, None] * part.mean, 0.0)
     mean = sums.sum(axis=0) / total
-    error = np.sqrt(part.rows[held] @ part.variance[held]) / total
+    error = np.sqrt(part.rows[has_rows] @ part.variance[has_rows]) / total
     profile = [(sums[a:b].sum(axis=0), part.rows[a:b].sum()) for a, b in _spans(len(part.rows))]
     return mean, error, np.array([whole / rows - mean if rows else np.zeros(3) for whole, rows in profile])
 

@@ -75,12 +75,12 @@ def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
     """The split of a campaign whose logs are of these kinds and have these phases."""
     many = {kind for kind, count in Counter(kinds).items() if count > 1}
     shares = []
-    for number, (kind, own) in enumerate(zip(kinds, phases, strict=True)):
+    for number, (kind, log_phases) in enumerate(zip(kinds, phases, strict=True)):
         if kind in many:
             out = kinds[:number].count(kind) % 2 == 1
-            shares.append(Share(tuple(own), tuple(range(len(own))), (out,) * len(own), False))
+            shares.append(Share(tuple(log_phases), tuple(range(len(log_phases))), (out,) * len(log_phases), False))
         else:
-            shares.append(_halved(own))
+            shares.append(_halved(log_phases))
     return Split(tuple(shares))
 
 

@@ -131,9 +131,9 @@ class Tally:
         self._haar.update(deviations)
         self._intervals.update(time)
         columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
-        for block, own, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
-            repeats.update(own)
-            status.update(block.status, own)
+        for block, replicate_counts, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
+            repeats.update(replicate_counts)
+            status.update(block.status, replicate_counts)
         for at, outliers in enumerate(self._outliers if self._with_outliers else ()):
             outliers.update(time, deviations[3 * at : 3 * at + 3])
 

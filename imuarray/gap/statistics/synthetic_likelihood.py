@@ -51,13 +51,13 @@ class SyntheticLikelihood:
         """
         return np.asarray(np.clip((values - self.location) / self.scale, -LARGEST_SCORE, LARGEST_SCORE))
 
-    def log_density(self, values: Floats, moved: Floats | None = None) -> Floats:
+    def log_density(self, values: Floats, shift: Floats | None = None) -> Floats:
         """Log density (n,) of each statistic, 0 where the recording or the model has no value.
 
-        `moved` (n,) is the shift by the model's own effects, whose form may be wrong. A model under which a recorded
+        `shift` (n,) is the shift by the model's own effects, whose form may be wrong. A model under which a recorded
         statistic never has a value pays for `LARGEST_SCORE`.
         """
-        form = np.zeros_like(values) if moved is None else FORM * np.nan_to_num(np.abs(moved))
+        form = np.zeros_like(values) if shift is None else FORM * np.nan_to_num(np.abs(shift))
         scale = np.hypot(np.where(np.isfinite(self.scale), self.scale, 1.0), form)
         strange = np.isfinite(values) & self.never
         density = _student(values - self.location, scale)
@@ -118,13 +118,13 @@ def independent_share(scores: Floats) -> float:
     summed squared correlations, less the chance level of b replicates.
     """
     known = np.isfinite(scores).all(axis=0)
-    given = np.clip(scores[:, known], -_CLIPPED, _CLIPPED)
-    spread = given.std(axis=0)
-    given = (given - given.mean(axis=0))[:, spread > 0] / spread[spread > 0]
-    count, statistics = given.shape
+    standard_scores = np.clip(scores[:, known], -_CLIPPED, _CLIPPED)
+    spread = standard_scores.std(axis=0)
+    standard_scores = (standard_scores - standard_scores.mean(axis=0))[:, spread > 0] / spread[spread > 0]
+    count, statistics = standard_scores.shape
     if statistics < 2:
         return 1.0
-    gram = given @ given.T / count  # its squares sum to those of all correlations
+    gram = standard_scores @ standard_scores.T / count  # its squares sum to those of all correlations
     squares = float((gram**2).sum())
     chance = statistics * (statistics - 1) / (count - 1)
     return float(min(1.0, statistics / max(squares - chance, statistics)))

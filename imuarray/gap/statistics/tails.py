@@ -62,8 +62,10 @@ class Tails:
         values = np.array(scores)
         for statistic, places in _statistics(keys).items():
             if statistic in self.by_statistic:
-                own = scores[places]
-                values[places] = np.copysign(self.by_statistic[statistic].normal(np.abs(own)), own)
+                statistic_scores = scores[places]
+                values[places] = np.copysign(
+                    self.by_statistic[statistic].normal(np.abs(statistic_scores)), statistic_scores
+                )
         return values
 
 
@@ -83,14 +85,16 @@ def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
     """
     values = np.array(scores)
     for places in _statistics(keys).values():
-        own = scores[:, places]
-        fit = _fit(np.abs(own))
+        statistic_scores = scores[:, places]
+        fit = _fit(np.abs(statistic_scores))
         if fit is None:
             continue
         best = (fit.density.sum(axis=1, keepdims=True) - fit.density).argmax(axis=0)
         for at in np.unique(best).tolist():
             rows = best == at
-            values[np.ix_(rows, places)] = np.copysign(fit.tail(at).normal(np.abs(own[rows])), own[rows])
+            values[np.ix_(rows, places)] = np.copysign(
+                fit.tail(at).normal(np.abs(statistic_scores[rows])), statistic_scores[rows]
+            )
     return values
 
 
@@ -127,4 +131,4 @@ def _statistics(keys: Sequence[Key]) -> dict[tuple[str, str], Indices]:
     places: dict[tuple[str, str], list[int]] = {}
     for at, key in enumerate(keys):
         places.setdefault((key.probe, key.sensor), []).append(at)
-    return {statistic: np.array(own, np.intp) for statistic, own in places.items()}
+    return {statistic: np.array(members, np.intp) for statistic, members in places.items()}

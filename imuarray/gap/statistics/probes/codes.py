@@ -35,7 +35,7 @@ def absent(summary: Summary) -> Floats:
 def at_ends(summary: Summary) -> Floats:
     """arcsine of the share of readings at or beyond an end of the code span."""
     span = code_span(summary.header)
-    return arcsine([_beyond(seen, span) for seen in summary.codes], summary.rows)
+    return arcsine([_beyond(histogram, span) for histogram in summary.codes], summary.rows)
 
 
 def pile(summary: Summary) -> Floats:
@@ -43,31 +43,31 @@ def pile(summary: Summary) -> Floats:
 
     The root of a Poisson count scatters by 1/2 whatever its mean.
     """
-    return np.array([_pile(seen.counts) for seen in summary.codes])
+    return np.array([_pile(histogram.counts) for histogram in summary.codes])
 
 
-def _beyond(seen: Histogram, span: CodeSpan) -> int:
-    if len(seen.codes) == 0 or (span.lowest < seen.codes[0] and seen.codes[-1] < span.highest):
+def _beyond(histogram: Histogram, span: CodeSpan) -> int:
+    if len(histogram.codes) == 0 or (span.lowest < histogram.codes[0] and histogram.codes[-1] < span.highest):
         return 0
-    return int(seen.counts[(seen.codes <= span.lowest) | (seen.codes >= span.highest)].sum())
+    return int(histogram.counts[(histogram.codes <= span.lowest) | (histogram.codes >= span.highest)].sum())
 
 
 def _having(summary: Summary, bit: int) -> list[int]:
-    return [int(seen.counts @ (seen.codes & bit)) // bit for seen in summary.codes]
+    return [int(histogram.counts @ (histogram.codes & bit)) // bit for histogram in summary.codes]
 
 
 @once
 def _middles(summary: Summary) -> list[tuple[int, int]]:
-    return [_absent(seen) for seen in summary.codes]
+    return [_absent(histogram) for histogram in summary.codes]
 
 
-def _absent(seen: Histogram) -> tuple[int, int]:
+def _absent(histogram: Histogram) -> tuple[int, int]:
     """Codes that are missing, and how many there are in all, between the quantiles."""
-    if len(seen.codes) == 0:
+    if len(histogram.codes) == 0:
         return 0, 0
-    upto = seen.counts.cumsum()
+    upto = histogram.counts.cumsum()
     low, high = upto.searchsorted(_MIDDLE * upto[-1])
-    span = int(seen.codes[high] - seen.codes[low]) + 1
+    span = int(histogram.codes[high] - histogram.codes[low]) + 1
     return span - int(high - low) - 1, span
 
 

@@ -72,13 +72,13 @@ def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
 def level_apart(log: LogSummary, sensor: str) -> Floats:
     """Mean reading of the log less the mean of that of the other sensors of this chip, each along its own axes."""
     levels = _levels(log)
-    header, own = levels[sensor]
+    header, sensor_level = levels[sensor]
     others = [
-        theirs
-        for name, (other, theirs) in levels.items()
+        other_level
+        for name, (other, other_level) in levels.items()
         if name != sensor and (other.chip, other.quantity) == (header.chip, header.quantity)
     ]
-    return own - np.mean(others, axis=0) if others else NOTHING
+    return sensor_level - np.mean(others, axis=0) if others else NOTHING
 
 
 @once

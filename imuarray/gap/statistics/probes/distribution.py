@@ -62,11 +62,11 @@ def _share(moment: Floats, of: Floats) -> Floats:
 def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
     """(3,) second, third and fourth moment about the segments' means."""
     part = summary.segments
-    held = (part.rows > 0).nonzero()[0]
-    if len(held) == 0:
+    places = (part.rows > 0).nonzero()[0]
+    if len(places) == 0:
         return NOTHING, NOTHING, NOTHING
-    share = part.rows[held] / part.rows.sum()
-    second, third, fourth = (share @ power.take(held, axis=0) for power in (part.variance, part.third, part.fourth))
+    share = part.rows[places] / part.rows.sum()
+    second, third, fourth = (share @ power.take(places, axis=0) for power in (part.variance, part.third, part.fourth))
     return second, third, fourth
 
 

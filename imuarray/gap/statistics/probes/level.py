@@ -25,8 +25,8 @@ _LEAST, _MANY = 4, 16
 def mean(summary: Summary) -> Floats:
     """Mean reading by the nominal sensitivity."""
     part = summary.segments
-    held = (part.rows > 0).nonzero()[0]
-    total = part.rows[held] @ part.mean.take(held, axis=0)
+    places = (part.rows > 0).nonzero()[0]
+    total = part.rows[places] @ part.mean.take(places, axis=0)
     return np.asarray(total / (summary.rows * summary.header.sensitivity)) if summary.rows else NOTHING
 
 
@@ -38,8 +38,8 @@ def least_level(summary: Summary) -> float:
     if not summary.rows:
         return LEAST_LEVEL
     part = summary.segments
-    held = part.rows > 1
-    variance = part.rows[held] @ part.steady_variance[held] / summary.rows if held.any() else np.zeros(1)
+    has_rows = part.rows > 1
+    variance = part.rows[has_rows] @ part.steady_variance[has_rows] / summary.rows if has_rows.any() else np.zeros(1)
     return max(LEAST_LEVEL, _ERROR_SHARE * math.sqrt(variance.min() / summary.rows) / summary.header.sensitivity)
 
 
@@ -54,12 +54,12 @@ def halves(summary: Summary) -> Floats:
 def wander(summary: Summary) -> Floats:
     """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
     part = summary.segments
-    held = (part.rows > 1).nonzero()[0]
-    if len(held) < _LEAST:
+    places = (part.rows > 1).nonzero()[0]
+    if len(places) < _LEAST:
         return NOTHING
-    expected = 1 / (part.rows[held] - 1) @ part.steady_variance.take(held, axis=0) / len(held)
+    expected = 1 / (part.rows[places] - 1) @ part.steady_variance.take(places, axis=0) / len(places)
     residual = _about_line(summary)
-    return np.asarray(log((residual * residual).sum(axis=0) / (len(held) - 2)) - log(expected))
+    return np.asarray(log((residual * residual).sum(axis=0) / (len(places) - 2)) - log(expected))
 
 
 def uneven(summary: Summary) -> Floats:
@@ -75,9 +75,9 @@ def uneven(summary: Summary) -> Floats:
 def _about_line(summary: Summary) -> Floats:
     """(s, 3) means of segments that hold readings, less a straight line through them."""
     part = summary.segments
-    held = (part.rows > 1).nonzero()[0]
-    times, means = part.time_s[held], part.mean.take(held, axis=0)
-    times, means = times - times.sum() / len(held), means - means.sum(axis=0) / len(held)
+    places = (part.rows > 1).nonzero()[0]
+    times, means = part.time_s[places], part.mean.take(places, axis=0)
+    times, means = times - times.sum() / len(places), means - means.sum(axis=0) / len(places)
     return np.asarray(means - times[:, None] * (times @ means / (times @ times)))
 
 

@@ -75,8 +75,8 @@ def quadrature(cross: Cross, sensor: str) -> Floats:
     joint = _joint_moments(cross, sensor)
     if joint is None:
         return NOTHING
-    own, reference = AXES, AXES + 3
-    lacks = joint.turning[reference, reference] - joint.turning[own, reference]
+    axes, reference = AXES, AXES + 3
+    lacks = joint.turning[reference, reference] - joint.turning[axes, reference]
     square = joint.changes[reference, reference]
     return np.asarray(np.divide(lacks, square, out=NOTHING.copy(), where=square > 0) * cross.window_s)
 
@@ -141,14 +141,15 @@ def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
     nearest = np.abs(np.array(header.orientation)).argmax(axis=0)
     weights = np.concatenate([every[cross.columns(sensor)], reference, every[np.array(columns)[nearest]]])
     moments = weights @ cross.fast @ weights.T
-    given = moments[_REFERENCE, _REFERENCE]
+    reference_moments = moments[_REFERENCE, _REFERENCE]
     remaining = (
-        moments - moments[:, _REFERENCE] @ np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ moments[_REFERENCE]
+        moments
+        - moments[:, _REFERENCE] @ np.linalg.pinv(reference_moments, rcond=1e-9, hermitian=True) @ moments[_REFERENCE]
     )
     sizes = np.diag(remaining)[AXES] * np.diag(remaining)[_BENDING]
-    own, motion = remaining[AXES, _BENDING], np.diag(given)
+    products, motion = remaining[AXES, _BENDING], np.diag(reference_moments)
     shows = (sizes > 0) & (motion > _MOVES * motion.mean())
-    return fisher_z(np.divide(own, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=shows))
+    return fisher_z(np.divide(products, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=shows))
 
 
 class _JointMoments(NamedTuple):
@@ -176,8 +177,8 @@ def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
     if reference is None or not cross.windows:
         return None
     header = cross.header(sensor)
-    own = np.zeros((3, cross.fast.shape[0]))
-    own[:, cross.columns(sensor)] = np.eye(3)
+    sensor_rows = np.zeros((3, cross.fast.shape[0]))
+    sensor_rows[:, cross.columns(sensor)] = np.eye(3)
     turn = np.array(header.orientation).T
     more = [reference]
     if header.quantity == "specific_force":
@@ -185,7 +186,7 @@ def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
     else:
         feel = [item.name for item in cross.sensors if item.quantity == "specific_force"]
         more += [turn @ cross.mean_box(feel)] if feel else []
-    weights = np.concatenate([own, *more])
+    weights = np.concatenate([sensor_rows, *more])
     joint = _JointMoments(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
     if not cross.others(sensor, family=False):  # the mean of other sensors has a noise of its own
         joint.moments[AXES + 3, AXES + 3] += _STILL * np.diag(joint.moments)[AXES + 3].mean()

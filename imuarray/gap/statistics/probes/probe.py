@@ -119,8 +119,8 @@ def log(values: float | npt.ArrayLike) -> Floats:
     """Natural logarithm, nan of what is not positive."""
     if isinstance(values, float):
         return np.array(math.log(values) if values > 0 else math.nan)
-    given = np.asarray(values, float)
-    return np.asarray(np.log(np.where(given > 0, given, np.nan)))
+    numbers = np.asarray(values, float)
+    return np.asarray(np.log(np.where(numbers > 0, numbers, np.nan)))
 
 
 def fisher_z(correlation: npt.ArrayLike) -> Floats:

@@ -43,13 +43,13 @@ def uneven(summary: Summary) -> Floats:
     smaller than that of rounding.
     """
     part = summary.segments
-    held = (part.rows >= _LEAST).nonzero()[0]
-    if len(held) < _LEAST:
+    places = (part.rows >= _LEAST).nonzero()[0]
+    if len(places) < _LEAST:
         return NOTHING
-    values = log(part.steady_variance.take(held, axis=0).clip(_ROUNDED))
-    values = values - values.sum(axis=0) / len(held)
-    expected = (2 / (part.rows[held] - 1.0)).sum() / len(held)
-    return log((values * values).sum(axis=0) / (len(held) - 1) / expected)
+    values = log(part.steady_variance.take(places, axis=0).clip(_ROUNDED))
+    values = values - values.sum(axis=0) / len(places)
+    expected = (2 / (part.rows[places] - 1.0)).sum() / len(places)
+    return log((values * values).sum(axis=0) / (len(places) - 1) / expected)
 
 
 def with_force(phases: Sequence[Summary]) -> Floats:
@@ -73,10 +73,10 @@ def _pooled(summary: Summary) -> Floats:
 
 def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
     """(3,) over the segments, weighted with their rows."""
-    held = (rows > 1).nonzero()[0]
-    taken = rows[held]
-    freedom = int(taken.sum()) - len(taken)
-    return np.asarray(taken @ variance.take(held, axis=0) / freedom) if freedom else NOTHING
+    places = (rows > 1).nonzero()[0]
+    rows_of_places = rows[places]
+    freedom = int(rows_of_places.sum()) - len(rows_of_places)
+    return np.asarray(rows_of_places @ variance.take(places, axis=0) / freedom) if freedom else NOTHING
 
 
 _SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")

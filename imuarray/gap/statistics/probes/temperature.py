@@ -41,12 +41,12 @@ def noise_slope(phases: Sequence[Summary]) -> Floats:
     part = _SegmentColumns(phases)
     if not part.is_warmed:
         return NOTHING
-    held = part.rows > 3
-    held &= (part.variance > 0).all(axis=1)
-    if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+    is_usable = part.rows > 3
+    is_usable &= (part.variance > 0).all(axis=1)
+    if np.count_nonzero(is_usable) < 4 or np.ptp(part.degc[is_usable]) < _LEAST_DEGC:
         return NOTHING
-    warm = part.degc[held] - part.degc[held].mean()
-    return np.asarray(warm @ np.log(part.variance[held]) / (warm @ warm))
+    warm = part.degc[is_usable] - part.degc[is_usable].mean()
+    return np.asarray(warm @ np.log(part.variance[is_usable]) / (warm @ warm))
 
 
 class _SegmentColumns:
@@ -90,14 +90,14 @@ def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
     part = _SegmentColumns(phases)
     if not part.is_warmed:
         return None
-    held = (part.rows > 1) & np.isfinite(part.degc)
-    if np.count_nonzero(held) < 8 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+    is_usable = (part.rows > 1) & np.isfinite(part.degc)
+    if np.count_nonzero(is_usable) < 8 or np.ptp(part.degc[is_usable]) < _LEAST_DEGC:
         return None
-    degc = part.degc[held] - part.degc[held].mean()
-    design = np.stack([np.ones_like(degc), degc, degc**2, part.warming[held]], axis=1)
+    degc = part.degc[is_usable] - part.degc[is_usable].mean()
+    design = np.stack([np.ones_like(degc), degc, degc**2, part.warming[is_usable]], axis=1)
     scale = phases[0].header.sensitivity
-    expected = (part.variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
-    return design, part.mean[held] / scale, expected / scale**2
+    expected = (part.variance[is_usable] / (part.rows[is_usable, None] - 1)).mean(axis=0)
+    return design, part.mean[is_usable] / scale, expected / scale**2
 
 
 def _fit(number: int) -> Callable[[Sequence[Summary]], Floats]:
