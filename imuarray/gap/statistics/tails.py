@@ -20,9 +20,11 @@ from scipy.special import gammaln, ndtri, stdtr, stdtrit
 from imuarray.arrays import Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 
-FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
-"""Degrees of freedom of tails: from those of a Cauchy distribution to those of normal statistics whose scatter is
-estimated from 40 replicates.
+FREEDOMS = (4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
+"""Degrees of freedom of tails, up to those of normal statistics whose scatter is estimated from 40 replicates.
+
+A hundred scores determine no tail beyond the largest of them. With fewer than 4 degrees of freedom no score, however
+large, would be beyond chance: a hundred standard deviations of a Cauchy distribution are 2.5 of a normal one.
 """
 
 QUANTILE = 0.9
