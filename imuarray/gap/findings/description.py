@@ -94,8 +94,8 @@ def remainder_of(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
     """The remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
-    sizes = np.nan_to_num(np.abs(after.normal))
-    places = tuple(int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit)
+    normal, scores = (np.nan_to_num(np.abs(values)) for values in (after.normal, after.scores))
+    places = tuple(int(at) for at in np.argsort(-scores) if normal[at] > after.limit)
     single = tuple(report.where(at, after, after.p) for at in places)
     one_sided = _one_sided(comparison, after, repaired, causes) if causes else ()
     worst = _worst_places(comparison, after, one_sided, places)
