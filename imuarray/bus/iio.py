@@ -55,7 +55,7 @@ class IioDevice:
 
     @property
     def folder(self) -> Path:
-        """Its folder in sysfs; SensorError if no device is called so, or several are, naming those that there are."""
+        """Its folder in sysfs; SensorError, which names the devices that exist, if none or several have the name."""
         if self._folder is None or not self._folder.is_dir():
             self._folder = self._find()
         return self._folder
@@ -98,11 +98,11 @@ class IioDevice:
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """Ask whether the device is there: OSError with ENODEV if not, with ENXIO for any register."""
         try:
-            found = self.folder
+            folder = self.folder
         except SensorError as error:
             raise OSError(errno.ENODEV, f"{self} was removed") from error
         if write or read:
-            raise OSError(errno.ENXIO, "the kernel's driver owns the registers", str(found))
+            raise OSError(errno.ENXIO, "the kernel's driver owns the registers", str(folder))
         return b""
 
     # Attributes ---------------------------------------------------------------------------------------------------
@@ -190,7 +190,7 @@ class IioDevice:
         for name in sorted(wanted):
             self.keep(f"{where}/{name}_en", "1")
         self.write(self._buffer("length"), str(length))
-        with contextlib.suppress(OSError):  # read-only, or missing, where the chip has a queue of its own way
+        with contextlib.suppress(OSError):  # read-only or missing where the driver sets it by itself
             self.write(self._buffer("watermark"), str(watermark))
         self.write(self._buffer("enable"), "1")
         enabled = [element for name, element in elements.items() if self.read(f"{where}/{name}_en") == "1"]

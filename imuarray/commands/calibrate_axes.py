@@ -13,14 +13,17 @@ if TYPE_CHECKING:
 
 
 def report_of(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[str, Any]:
-    """Every sensor's axes before and now, JSON-ready; an empty text where they could not be determined."""
-    return {"sensors": [{**asdict(each), "before": before[each.sensor]} for each in pointings]}
+    """Every sensor's axes before and now, JSON-ready; an empty text where they could not be determined.
+
+    `left` is the former name of `residual`, for programs that read it.
+    """
+    return {"sensors": [{**asdict(each), "left": each.residual, "before": before[each.sensor]} for each in pointings]}
 
 
 def print_report(report: dict[str, Any]) -> None:
     """The same as a table."""
-    click.echo(f"{'sensor':12} {'axes':8} {'left':>6} {'next best':>9}")
+    click.echo(f"{'sensor':12} {'axes':8} {'residual':>8} {'next best':>9}")
     for row in report["sensors"]:
         note = row["reason"] and f"  not determined: {row['reason']}; {row['before']} kept"
-        fit = f"{row['left'] or 0:6.2f} {row['next_best'] or 0:9.2f}" if row["axes"] else ""
+        fit = f"{row['residual'] or 0:8.2f} {row['next_best'] or 0:9.2f}" if row["axes"] else ""
         click.echo(f"{row['sensor']:12} {row['axes'] or '?':8} {fit}{note}".rstrip())

@@ -12,6 +12,7 @@ defaults is only noticed if its samples stop. Facts LNX-60 to -68.
 
 from __future__ import annotations
 
+import errno
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -562,8 +563,8 @@ def _advice(error: OSError) -> str:
     """Return a sentence on what failed at which file, and what can be done about it."""
     where = error.filename or "the device"
     advice = {
-        13: "; let your group write to it by a udev rule, or be root",
-        16: "; another program captures from it: end that program",
+        errno.EACCES: "; let your group write to it by a udev rule, or be root",
+        errno.EBUSY: "; another program captures from it: end that program",
     }.get(error.errno or 0, "")
     return f"{where}: {error.strerror or error}{advice}"
 

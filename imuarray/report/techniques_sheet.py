@@ -45,8 +45,9 @@ def techniques_section(
     title = f"{log.path.name}: what each technique gains"
     try:
         known = with_noise_of(log, calibration, progress=lambda what, done, of: progress(_NOISE * done / of))
-        compared: Callable[[float], None] = lambda share: progress(_NOISE + (1 - _NOISE) * share)  # noqa: E731
-        comparison = compare(log, known, progress=compared, executor=executor)
+        comparison = compare(
+            log, known, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
+        )
     except ImuArrayError as error:
         return TechniqueGains(Section(title, f"Nothing can be said of it: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]

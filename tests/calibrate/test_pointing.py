@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate.configuration_axes import with_axes
 from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, held_poses
+from imuarray.commands.calibrate_axes import print_report, report_of
 from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -182,3 +183,17 @@ def test_a_configuration_that_is_none_is_told_in_a_line(text: str, said: str) ->
 def test_names_that_are_none_are_nobodys() -> None:
     text = '[[sensor]]\nname = ["A"]\n[[sensor]]\nname = {A = 1}\n[[sensor]]\n'
     assert with_axes(text, FOUND, "run.h5") == text
+
+
+def test_the_report_names_the_residual_of_each_sensor(capsys: pytest.CaptureFixture[str]) -> None:
+    """Programs that read the former key `left` still find it."""
+    pointings = [Pointing("A1", "bma180", "+Y-X+Z", 0.02, 1.41), Pointing("G1", "l3g4200d", "", 0.6, 0.7, "no turn")]
+    report = report_of(pointings, {"A1": "+X+Y+Z", "G1": "+X+Y+Z"})
+    assert report["sensors"][0]["residual"] == report["sensors"][0]["left"] == 0.02
+    print_report(report)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split() for line in lines[:2]] == [
+        ["sensor", "axes", "residual", "next", "best"],
+        ["A1", "+Y-X+Z", "0.02", "1.41"],
+    ]
+    assert lines[2].split(maxsplit=2) == ["G1", "?", "not determined: no turn; +X+Y+Z kept"]
