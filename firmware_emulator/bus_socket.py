@@ -15,23 +15,13 @@ import struct
 from contextlib import suppress
 from typing import Protocol
 
-from firmware_emulator.microcontroller_bus import FIRST_SELECT, result_of
+from firmware_emulator.microcontroller_bus import FIRST_SELECT, Transfers, result_of
 
 _QUESTION = struct.Struct("<cBHH")
 _CLOCK = struct.Struct("<I")
 
 
-class ServedBus(Protocol):
-    """Buses as `microcontroller_bus.MicrocontrollerBus` has them."""
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One transaction."""
-
-    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
-        """Set mode and clock of a chip select."""
-
-
-def serve_bus(bus: ServedBus, connection: socket.socket) -> None:
+def serve_bus(bus: Transfers, connection: socket.socket) -> None:
     """Answer the questions of one program until it closes `connection` or ends; TypeError for a question of another
     kind.
     """
@@ -46,7 +36,7 @@ class _Read(Protocol):
 
 
 # The four fields of a question stand beside each other on the socket.
-def _answer(bus: ServedBus, kind: bytes, address: int, first: int, second: int, read: _Read) -> bytes:
+def _answer(bus: Transfers, kind: bytes, address: int, first: int, second: int, read: _Read) -> bytes:
     try:
         if kind == b"C":
             bus.set_select(address, first, *_CLOCK.unpack(read(_CLOCK.size)))

@@ -6,11 +6,26 @@ import errno
 from typing import Any, Protocol
 
 FIRST_SELECT = 0x80
+"""Address of chip select 0."""
 SELECTS = 8
+DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
+"""Results of a transaction: done, no acknowledge, bus held, refused."""
 SPI_PATH = "/dev/spidev0."
 """A sensor that an array has on chip select N of controller 0 is on chip select N of the microcontroller."""
 SLOWEST_HZ = 1_000_000
 """Clock of a chip select that nobody has set."""
+
+
+class Transfers(Protocol):
+    """The buses of a microcontroller, as `MicrocontrollerBus` has them."""
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """One transaction; OSError as the emulated wire gives it."""
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        """Set mode and clock of a chip select; ValueError for what no controller can do. Without SPI it is not
+        called.
+        """
 
 
 class SelectPort(Protocol):
@@ -68,7 +83,7 @@ class MicrocontrollerBus:
 
 
 def result_of(error: OSError | ValueError) -> int:
-    """Return the code by which firmware reports a failed transaction: 1 no acknowledge, 2 bus held, 3 refused."""
+    """Return the code by which firmware reports a failed transaction."""
     if isinstance(error, OSError):
-        return 2 if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else 1
-    return 3
+        return HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NOBODY
+    return REFUSED

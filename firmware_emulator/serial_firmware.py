@@ -6,35 +6,28 @@ says. Commands are looked at between two frames. What it can't do with a command
 
 from __future__ import annotations
 
-import errno
 import struct
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from firmware_emulator.clock import Clock
+from firmware_emulator.microcontroller_bus import (
+    DONE,
+    FIRST_SELECT,
+    HELD,
+    NOBODY,
+    REFUSED,
+    Transfers,
+    result_of,
+)
 from firmware_emulator.serial_link import LONGEST, VERSION, Command, Receiver, frame
 
-DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
 FAILED_AGES = {NOBODY: 0xFFFF, HELD: 0xFFFE}
 LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
-FIRST_SELECT = 0x80
-"""Address of chip select 0."""
 LISTS = 128
 REQUEST_BYTES = 1536
 """What fits into 2.5 KiB of memory beside everything else; the paper's microcontroller has no more."""
-
-
-class Transfers(Protocol):
-    """The buses of the microcontroller, as `firmware_emulator.microcontroller_bus` has them."""
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One transaction; OSError as the emulated wire gives it."""
-
-    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
-        """Set mode and clock of a chip select; ValueError for what no controller can do. Without SPI it is not
-        called.
-        """
 
 
 class Request(NamedTuple):
@@ -127,10 +120,8 @@ class Firmware:
     def _transaction(self, address: int, write: bytes, read: int) -> tuple[int, bytes]:
         try:
             return DONE, self.bus.transfer(address, write, read)
-        except OSError as error:
-            return (HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NOBODY), bytes(read)
-        except ValueError:
-            return REFUSED, bytes(read)
+        except (OSError, ValueError) as error:
+            return result_of(error), bytes(read)
 
     def _answer(self, command: Command) -> bytes:
         if command.raw == self._last[0] and command.kind != 1:
