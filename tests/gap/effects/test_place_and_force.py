@@ -71,6 +71,19 @@ def test_a_curve_in_motion(sensor: str, put_in: Nonlinearity) -> None:
     assert np.mean(first.quadratic) == pytest.approx(np.mean(put_in.quadratic), rel=0.5)
 
 
+@pytest.mark.parametrize("sensor", ["G1", "G2"])
+def test_a_gyroscope_whose_response_bends_symmetrically(sensor: str) -> None:
+    """A cubic response on y alone: 1 dps at 80 dps. G2 lies the other way round. The windows average the motion, whose
+    cubes they take: the value, which is refined later, is right within a factor of two.
+    """
+    evidence = evidence_of("motion", sensor, {sensor: (Nonlinearity(cubic=(0.0, 2e-6, 0.0)),)}, seed=7)
+    effects = [trial.effects[0] for trial in NONLINEARITY.guesses(evidence) if trial.free == ("cubic",)]
+    assert isinstance(effects[0], Nonlinearity)
+    x, y, z = effects[0].cubic
+    assert (x, z) == (0.0, 0.0)
+    assert 1e-6 < y < 4e-6
+
+
 @pytest.mark.parametrize(("kind", "sensor"), [("static", "G1"), ("tumble", "A1"), ("motion", "G1")])
 def test_readings_of_another(kind: str, sensor: str) -> None:
     other = sensor[0] + "2"

@@ -43,8 +43,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         x, y, z = quadratic.tolist()
         yield Hypothesis((Nonlinearity(quadratic=(x, y, z)),), ("quadratic",))
     if evidence.header.quantity == "angular_rate" and evidence.is_odd(_CUBE, beyond=_BEYOND):
-        x, y, z = _cubic(evidence).tolist()
-        yield Hypothesis((Nonlinearity(cubic=(x, y, z)),), ("cubic",))
+        yield from _of_cubic(_cubic(evidence))
     if evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
         yield from _from_motion(evidence)
 
@@ -97,6 +96,11 @@ def _from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
     most = _LARGEST / evidence.header.range**2
     cubic = np.sign(gain) * np.minimum(np.minimum(size, np.abs(gain) / (1.5 * square + 1e-30)), most)
     cubic = np.where(np.abs(cubic) * square > _SMALL, cubic, 0.0)
+    yield from _of_cubic(cubic)
+
+
+def _of_cubic(cubic: Floats) -> Iterator[Hypothesis]:
+    """The hypothesis of cubic terms (3,), if there are any."""
     if cubic.any():
         x, y, z = cubic.tolist()
         yield Hypothesis((Nonlinearity(cubic=(x, y, z)),), ("cubic",))
