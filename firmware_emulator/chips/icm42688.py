@@ -1,7 +1,7 @@
 """ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -64.
 
 After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
-when it is switched on. Not modelled: packets of high resolution, the queue's watermark, interrupts, low-power modes,
+when it is switched on. Not modelled: packets of high resolution, interrupts, low-power modes,
 notch filter, the filters' delay.
 """
 
@@ -107,6 +107,18 @@ class Icm42688(SixAxis):
                 return
             self._packets.popleft()
         self._packets.append(packet)
+        control = self.page[facts.INTF_CONFIG0.address]
+        size = 1 if facts.FIFO_COUNT_RECORDS.of(control) else self._packet_size
+        filled, watermark = len(self._packets) * size, self._watermark
+        is_reached = filled >= watermark > (0 if facts.FIFO_WATERMARK_EACH.of(self._packet_control) else filled - size)
+        if watermark and is_reached:
+            self._flags |= facts.FIFO_THRESHOLD.mask
+
+    @property
+    def _watermark(self) -> int:
+        """In bytes or packets, as the count is; 0 is none (TDK-87)."""
+        high = facts.FIFO_WATERMARK_HIGH.of(self.page[facts.FIFO_CONFIG3.address])
+        return high << 8 | self.page[facts.FIFO_CONFIG2.address]
 
     def _clear_queue(self) -> None:
         self._packets: deque[bytes] = deque()

@@ -1,7 +1,8 @@
-"""LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -73.
+"""LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -74.
 
-After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set. Not
-modelled: the queue's compression, watermark and time stamps, interrupts, embedded functions, low-power modes, the
+After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set, at a
+sample of the other half if that is on: both rates are divided from one clock. Not
+modelled: the queue's compression and watermark, interrupts, embedded functions, low-power modes, the
 gyroscope's optional filters, settling.
 """
 
@@ -37,8 +38,14 @@ PUSH_G, PUSH_DPS = 0.4, 300.0
 FIFO_WORDS = 512  # LSM-40
 TAGS = {GYROSCOPE: 0x01, ACCELEROMETER: 0x02}  # LSM-41
 TEMPERATURE_TAG = 0x03
+TIMESTAMP_TAG = 0x04
+TIMESTAMP_NS = 25_000  # LSM-46
+TIMESTAMP_RESET = 0xAA  # LSM-46
+FREQ_FINE_STEP = 0.0015  # LSM-47
+SLOTS_PER_TIMESTAMP = (0, 1, 8, 32)  # LSM-48
 TEMPERATURE_RATES_HZ = (0.0, 1.6, 12.5, 52.0)  # LSM-42
 CONTINUOUS = 0b110  # LSM-43
+_TIMESTAMP = range(facts.TIMESTAMP0.address, facts.TIMESTAMP3.address + 1)
 FIFO_OUT = range(facts.FIFO_DATA_OUT_TAG.address, facts.FIFO_DATA_OUT_Z_H.address + 1)
 
 _DATA = range(facts.OUT_TEMP_L.address, facts.OUTZ_H_A.address + 1)
@@ -58,6 +65,8 @@ class Lsm6dso(SixAxis):
     """The registers and the queue of 512 words."""
 
     _temperature_due_ns: int
+    _slot_ns: int
+    _slots: int
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
@@ -72,6 +81,9 @@ class Lsm6dso(SixAxis):
             GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, Grid()),
         }
         self._held: dict[int, int] = {}
+        self._timestamp_from_ns = at_ns
+        trim = max(-128, min(127, round((self._oscillator - 1) / FREQ_FINE_STEP)))
+        self.page[facts.INTERNAL_FREQ_FINE.address] = trim & 0xFF
         self._clear_queue(at_ns)
 
     # Sampling -------------------------------------------------------------------------------------------------------
@@ -81,6 +93,7 @@ class Lsm6dso(SixAxis):
         if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]):
             for sampled_ns, name in self._due(at_ns):
                 self._sample(sampled_ns)
+                self._enqueue_timestamp(sampled_ns)
                 self._enqueue_temperature(sampled_ns)
                 first = self._halves[name].first.address
                 self._enqueue(TAGS[name], bytes(self.page[first : first + 6]))
@@ -97,6 +110,21 @@ class Lsm6dso(SixAxis):
                 numbers = range(max(grid.index + 1, latest - 2 * FIFO_WORDS), latest + 1)
                 due += [(grid.time_ns(number), name) for number in numbers]
         return sorted(due, key=lambda sample: sample[0])
+
+    def _timestamp(self, at_ns: int) -> int:
+        """Ticks of the die's oscillator since the count was last reset, 0 while it is off (LSM-46)."""
+        if not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]):
+            return 0
+        return int((at_ns - self._timestamp_from_ns) * self._oscillator / TIMESTAMP_NS) & 0xFFFFFFFF
+
+    def _enqueue_timestamp(self, at_ns: int) -> None:
+        """A time before the samples of an instant, of every one, eighth or 32nd instant (LSM-48, DEC-74)."""
+        every = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
+        if not every or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
+            return
+        if self._slots % every == 0:
+            self._enqueue(TIMESTAMP_TAG, self._timestamp(at_ns).to_bytes(4, "little") + bytes(2))
+        self._slot_ns, self._slots = at_ns, self._slots + 1
 
     def _enqueue_temperature(self, at_ns: int) -> None:
         rate_hz = TEMPERATURE_RATES_HZ[facts.TEMPERATURE_BATCH_RATE.of(self.page[facts.FIFO_CTRL4.address])]
@@ -119,6 +147,7 @@ class Lsm6dso(SixAxis):
         self._word = bytes(len(FIFO_OUT))
         self._lost = self._lost_latched = False
         self._temperature_due_ns = at_ns
+        self._slot_ns, self._slots = -1, 0
 
     def _status(self) -> int:
         """The second byte of the queue's status: overrun, full, level above 255; the latched flag is cleared
@@ -187,6 +216,8 @@ class Lsm6dso(SixAxis):
             return self._status()
         if address in FIFO_OUT:
             return self._out(address)
+        if address in _TIMESTAMP:
+            return self._timestamp(at_ns) >> 8 * (address - _TIMESTAMP.start) & 0xFF
         if address not in _DATA:
             return self.page[address]
         if address & 1:
@@ -220,7 +251,13 @@ class Lsm6dso(SixAxis):
             return
         if self.begin_reset(address, value, at_ns):
             return
+        if address == facts.TIMESTAMP2.address:
+            if value == TIMESTAMP_RESET:
+                self._timestamp_from_ns = at_ns
+            return
         super().store(address, value, at_ns)
+        if address == facts.CTRL10_C.address and not facts.TIMESTAMP_ON.of(self.page[address]):
+            self._timestamp_from_ns = at_ns
         if address == facts.FIFO_CTRL4.address and not facts.FIFO_MODE.of(self.page[address]):
             self._clear_queue(at_ns)
         if address == facts.CTRL3_C.address:
@@ -234,7 +271,9 @@ class Lsm6dso(SixAxis):
         code = half.rate.of(self.page[half.rate.register.address])
         asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
         on = 1 <= code <= len(RATES_HZ) and not asleep
-        half.grid.set(at_ns, self.own_period_ns(1e9 / RATES_HZ[code - 1]) if on else 0)
+        running = [other.grid for other in self._halves.values() if other is not half]
+        shared = [grid.time_ns(grid.latest(at_ns)) for grid in running if grid.start_ns <= at_ns]
+        half.grid.set(max(shared, default=at_ns), self.own_period_ns(1e9 / RATES_HZ[code - 1]) if on else 0)
 
 
 def accelerometer_tolerances(range_g: float) -> Tolerances:

@@ -1,8 +1,7 @@
 """ICM-42688-P six-axis sensor: TDK InvenSense DS-000347 v1.7.
 
 Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-86. Registers of interrupts, of motion detection and of the notch filter
-are left out; on the queue's watermark nothing depends without interrupts. Bits that the data
-sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
+are left out. Bits that the data sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
 """
 
 from imuarray.facts.registers import Register
@@ -41,6 +40,7 @@ ACCEL_CONFIG1 = Register(0x53, reset=0x0D, reserved=0xE0)
 TMST_CONFIG = Register(0x54, reset=0x23, reserved=0xC0)
 FIFO_CONFIG1 = Register(0x5F, reserved=0x80)
 FIFO_CONFIG2 = Register(0x60)
+FIFO_CONFIG3 = Register(0x61, reserved=0xF0)
 SELF_TEST_CONFIG = Register(0x70, reserved=0x80)
 WHO_AM_I = Register(0x75, "r", reset=0x47)
 REG_BANK_SEL = Register(0x76, reserved=0xF8)
@@ -115,6 +115,7 @@ FIFO_TIMESTAMP = FIFO_CONFIG1[3]
 FIFO_TEMPERATURE = FIFO_CONFIG1[2]
 FIFO_GYRO = FIFO_CONFIG1[1]
 FIFO_ACCEL = FIFO_CONFIG1[0]
+FIFO_WATERMARK_HIGH = FIFO_CONFIG3[3:0]
 ACCEL_SELF_TEST_POWER = SELF_TEST_CONFIG[6]
 ACCEL_SELF_TEST = SELF_TEST_CONFIG[5:3]
 GYRO_SELF_TEST = SELF_TEST_CONFIG[2:0]

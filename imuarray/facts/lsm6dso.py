@@ -1,6 +1,6 @@
 """LSM6DSO six-axis sensor: STMicroelectronics DS12140 Rev 2.
 
-Facts LSM-01 ... LSM-45. Registers of interrupts and of the embedded functions are left out; on the queue's watermark
+Facts LSM-01 ... LSM-48. Registers of interrupts and of the embedded functions are left out; on the queue's watermark
 nothing depends without interrupts.
 """
 
@@ -21,6 +21,7 @@ CTRL5_C = Register(0x14, reserved=0x10)
 CTRL6_C = Register(0x15)
 CTRL7_G = Register(0x16, reserved=0x08)
 CTRL8_XL = Register(0x17)
+CTRL10_C = Register(0x19, reserved=0xDF)
 STATUS_REG = Register(0x1E, "r", reserved=0xF8)
 OUT_TEMP_L = Register(0x20, "r")
 OUT_TEMP_H = Register(0x21, "r")
@@ -38,6 +39,11 @@ OUTZ_L_A = Register(0x2C, "r")
 OUTZ_H_A = Register(0x2D, "r")
 FIFO_STATUS1 = Register(0x3A, "r")
 FIFO_STATUS2 = Register(0x3B, "r", reserved=0x04)
+TIMESTAMP0 = Register(0x40, "r")
+TIMESTAMP1 = Register(0x41, "r")
+TIMESTAMP2 = Register(0x42)
+TIMESTAMP3 = Register(0x43, "r")
+INTERNAL_FREQ_FINE = Register(0x63, "r")
 FIFO_DATA_OUT_TAG = Register(0x78, "r")
 FIFO_DATA_OUT_X_L = Register(0x79, "r")
 FIFO_DATA_OUT_X_H = Register(0x7A, "r")
@@ -90,6 +96,7 @@ ACCEL_FAST_SETTLING = CTRL8_XL[3]
 ACCEL_HIGH_PASS_ON = CTRL8_XL[2]
 ACCEL_RANGE_MODE = CTRL8_XL[1]
 LOW_PASS_ON_6D = CTRL8_XL[0]
+TIMESTAMP_ON = CTRL10_C[5]
 FIFO_WATERMARK = FIFO_STATUS2[7]
 FIFO_OVERRUN = FIFO_STATUS2[6]
 FIFO_FULL = FIFO_STATUS2[5]

@@ -1,6 +1,6 @@
 """MPU-6050 six-axis sensor: InvenSense register map RM-MPU-6000A rev. 4.2 (19 Aug 2013).
 
-Facts INV-01, INV-10 ... INV-27. Registers of the auxiliary bus and of motion detection are left out, but for the data
+Facts INV-01, INV-10 ... INV-29. Registers of the auxiliary bus and of motion detection are left out, but for the data
 byte of its first slave, on which nothing depends while that bus is off.
 """
 
@@ -8,6 +8,7 @@ from imuarray.facts.registers import Register
 
 ADDRESSES = (0x68, 0x69)  # AD0 low, high: INV-01
 
+XG_OFFS_TC = Register(0x00, reset=0x01)  # not in the register map: INV-29
 SELF_TEST_X = Register(0x0D)
 SELF_TEST_Y = Register(0x0E)
 SELF_TEST_Z = Register(0x0F)
@@ -43,6 +44,9 @@ FIFO_COUNT_L = Register(0x73, "r")
 FIFO_R_W = Register(0x74)
 WHO_AM_I = Register(0x75, "r", reset=0x68)
 
+POWER_MODE = XG_OFFS_TC[7]
+GYRO_X_DRIFT_TRIM = XG_OFFS_TC[6:1]
+OTP_VALID = XG_OFFS_TC[0]
 TRIM_ACCEL_X_HIGH = SELF_TEST_X[7:5]
 TRIM_GYRO_X = SELF_TEST_X[4:0]
 TRIM_ACCEL_Y_HIGH = SELF_TEST_Y[7:5]
