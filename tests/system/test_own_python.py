@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 PROGRAM = Path(__file__).with_name("on_a_real_bus.py")
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "i2c-mux", "st_gyro_i2c")
 APART = ("i2c-stub", "i2c-mux-pca954x")
-"""Modules that are not loaded at boot; the second is not Debian's: `build_mux_module` builds it."""
+"""Modules that are not loaded at boot; the second is not Debian's: `build_kernel_modules` builds it."""
 TIMEOUT_S = 900.0
 """It takes 2 minutes on a quiet machine."""
 SENSORS = {"Accel", "Bosch", "Gyro", "Baro", "Compass", "Other"}
@@ -135,7 +135,7 @@ def test_a_killed_log_is_recovered(seen: Seen) -> None:
 def test_the_kernel_drives_the_multiplexer(seen: Seen) -> None:
     """Each channel by its own bus; the trunk with our own multiplexer is refused, by the driver's name."""
     if "channels" not in seen.codes:
-        pytest.skip("no module i2c-mux-pca954x, which Debian does not build; tests/system/build_mux_module does")
+        pytest.skip("no module i2c-mux-pca954x, which Debian does not build; tests/system/build_kernel_modules does")
     assert seen.codes["detect_trunk"] == 2
     (mux,) = [entry for entry in seen.report("detect_trunk")["found"] if entry["sensor"] == "mux"]
     assert "belongs to the kernel's driver 'pca954x'" in mux["found"]
