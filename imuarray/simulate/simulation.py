@@ -69,7 +69,8 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     """
     chosen = {name: log[name] for name in only or log.sensors}
     chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is known
-    known = {sensor.name: sensor for sensor in parse_array(log.config).sensors} if log.config else {}
+    configured = parse_array(log.config).sensors if log.config else ()
+    known = {sensor.name: sensor for sensor in configured if not sensor.on_iio}  # the kernel sets range and scale
     sensors = {
         name: (header_of(known[name], {}) if name in known else recorded_header(sensor), LogTimes(sensor))
         for name, sensor in chosen.items()
