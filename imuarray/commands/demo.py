@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from imuarray.commands.options import Duration, force_option, json_option, print_json, workers_option
 from imuarray.shipped import find_config
+
+PAPERS_ARRAY = "martin2013"
+"""Whose demonstration shows what the paper claims."""
 
 
 @click.command("demo")
@@ -27,28 +31,40 @@ from imuarray.shipped import find_config
     metavar="30min",
     help="array time to record, all runs together; at least 5min",
 )
+@click.option(
+    "--array",
+    default=PAPERS_ARRAY,
+    show_default=True,
+    help="array that comes with the program (icm42688x8, lsm6dso_pair, mpu9250x4, ...), or a configuration",
+)
 @click.option("--seed", default=1, show_default=True, help="draws the emulated noise")
 @workers_option
 @force_option
 @json_option
-def command(output: Path, seconds: float, seed: int, workers: int, force: bool, as_json: bool) -> None:
-    """Record the emulated paper array, calibrate it, fuse it, diagnose it, and write report.html.
+def command(**options: Any) -> None:
+    """Record an emulated array, calibrate it, fuse it, diagnose it, and write report.html.
 
     No hardware is needed: the chips are emulated register by register.
 
     \b
     imuarray demo -o demo
+    imuarray demo --array icm42688x8 -o demo8
     """
-    from imuarray.studies.demo import run_demo
+    from imuarray.array import load_array
     from imuarray.studies.emulated_runs import DemoOptions
 
-    options = DemoOptions(seconds, seed, force, workers)
-    say = lambda step: click.echo(f"imuarray: {step}", err=True)  # noqa: E731
-    result = run_demo(find_config(Path("martin2013")), output, options, say)
-    if as_json:
+    wanted = DemoOptions(options["seconds"], options["seed"], options["force"], options["workers"])
+    config, output = find_config(Path(options["array"])), options["output"]
+    if load_array(config).name == PAPERS_ARRAY:
+        from imuarray.studies.demo import run_demo as run
+    else:
+        from imuarray.studies.array_demo import run_array_demo as run
+    result = run(config, output, wanted, lambda step: click.echo(f"imuarray: {step}", err=True))
+    if options["as_json"]:
         print_json(result)
         return
-    click.echo("The paper's array, emulated to the register: recorded, calibrated, fused, diagnosed.")
+    name = "The paper's array" if config.stem == PAPERS_ARRAY else f"The array {config.stem}"
+    click.echo(f"{name}, emulated to the register: recorded, calibrated, fused, diagnosed.")
     for line in result["summary"]:
         click.echo(f"  {line}")
     click.echo(f"  {result['gap']['sentence']}")

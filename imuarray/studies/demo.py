@@ -147,8 +147,14 @@ def gap_section(diagnosis: Diagnosis) -> Section:
     return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
 
 
-def recorded_section(logs: Mapping[str, Path]) -> Section:
-    """Return the section on the contents of every log."""
+PAPERS_ARRAY = (
+    "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine inertial sensors with"
+    " the biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10."
+)
+
+
+def recorded_section(logs: Mapping[str, Path], about: str = PAPERS_ARRAY) -> Section:
+    """Return the section on the contents of every log; `about` is a sentence on the array."""
     rows = []
     for run, path in logs.items():
         with open_log(path) as log:
@@ -165,10 +171,7 @@ def recorded_section(logs: Mapping[str, Path]) -> Section:
             )
     return Section(
         "What was recorded",
-        "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine "
-        "inertial sensors with the "
-        "biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10. Every "
-        "log holds raw counts.",
+        f"{about} Every log holds raw counts.",
         [
             Table(
                 ["run", "seconds", "readings", "phases", "events"],
@@ -290,11 +293,11 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
         names = [sensor.name for sensor in log.of("angular_rate")]
         curves = {}
         for label, technique in (("simple average", "mean"), ("opposed", "opposed")):
-            curves[label] = _slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
+            curves[label] = slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
         single = {}
         for name in names:
             time, error = errors_of(log, fuse(log, calibration, "mean", only=[name]))["angular_rate"]
-            single[name] = _slow_error(time, error)
+            single[name] = slow_error(time, error)
         time_s = single[names[0]][0]
         barometer = log.of("pressure")[0]
         temperature = (np.asarray(barometer.time) * 1e-9, np.asarray(barometer.compensated("temperature")))
@@ -323,7 +326,7 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
     )
 
 
-def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
+def slow_error(time: Any, error: Any) -> tuple[Any, Any]:
     """Time (s) and five-second means of the error about box Y in dps, from where it starts."""
     groups = (time - time[0]) // 5_000_000_000
     _, first = np.unique(groups, return_index=True)
@@ -382,7 +385,7 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict
     """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready. OutputExistsError before anything is
     recorded, unless forced.
     """
-    _prepare(folder, options.force)
+    prepare_folder(folder, options.force)
     logs = record_all(config, folder, options, say)
     say("calibrating")
     with open_log(logs["tumble"]) as log:
@@ -420,8 +423,10 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict
     }
 
 
-def _prepare(folder: Path, force: bool) -> None:
-    """The folder exists and holds none of our files, or `force` was said."""
+def prepare_folder(folder: Path, force: bool, more: Sequence[str] = ()) -> Path:
+    """Make the folder, and return it; OutputExistsError if it holds a file of the demonstration or one of `more`,
+    unless forced.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     ours = [
         "report.html",
@@ -429,10 +434,12 @@ def _prepare(folder: Path, force: bool) -> None:
         "calibration.toml",
         *(f"{run}.h5" for run in RUNS),
         *(f"fused_{name}.h5" for name in FUSED),
+        *more,
     ]
     for name in ours:
         if (folder / name).exists() and not force:
             raise OutputExistsError(folder / name)
+    return folder
 
 
 def _diagnosed(path: Path, seed: int) -> Diagnosis:

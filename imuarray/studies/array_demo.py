@@ -1,0 +1,267 @@
+"""`imuarray demo --array NAME`: the whole path on any emulated array with accelerometers and gyroscopes.
+
+The runs are those of `imuarray.studies.demo`: six faces, a long rest, a heating, a shaking. The emulated world knows
+the truth, so that the error of each sensor, of their average and of each technique is measured. The sensors are polled;
+the queues of chips that have some are left off, because the demonstration needs few samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imuarray.array import ArrayConfig, load_array
+from imuarray.atomic import write_text
+from imuarray.calibrate import Calibration, Tumble, calibrate_noise, calibrate_tumble
+from imuarray.characterise import characterise_log
+from imuarray.errors import ConfigError, LogError
+from imuarray.fuse import errors_of, fuse, write_fused
+from imuarray.gap.diagnose import diagnose
+from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.log import Log, open_log
+from imuarray.report import Figure, Section, Table, Verdict, write_page
+from imuarray.report.figures import drift_figure
+from imuarray.report.gap_page import write_gap_page
+from imuarray.studies.demo import (
+    calibration_section,
+    gap_section,
+    noise_section,
+    prepare_folder,
+    recorded_section,
+    slow_error,
+)
+from imuarray.studies.emulated_runs import DemoOptions, Say, record_all
+from imuarray.units import INERTIAL, READABLE_SI
+
+TECHNIQUES = ("mean", "opposed", "optimal")
+_RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
+_REPLICATES = 60
+_FUSED = ("mean", "opposed")
+"""Techniques whose result on the heating run is kept as a file."""
+
+
+@dataclass(frozen=True)
+class ArrayError:
+    """Errors against the truth in one run, of one quantity, in SI, rms over the three axes: of each sensor alone by its
+    name, and of all together by technique.
+    """
+
+    run: str
+    quantity: str
+    single: Mapping[str, float]
+    fused: Mapping[str, float]
+
+    @property
+    def typical(self) -> float:
+        """The median of the sensors."""
+        return float(np.median(list(self.single.values())))
+
+    def ratio(self, technique: str) -> float:
+        """Error of a technique over that of the median sensor."""
+        return self.fused[technique] / self.typical
+
+
+def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Any]:
+    """Record, calibrate, fuse and report an array into `folder`; the summary, JSON-ready. ConfigError for an array
+    without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless forced.
+    """
+    array = load_array(config)
+    for quantity in INERTIAL:
+        if not any(sensor.spec.quantity == quantity for sensor in array.sensors):
+            raise ConfigError(f"{config}: no sensor of {quantity.replace('_', ' ')}; the demonstration needs both")
+    polled = prepare_folder(folder, options.force, ("array.toml",)) / "array.toml"
+    write_text(polled, polled_text(array), force=True)
+    logs = record_all(polled, folder, options, say)
+    say("calibrating")
+    with open_log(logs["tumble"]) as log:
+        tumble = calibrate_tumble(log)
+        calibration = tumble.calibration.merged(calibrate_noise(log))
+    calibration.save(folder / "calibration.toml", force=True)
+    say("fusing")
+    _keep_fused(logs["heating"], calibration, folder)
+    errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
+    say("diagnosing")
+    with open_log(logs["static"]) as log:
+        diagnosis = diagnose([log], only=one_of_each(array), seed=options.seed, replicates=_REPLICATES)
+        noise = characterise_log(log)
+    write_gap_page(folder / "gap.html", diagnosis, force=True)
+    say("drawing")
+    parts = [
+        errors_section(errors),
+        heating_section(logs["heating"], calibration),
+        recorded_section(logs, f"The array {array.name}, emulated to the register: {chips_text(array)}."),
+        calibration_section(tumble),
+        noise_section(noise),
+        gap_section(diagnosis),
+    ]
+    lines = summary(errors)
+    verdict = verdict_of(errors, tumble, diagnosis)
+    title = f"The array {array.name}, emulated, recorded, calibrated and fused"
+    write_page(folder / "report.html", title, lines, parts, verdict=verdict, force=True)
+    return {
+        "folder": str(folder),
+        "report": str(folder / "report.html"),
+        "summary": lines,
+        "errors": [vars(error) for error in errors],
+        "residual_mg": {name: 1e3 * value for name, value in tumble.residual_g.items()},
+        "gap": {"verdict": diagnosis.verdict, "sentence": diagnosis.sentence, "page": str(folder / "gap.html")},
+    }
+
+
+def polled_text(array: ArrayConfig) -> str:
+    """The configuration of the array without the queues of its chips."""
+    lines = array.text.splitlines()
+    return "\n".join("fifo = false" if line.split("#")[0].strip() == "fifo = true" else line for line in lines) + "\n"
+
+
+def chips_text(array: ArrayConfig) -> str:
+    """How many sensors of which chip there are: "8 icm42688_acc, 8 icm42688_gyro"."""
+    chips = [sensor.chip for sensor in array.sensors]
+    return ", ".join(f"{chips.count(chip)} {chip}" for chip in dict.fromkeys(chips))
+
+
+def one_of_each(array: ArrayConfig) -> tuple[str, ...]:
+    """The first inertial sensor of each chip and quantity."""
+    first: dict[str, str] = {}
+    for sensor in array.sensors:
+        if sensor.spec.quantity in INERTIAL:
+            first.setdefault(sensor.chip, sensor.name)
+    return tuple(first.values())
+
+
+def errors_in(run: str, path: Path, calibration: Calibration) -> list[ArrayError]:
+    """The errors of every sensor and technique in one run, of both quantities."""
+    with open_log(path) as log:
+        by_technique = {technique: _rms(log, calibration, technique) for technique in TECHNIQUES}
+        return [
+            ArrayError(
+                run,
+                quantity,
+                {sensor.name: _rms(log, calibration, "mean", sensor.name)[quantity] for sensor in log.of(quantity)},
+                {technique: rms[quantity] for technique, rms in by_technique.items()},
+            )
+            for quantity in INERTIAL
+        ]
+
+
+def _rms(log: Log, calibration: Calibration, technique: str, *only: str) -> dict[str, float]:
+    """The rms error of a result by quantity, all axes and frames together, frames without a result left out."""
+    errors = errors_of(log, fuse(log, calibration, technique, only=list(only)))
+    return {quantity: float(np.sqrt(np.nanmean(np.square(error)))) for quantity, (_, error) in errors.items()}
+
+
+def summary(errors: list[ArrayError]) -> list[str]:
+    """Return what averaging gained, run by run."""
+    lines = [_sentence(error) for error in errors]
+    return [*lines, "all figures: rms error against the emulated world's truth, after the calibration from six faces"]
+
+
+def _sentence(error: ArrayError) -> str:
+    factor, unit = READABLE_SI[error.quantity]
+    count = len(error.single)
+    sensors = {"specific_force": "accelerometers", "angular_rate": "gyroscopes"}[error.quantity]
+    average, best = error.fused["mean"], min(error.fused, key=lambda technique: error.fused[technique])
+    return (
+        f"{count} {sensors} {_RUNS[error.run]}: {factor * error.typical:.3g} {unit} each (median),"
+        f" {factor * average:.3g} {unit} averaged ({error.ratio('mean'):.2f} times; 1/√{count} is {count**-0.5:.2f}),"
+        f" least with {best}: {factor * error.fused[best]:.3g} {unit}"
+    )
+
+
+def verdict_of(errors: list[ArrayError], tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
+    """Return the verdict: what averaging gains at rest, the quality of the calibration, the gap of the simulator."""
+    at_rest = [error for error in errors if error.run == "static"]
+    figures = [
+        (f"{error.ratio('mean'):.2f} ×", f"error of the average over one sensor's, {error.quantity.replace('_', ' ')}")
+        for error in at_rest
+    ]
+    residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
+    figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
+    figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
+    best = min(at_rest, key=lambda error: error.ratio("mean"))
+    sentence = (
+        f"The average of {len(best.single)} sensors has {best.ratio('mean'):.2f} of one sensor's error at rest,"
+        f" {best.quantity.replace('_', ' ')}."
+    )
+    return Verdict(sentence, "good" if best.ratio("mean") < 1 else "doubtful", tuple(figures))
+
+
+def errors_section(errors: list[ArrayError]) -> Section:
+    """The errors of single sensors and of all together."""
+    rows = []
+    for error in errors:
+        factor, unit = READABLE_SI[error.quantity]
+        single = factor * np.array(list(error.single.values()))
+        fused = [f"{factor * error.fused[technique]:.4f}" for technique in TECHNIQUES]
+        spread = [f"{np.median(single):.4f}", f"{single.min():.4f} to {single.max():.4f}"]
+        count = len(error.single)
+        rows.append(
+            [
+                f"{error.quantity.replace('_', ' ')}, {_RUNS[error.run]}",
+                str(count),
+                *spread,
+                *fused,
+                unit,
+                f"{error.ratio('mean'):.3f}",
+                f"{count**-0.5:.3f}",
+            ]
+        )
+    columns = ["quantity, run", "sensors", "one (median)", "one (range)", *TECHNIQUES, "unit", "mean / one", "1/√n"]
+    return Section(
+        "What the array gains over one sensor",
+        "Rms error over time and axes, against the truth that the emulated world knows. Independent noise falls with"
+        " the square root of the number of sensors; what sensors have in common, and what the calibration left, does"
+        " not.",
+        [Table(columns, rows, "Errors of single sensors, of their average and of two techniques.", (0, 3))],
+    )
+
+
+def heating_section(path: Path, calibration: Calibration) -> Section:
+    """Gyroscopes about box Y while the box is heated."""
+    with open_log(path) as log:
+        single = {
+            sensor.name: slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
+            for sensor in log.of("angular_rate")
+        }
+        curves = {
+            label: slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
+            for label, technique in (("simple average", "mean"), ("opposed", "opposed"))
+        }
+        truth = log.truth
+        if truth is None or truth.temperature is None:
+            raise LogError(f"{path}: an emulated log without a true temperature")
+        temperature = (np.asarray(truth.time[:]) * 1e-9, np.asarray(truth.temperature[:]))
+    length = min(len(time) for time, _ in (*single.values(), *curves.values()))
+    time_s = next(iter(single.values()))[0][:length]
+    figure = drift_figure(
+        time_s,
+        {name: values[:length] for name, (_, values) in single.items()},
+        {name: values[:length] for name, (_, values) in curves.items()},
+        "dps",
+        temperature,
+    )
+    return Section(
+        "Heated: the drift of the gyroscopes",
+        "The box is heated by 28 degrees. The drift of a unit is drawn from its data sheet; opposing the axes removes"
+        " only what units of one design share.",
+        [
+            Figure(
+                figure,
+                "Five-second means of the error about box Y: of every gyroscope, of their average and with their axes"
+                " opposed.",
+                "Drift of single gyroscopes, their average and the opposed result while the box is heated",
+            )
+        ],
+    )
+
+
+def _keep_fused(path: Path, calibration: Calibration, folder: Path) -> None:
+    """Fused files of the heating run."""
+    with open_log(path) as log:
+        for name in _FUSED:
+            blocks = fuse(log, calibration, name)
+            write_fused(folder / f"fused_{name}.h5", blocks, epoch=log.epoch, technique=name, log=str(path), force=True)
