@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import IO, Any
 
 import numpy as np
@@ -59,7 +59,7 @@ class Container:
         self._file = file
         self._schemas: list[Any] = []
         self._channels: list[Any] = []
-        self._chunks: list[Any] = []
+        self._chunks, self._chunk_index = 0, RecordBuilder()
         self._attachments: list[Any] = []
         self._metadata: list[Any] = []
         self._counts: dict[int, int] = {}
@@ -131,50 +131,40 @@ class Container:
         packed = length - (_BEFORE_LENGTH + 40 + len(_COMPRESSION))  # less the other fields of a chunk
         self._first_ns = min(self._first_ns, first_ns) if self._chunks else first_ns
         self._last_ns = max(self._last_ns, last_ns)
-        self._chunks.append(
-            records.ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression=_COMPRESSION,
-                compressed_size=packed,
-                message_end_time=last_ns,
-                message_index_length=self._file.tell() - index_start,
-                message_index_offsets=places,
-                message_start_time=first_ns,
-                uncompressed_size=len(data),
-            )
-        )
+        self._chunks += 1
+        records.ChunkIndex(  # kept as the bytes of the summary: a tenth of the memory of the object
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression=_COMPRESSION,
+            compressed_size=packed,
+            message_end_time=last_ns,
+            message_index_length=self._file.tell() - index_start,
+            message_index_offsets=places,
+            message_start_time=first_ns,
+            uncompressed_size=len(data),
+        ).write(self._chunk_index)
 
     def finish(self) -> None:
         """The end of the data, and the summary: everything but messages again, and where it is."""
         self._put(records.DataEnd(data_section_crc=0))
-        start, summary = self._file.tell(), RecordBuilder()
-        offsets = []
-        groups: dict[Opcode, list[Any]] = {
-            Opcode.SCHEMA: self._schemas,
-            Opcode.CHANNEL: self._channels,
-            Opcode.STATISTICS: [self._statistics()],
-            Opcode.CHUNK_INDEX: self._chunks,
-            Opcode.ATTACHMENT_INDEX: self._attachments,
-            Opcode.METADATA_INDEX: self._metadata,
+        start = at = self._file.tell()
+        groups: dict[Opcode, bytes] = {
+            Opcode.SCHEMA: _bytes_of(self._schemas),
+            Opcode.CHANNEL: _bytes_of(self._channels),
+            Opcode.STATISTICS: _bytes_of([self._statistics()]),
+            Opcode.CHUNK_INDEX: self._chunk_index.end(),  # type: ignore[no-untyped-call]
+            Opcode.ATTACHMENT_INDEX: _bytes_of(self._attachments),
+            Opcode.METADATA_INDEX: _bytes_of(self._metadata),
         }
-        for opcode, group in groups.items():
-            begin = summary.count
-            for record in group:
-                record.write(summary)
-            if group:
-                offsets.append(
-                    records.SummaryOffset(
-                        group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin
-                    )
-                )
-        offsets_start = start + summary.count
-        for record in offsets:
-            record.write(summary)
-        text = summary.end()  # type: ignore[no-untyped-call]
-        crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, offsets_start), zlib.crc32(text))
-        self._file.write(text)
-        self._put(records.Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
+        offsets = []
+        for opcode, text in groups.items():
+            if text:
+                offsets.append(records.SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(text)))
+                at += len(text)
+        summary = b"".join((*groups.values(), _bytes_of(offsets)))
+        crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, at), zlib.crc32(summary))
+        self._file.write(summary)
+        self._put(records.Footer(summary_start=start, summary_offset_start=at, summary_crc=crc))
         self._file.write(_MAGIC)
 
     def _statistics(self) -> Any:
@@ -182,7 +172,7 @@ class Container:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunks,
             message_count=sum(self._counts.values()),
             metadata_count=len(self._metadata),
             message_start_time=self._first_ns,
@@ -192,8 +182,14 @@ class Container:
 
     def _put(self, record: Any) -> int:
         """Write a record; its length."""
-        builder = RecordBuilder()
-        record.write(builder)
-        text = builder.end()  # type: ignore[no-untyped-call]
+        text = _bytes_of([record])
         self._file.write(text)
         return len(text)
+
+
+def _bytes_of(group: Sequence[Any]) -> bytes:
+    """Return the records of a group, one after the other."""
+    builder = RecordBuilder()
+    for record in group:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
