@@ -7,7 +7,7 @@ and so are its differences; the rest is float64 too, and no conversion is needed
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,20 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 
 Values = npt.NDArray[Any]
+
+
+class CountColumn(Protocol):
+    """Whole numbers (n,) that are read where they are asked for, such as a column of a log."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Their type."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: slice, /) -> Values: ...
+
 
 EXACT = 1 << 53
 """Whole numbers below this are exact in float64."""
@@ -38,6 +52,22 @@ def running_sum(values: Values) -> Floats:
     for start in range(0, len(values), _BLOCK):
         part = phase[start + 1 : start + 1 + _BLOCK]
         add_up(values[start : start + _BLOCK], reference, float(phase[start]), part)
+    return phase
+
+
+def compact_running_sum(values: CountColumn) -> Values:
+    """The `running_sum` of counts of two bytes or fewer, read block by block: as int32, which halves its memory, where
+    it stays below 2^31.
+    """
+    reference, phase, total = values[:1][0], np.zeros(len(values) + 1, np.int32), 0.0
+    work = np.empty(min(_BLOCK, len(values)))
+    for start in range(0, len(values), _BLOCK):
+        part = work[: len(values) - start]
+        add_up(values[start : start + _BLOCK], reference, total, part)
+        if np.abs(part).max() > np.iinfo(np.int32).max:
+            return running_sum(values[: len(values)])
+        phase[start + 1 : start + 1 + len(part)] = part
+        total = float(part[-1])
     return phase
 
 
@@ -69,9 +99,9 @@ def _fits(values: Values) -> bool:
     return span * len(values) < EXACT
 
 
-def sums_of_squares(phase: Floats, distances: Sequence[int], first: int = 0) -> list[float]:
+def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> list[float]:
     """Return for each distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x
-    reaches.
+    reaches; x is float64, or int32, whose differences are float64 all the same.
     """
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
@@ -83,7 +113,7 @@ def sums_of_squares(phase: Floats, distances: Sequence[int], first: int = 0) -> 
     return totals
 
 
-def _second_differences(phase: Floats, m: int, start: int, stop: int, work: Floats) -> Floats:
+def _second_differences(phase: Values, m: int, start: int, stop: int, work: Floats) -> Floats:
     """Return the second differences that end from `start` to `stop`; at a short distance each first difference serves
     twice.
     """
@@ -91,9 +121,9 @@ def _second_differences(phase: Floats, m: int, start: int, stop: int, work: Floa
     block, middle = work[0, :count], phase[start - m : stop - m]
     if 4 * m <= count:
         first = work[1, : count + m]
-        np.subtract(phase[start - m : stop], phase[start - 2 * m : stop - m], out=first)
+        np.subtract(phase[start - m : stop], phase[start - 2 * m : stop - m], out=first, dtype=np.float64)
         return np.subtract(first[m:], first[:count], out=block)
-    np.subtract(phase[start:stop], middle, out=block)
+    np.subtract(phase[start:stop], middle, out=block, dtype=np.float64)
     np.subtract(block, middle, out=block)
     return np.add(block, phase[start - 2 * m : stop - 2 * m], out=block)
 

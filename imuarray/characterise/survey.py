@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation
+from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation_of_counts
 from imuarray.characterise.allan_stream import AllanStream
 from imuarray.characterise.codes import NOTHING, Histogram, histogram
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
@@ -28,7 +28,9 @@ MIN_ROWS = 9
 """A run shorter than this gives no Allan deviation: not even two octaves."""
 
 EXACT_ROWS = 4_000_000
-"""Up to here the overlapping estimator is the default: it holds one column's running sum, 8 bytes a row."""
+"""Up to here the overlapping estimator is the default: it holds one column's running sum, 4 bytes a row, or 8 where the
+counts wander far.
+"""
 
 LAGS = 50
 
@@ -84,8 +86,31 @@ def survey(
 
 
 def _exact(sensor: SensorLog, run: slice, interval_s: float, run_rows: int) -> AllanCurve | None:
-    """The overlapping Allan deviation of a run that is short enough to be held."""
-    return allan_deviation(np.asarray(sensor.counts[run]), interval_s) if run_rows >= MIN_ROWS else None
+    """The overlapping Allan deviation of a run that is short enough for its running sum to be held."""
+    if run_rows < MIN_ROWS:
+        return None
+    columns = range(int(sensor.counts.shape[1]))
+    return allan_deviation_of_counts([_Column(sensor, run, column) for column in columns], interval_s)
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One column of the counts of a run, read where it is asked for."""
+
+    sensor: SensorLog
+    run: slice
+    column: int
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        return self.sensor.counts.dtype
+
+    def __len__(self) -> int:
+        return int(self.run.stop - self.run.start)
+
+    def __getitem__(self, rows: slice) -> npt.NDArray[np.integer]:
+        start, stop, _ = rows.indices(len(self))
+        return np.asarray(self.sensor.counts[self.run.start + start : self.run.start + stop, self.column])
 
 
 def _pieces(

@@ -161,9 +161,11 @@ class Container:
             if text:
                 offsets.append(records.SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(text)))
                 at += len(text)
-        summary = b"".join((*groups.values(), _bytes_of(offsets)))
-        crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, at), zlib.crc32(summary))
-        self._file.write(summary)
+        crc = 0
+        for text in (*groups.values(), _bytes_of(offsets)):
+            self._file.write(text)
+            crc = zlib.crc32(text, crc)
+        crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, at), crc)
         self._put(records.Footer(summary_start=start, summary_offset_start=at, summary_crc=crc))
         self._file.write(_MAGIC)
 

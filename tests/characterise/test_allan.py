@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 from fractions import Fraction
 from typing import Any
@@ -14,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import binom
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan import octaves
+from imuarray.characterise.allan import allan_deviation_of_counts, octaves
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # allantools warns of its own dependencies when it is imported
@@ -134,6 +135,35 @@ def test_a_million_counts_are_exact() -> None:
         second = phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]
         exact = Fraction(int((second**2).sum()), 2 * len(second) * m * m)
         assert abs(Fraction(deviation) ** 2 / exact - 1) < Fraction(1, 10**15)
+
+
+@pytest.mark.parametrize("step", [1, 40, 65_535])
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.uint8])
+def test_counts_read_block_by_block_give_the_definition(step: int, kind: type[np.integer]) -> None:
+    """Against sums in whole numbers; columns alternate, then rise by `step`, of which the largest makes a running sum
+    that 32 bits do not hold.
+    """
+    limits = np.iinfo(kind)
+    rows = 70_001  # beyond two blocks
+    risen = np.where(np.arange(rows) < 101, np.arange(rows) % 3, min(step, limits.max - limits.min)) + limits.min
+    columns = [risen.astype(kind), risen[::-1].astype(kind)]
+    curve = allan_deviation_of_counts(columns, 0.5)
+    for column, deviations in zip(columns, curve.deviation.T, strict=True):
+        phase = np.concatenate([[0], np.cumsum(column.astype(np.int64))])
+        for m, deviation in zip(octaves(rows), deviations, strict=True):
+            second = phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]
+            exact = Fraction(sum(int(value) ** 2 for value in second[second != 0]), 2 * len(second) * m * m)
+            assert abs(Fraction(deviation) ** 2 / exact - 1) < Fraction(1, 10**13)
+    assert curve.tau_s.tolist() == [0.5 * m for m in octaves(rows)]
+
+
+def test_counts_read_block_by_block_take_four_bytes_each() -> None:
+    values = np.random.default_rng(7).integers(-40, 40, 500_000).astype(np.int16)
+    tracemalloc.start()
+    allan_deviation_of_counts([values], 1.0)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 4 * len(values) + 2_500_000, "the running sum, and blocks"
 
 
 REPEATS, ROWS, FACTORS = 2000, 1024, (1, 4, 32, 128)
