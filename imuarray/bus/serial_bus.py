@@ -22,7 +22,7 @@ from imuarray.arrays import Integers, Times
 from imuarray.bus import serial_link as link
 from imuarray.bus.protocol import Bus, SpiPort
 from imuarray.bus.serial_clock import ClockFit
-from imuarray.bus.serial_link import Capacity, LinkError, PollList
+from imuarray.bus.serial_link import Capacity, FirmwareCounts, LinkError, PollList
 from imuarray.bus.serial_port import Port, UsualPort, port_of
 from imuarray.bus.serial_session import PATIENCE_S, Data, Session
 from imuarray.clock import Clock, MonotonicClock, sleep_for
@@ -77,6 +77,12 @@ class SerialBus:
     def capacity(self) -> Capacity:
         """The capacity of the microcontroller."""
         return self._session.capacity
+
+    def firmware_counts(self) -> FirmwareCounts | None:
+        """What the firmware has counted since it booted; None if it keeps no counts. OSError if it does not answer."""
+        if not self.capacity.features & link.CAN_STATUS:
+            return None
+        return link.counts_of(self._session.ask(link.STATUS).payload)
 
     @property
     def skipped(self) -> int:

@@ -89,6 +89,7 @@ OVERHEAD = _BODY + _CRC.size
 _HELLO = struct.Struct("<BBH")
 _FEATURES = struct.Struct("<BBI")
 _SELECT = struct.Struct("<BBI")
+_COUNTS = struct.Struct("<?Q6I")
 _LIST = struct.Struct("<BHH")
 _TRANSFER = struct.Struct("<BH")
 
@@ -123,6 +124,22 @@ class Capacity(NamedTuple):
     features: int = 0
     selects: int = 0
     kept_bytes: int = 0
+
+
+class FirmwareCounts(NamedTuple):
+    """The answer to STATUS: is this boot one after a reset by the watchdog, microseconds since it, then DATA sent,
+    frames left out for want of time, DATA for which the line had no room, DATA overwritten before it was acknowledged,
+    requests of lists that failed, bytes received that belonged to no frame.
+    """
+
+    watchdog_reset: bool
+    up_us: int
+    sent: int
+    late: int
+    dropped: int
+    overwritten: int
+    failures: int
+    skipped: int
 
 
 @dataclass(frozen=True)
@@ -257,6 +274,11 @@ def capacity_of(payload: bytes) -> Capacity:
         raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are required")
     further = _FEATURES.unpack_from(payload, _HELLO.size) if len(payload) >= _HELLO.size + _FEATURES.size else ()
     return Capacity(*_HELLO.unpack_from(payload), *further)
+
+
+def counts_of(payload: bytes) -> FirmwareCounts:
+    """Decode the answer to STATUS; LinkError for a payload that can't be one."""
+    return FirmwareCounts(*_COUNTS.unpack(outcome_of(payload, _COUNTS.size, "status")))
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:

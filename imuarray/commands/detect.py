@@ -17,6 +17,7 @@ from imuarray.shipped import find_config
 if TYPE_CHECKING:
     from imuarray.acquire import Detection
     from imuarray.acquire.doctor import Check
+    from imuarray.bus.protocol import OpenBus
 
 _USUAL_RATE_HZ = 50.0
 """Frames a second of `imuarray log`, if nothing else is said."""
@@ -105,11 +106,12 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
         click.echo(f"imuarray: {config}: no bus is configured: using the emulated array, no hardware", err=True)
     with open_bus(url, array) as bus:
         detections, source = detect(array, bus, self_test=self_test), bus.source
+        firmware = _firmware(bus)
     wrong = sum(not detection.ok for detection in detections)
     unknown = sum(detection.undetermined for detection in detections)
     exit_code = 2 if wrong else 1 if unknown else 0
     if as_json:
-        _print_json(array.name, source, detections)
+        _print_json(array.name, source, detections, firmware)
         return exit_code
     _print_head(array.name, url, source)
     for detection in detections:
@@ -117,6 +119,7 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
         mark = "ok " if certain else "?  " if detection.ok else "NO "
         wanted = f"{detection.sensor} ({detection.expected})" if detection.expected else "not in the configuration"
         _print_row(mark, wanted, detection)
+    _print_firmware(firmware)
     expected = sum(bool(detection.expected) for detection in detections)
     more = f", {unknown} undetermined" if unknown else ""
     click.echo(f"{expected - wrong - unknown} as configured, {wrong} not{more}")
@@ -135,15 +138,16 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
         detections = explore(bus)
         if output is not None:
             detections = tell_apart(detections, bus)
-        source = bus.source
+        source, firmware = bus.source, _firmware(bus)
     if output is not None:
         _write(detections, url, output, force)
     if as_json:
-        _print_json(None, source, detections)
+        _print_json(None, source, detections, firmware)
         return 0
     _print_head("chips", url, source)
     for detection in detections:
         _print_row("   ", "", detection)
+    _print_firmware(firmware)
     if output is not None:
         click.echo(
             f"wrote {output}; next: hold the box with Z, X and Y up while `imuarray log {output} -o poses.h5` runs,"
@@ -152,9 +156,49 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
     return 0
 
 
-def _print_json(name: str | None, source: str, detections: Sequence[Detection]) -> None:
+def _firmware(bus: OpenBus) -> dict[str, Any] | None:
+    """What the firmware of a microcontroller can hold, and what it has counted; None on other buses."""
+    from imuarray.bus.serial_bus import SerialBus
+
+    if not isinstance(bus, SerialBus):
+        return None
+    counts = bus.firmware_counts()
+    return {**bus.capacity._asdict(), "counts": None if counts is None else counts._asdict()}
+
+
+def _print_firmware(firmware: dict[str, Any] | None) -> None:
+    """A line on the microcontroller, and one on what it has counted since it booted."""
+    if firmware is None:
+        return
+    room = (
+        f"{firmware['lists']} lists, {firmware['request_bytes']} bytes of requests, {firmware['selects']} chip selects"
+    )
+    click.echo(f"microcontroller: room for {room}; {firmware['kept_bytes']} bytes of unacknowledged frames")
+    counts = firmware["counts"]
+    if counts is None:
+        click.echo("  its firmware keeps no counts")
+        return
+    boot = ", reset by its watchdog" if counts["watchdog_reset"] else ""
+    click.echo(
+        f"  up for {counts['up_us'] / 1e6:.0f} s{boot}: {counts['sent']} frames sent, {counts['late']} left out for want"
+        f" of time, {counts['dropped']} without room on the line, {counts['overwritten']} lost unacknowledged;"
+        f" {counts['failures']} requests failed, {counts['skipped']} bytes made no sense"
+    )
+
+
+def _print_json(
+    name: str | None, source: str, detections: Sequence[Detection], firmware: dict[str, Any] | None
+) -> None:
     ok = all(detection.ok and not detection.undetermined for detection in detections)
-    print_json({"array": name, "source": source, "found": [asdict(each) for each in detections], "ok": ok})
+    print_json(
+        {
+            "array": name,
+            "source": source,
+            "found": [asdict(each) for each in detections],
+            "firmware": firmware,
+            "ok": ok,
+        }
+    )
 
 
 def _print_head(name: str, url: str, source: str) -> None:

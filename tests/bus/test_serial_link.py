@@ -184,3 +184,12 @@ def test_the_answer_to_hello() -> None:
     assert link.capacity_of(struct.pack("<BBHBBI", 1, 128, 1536, 3, 8, 65536)) == (1, 128, 1536, 3, 8, 65536)
     with pytest.raises(LinkError, match="has 3 bytes"):
         link.capacity_of(b"\x01\x02\x03")
+
+
+def test_the_counts_of_the_firmware() -> None:
+    payload = bytes.fromhex("00 01 0807060504030201 01000000 02000000 03000000 04000000 05000000 ffffffff")
+    assert link.counts_of(payload) == (True, 0x0102030405060708, 1, 2, 3, 4, 5, 0xFFFFFFFF)
+    with pytest.raises(LinkError, match="33 requested"):
+        link.counts_of(payload[:-1])
+    with pytest.raises(OSError, match="Operation not supported"):
+        link.counts_of(b"\x03")

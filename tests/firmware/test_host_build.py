@@ -4,6 +4,7 @@ what was acknowledged was done, whatever happens on the line. The process is com
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import threading
@@ -22,7 +23,7 @@ from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import parse_array
 from imuarray.bus import serial_session
-from imuarray.bus.serial_bus import SerialBus
+from imuarray.bus.serial_bus import SerialBus, open_serial
 from imuarray.bus.serial_link import LinkError, PollList, Request
 from imuarray.bus.serial_port import usual_port
 from imuarray.cli import main
@@ -153,6 +154,39 @@ def test_what_nobody_takes_is_dropped_whole(host_program: Path, tmp_path: Path, 
         assert bus.skipped == 0
         assert (np.diff(numbers) > 0).all()
         assert numbers[0] == 0
+
+
+@pytest.mark.slow
+def test_detect_tells_what_the_firmware_has_counted(
+    host_program: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Frames that were sent, a chip that never answered, and bytes that were no frame, as the firmware saw them."""
+    (tmp_path / "a.toml").write_text(CONFIG)
+    with hosted(host_program, tmp_path, "--counter-us", "7000000") as (host, _):
+        port = usual_port(str(host.path), 115_200)
+        port.write(b"\x00\x01\x02\x03\x04")
+        time.sleep(0.2)
+        port.close()
+        with open_serial(str(host.path)) as bus:
+            bus.start([PollList(1, 0, (Request(0x53, b"\x30", 8), Request(0x11, b"\x00", 1)))], 50_000)
+            time.sleep(0.5)
+            bus.stop()
+            frames = sum(len(samples.numbers) for samples in bus.receive().values())
+        capsys.readouterr()
+        words = ["detect", str(tmp_path / "a.toml"), "--bus", f"serial:{host.path}"]
+        assert main([*words, "--json"]) == 0
+        firmware = json.loads(capsys.readouterr().out)["firmware"]
+        assert main(words) == 0
+    counts = firmware["counts"]
+    assert counts["sent"] >= frames > 4
+    assert counts["failures"] == counts["sent"]
+    assert counts["skipped"] == 5
+    assert (counts["late"], counts["dropped"], counts["watchdog_reset"]) == (0, 0, False)
+    assert 0 < counts["up_us"] < 60e6
+    said = capsys.readouterr().out
+    assert f"{counts['sent']} frames sent, 0 left out" in said
+    assert f"{counts['failures']} requests failed, 5 bytes made no sense" in said
+    assert "1 as configured, 0 not" in said
 
 
 @pytest.mark.slow
