@@ -6,30 +6,66 @@ Whether the box stood still where a calibration needs it to: a figure that is ma
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.pose_readings import find_poses, windows_of
+from imuarray.calibrate.knocks import Knock, find_knocks, knock_sentence
+from imuarray.calibrate.pose_readings import SAME_POSE, Pose, poses_in, rest_windows, windows_of
 from imuarray.characterise.stretch import Stretch, choose_stretch
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 from imuarray.units import INERTIAL, READABLE
 
+_CHOSEN = "the longest rest that the sensors show; no phase is marked as one"
+
 
 def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
-    """The longest pose that the sensors show; None if none shows, or a `phase` is asked for or says it rests."""
-    if phase is not None or choose_stretch(log, None).phase is not None:
+    """The longest rest that the sensors show, without the knocks in it; None if none shows, or if a `phase` is asked
+    for or marked as a rest.
+    """
+    if phase is not None or choose_stretch(log, None).phase is not None or not log.of("specific_force"):
         return None
     try:
-        poses = [pose.phase for pose in find_poses(log)]
+        windows = rest_windows(log)
     except CalibrationError:
         return None
-    longest = max(poses, key=lambda pose: pose.end_ns - pose.start_ns, default=None)
-    chosen_by = "the longest at rest by the sensors: no phase names one"
-    return longest and Stretch(longest.start_ns, longest.end_ns, longest.name, "", chosen_by)
+    knocks = find_knocks(windows)
+    longest = max(_join(poses_in(log, windows), knocks), key=lambda rest: rest.end_ns - rest.start_ns, default=None)
+    return None if longest is None else replace(longest, remark=_sentence(log, knocks))
+
+
+def _join(poses: Sequence[Pose], knocks: Sequence[Knock]) -> list[Stretch]:
+    """Return poses as stretches; two poses are one if the box was disturbed between them and lay as before."""
+    rests: list[Stretch] = []
+    for pose in (pose.phase for pose in poses):
+        before = rests[-1] if rests else None
+        if before is not None and any(
+            before.end_ns <= knock.start_ns and knock.end_ns <= pose.start_ns and not knock.shift for knock in knocks
+        ):
+            left_out = (*before.left_out, (before.end_ns, pose.start_ns))
+            rests[-1] = replace(before, end_ns=pose.end_ns, left_out=left_out)
+        else:
+            rests.append(Stretch(pose.start_ns, pose.end_ns, pose.name, "", _CHOSEN))
+    return rests
+
+
+def knocks_of(log: Log) -> str:
+    """Describe the knocks of a log at rest in a sentence; "" without any, or if the log does not show its rests."""
+    try:
+        return _sentence(log, find_knocks(rest_windows(log)))
+    except CalibrationError:
+        return ""
+
+
+def _sentence(log: Log, knocks: Sequence[Knock]) -> str:
+    quantity = next(quantity for quantity in SAME_POSE if log.of(quantity))
+    unit = next(iter(log.of(quantity))).unit
+    factor, readable = READABLE.get(unit, (1.0, unit))
+    return knock_sentence(knocks, readable, factor)
 
 
 STILL: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 5.0})

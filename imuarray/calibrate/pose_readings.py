@@ -47,7 +47,7 @@ that stalls says nothing of the box, and nobody turns it by hand and puts it bac
 _LEAST_ROWS = 4
 """Of a sensor that is read so seldom that half a second holds fewer, windows are as long as that."""
 
-_SAME_POSE: Mapping[str, float] = MappingProxyType(
+SAME_POSE: Mapping[str, float] = MappingProxyType(
     {"specific_force": SAME_POSE_G, "angular_rate": TURNING_DPS, "magnetic_field": 0.02}
 )
 """By how much the means of neighbouring windows of one pose differ at most, in the unit of the quantity that tells the
@@ -174,19 +174,48 @@ def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
     sensors = _rows_of(log, "specific_force", only)
     if not sensors:
         raise CalibrationError(f"{log.path}: no accelerometer to detect when the box stood still")
-    return _rests(log, sensors, only)
+    return poses_in(log, _windows(log, sensors, only))
 
 
 def find_rests(log: Log) -> list[Pose]:
     """`find_poses`, in a log without accelerometers by its gyroscopes, else by its magnetometers; CalibrationError."""
-    sensors = next(filter(None, (_rows_of(log, quantity, ()) for quantity in _SAME_POSE)), [])
+    return poses_in(log, rest_windows(log))
+
+
+Indices = npt.NDArray[np.int64]
+
+
+class RestWindows(NamedTuple):
+    """Windows of a log: window k starts at `begin_ns` + k `width_ns`. Means (w, 3) and largest standard deviation (w,),
+    in the unit of the `quantity` that tells rests; infinite scatter where nothing was read. `still` (w,): at rest.
+    """
+
+    quantity: str
+    begin_ns: int
+    width_ns: int
+    mean: Floats
+    spread: Floats
+    still: npt.NDArray[np.bool_]
+
+    @property
+    def read(self) -> Indices:
+        """Indices of the windows in which something was read."""
+        return np.flatnonzero(np.isfinite(self.spread))
+
+
+def rest_windows(log: Log, only: Collection[str] = ()) -> RestWindows:
+    """Return half-second windows of a log and which of them are at rest, by its accelerometers, else its gyroscopes,
+    else its magnetometers (`only` these, if any are named); CalibrationError without any, and for a log that is too
+    short.
+    """
+    sensors = next(filter(None, (_rows_of(log, quantity, only) for quantity in SAME_POSE)), [])
     if not sensors:
         raise CalibrationError(f"{log.path}: no sensor with three axes to detect when the box stood still")
-    return _rests(log, sensors, ())
+    return _windows(log, sensors, only)
 
 
-def _rests(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> list[Pose]:
-    """Static stretches as these sensors tell them, which measure the same, and the gyroscopes."""
+def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> RestWindows:
+    """Windows as these sensors, which measure the same, and the gyroscopes see them; CalibrationError."""
     width_ns = max(_WIDTH_NS, round(_LEAST_ROWS * 1e9 * max(_length_s(sensor) / len(sensor) for sensor in sensors)))
     begin = max(int(sensor.time[0]) for sensor in sensors)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors)
@@ -201,8 +230,14 @@ def _rests(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> lis
     known = np.isfinite(std)
     still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
     still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still, width_ns)
-    read = np.flatnonzero(known)
-    jump = np.abs(np.diff(mean[read], axis=0)).max(axis=1) > _SAME_POSE[sensors[0].quantity]
+    return RestWindows(sensors[0].quantity, begin, width_ns, mean, std, still)
+
+
+def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
+    """Return the static stretches that these windows of the log show."""
+    read, still, width_ns = windows.read, windows.still, windows.width_ns
+    starts_ns = windows.begin_ns + width_ns * np.arange(len(still))
+    jump = np.abs(np.diff(windows.mean[read], axis=0)).max(axis=1) > SAME_POSE[windows.quantity]
     jump |= np.diff(read) * width_ns > BRIDGED_S * 1e9 + width_ns
     edges = np.flatnonzero(jump | (still[read][1:] != still[read][:-1])) + 1
     poses: list[Pose] = []
@@ -276,9 +311,6 @@ def windows_of(
         means += sums / rows / len(sensors)
         spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
     return means, spreads.max(axis=1)
-
-
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

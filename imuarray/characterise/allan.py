@@ -21,6 +21,7 @@ from imuarray.characterise.allan_curve import (
     CONFIDENCE,
     IDENTIFY,
     AllanCurve,
+    ChangeMoments,
     Moments,
     SeriesShape,
     make_curve,
@@ -38,6 +39,9 @@ __all__ = [
     "allan_deviation_of_counts",
     "octaves",
 ]
+
+
+_BLOCK = 1 << 16
 
 
 def allan_deviation(
@@ -104,8 +108,11 @@ def _factors(rows: int, factors: Sequence[int] | None) -> list[int]:
 
 
 def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> Moments:
-    """Sums of squares and averages of the column with this running sum."""
-    return Moments(sums_of_squares(phase, factors), [_averages(phase, m) for m in factors])
+    """Sums of squares, averages and kurtosis of the column with this running sum."""
+    changes = ChangeMoments()
+    for start in range(0, len(phase) - 1, _BLOCK):
+        changes.feed(np.diff(phase[start : start + _BLOCK + 1]))
+    return Moments(sums_of_squares(phase, factors), [_averages(phase, m) for m in factors], changes.kurtosis())
 
 
 def _averages(phase: npt.NDArray[Any], m: int) -> npt.NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ class AllanCurve:
     `tau_s`, `terms` (squares averaged) and `stride` (rows between their starts, 1: fully overlapping) are (t,);
     `deviation`, `low` and `high` (ends of its confidence interval), `freedom` (equivalent degrees of freedom) and
     `noise` (the type that the interval assumes) are (t,) or (t, k). The series had `rows` values, one every
-    `interval_s`.
+    `interval_s`; `kurtosis`, () or (k,), is the excess kurtosis of its white noise (0: Gaussian).
     """
 
     tau_s: npt.NDArray[np.float64]
@@ -40,11 +41,12 @@ class AllanCurve:
     stride: npt.NDArray[np.int64]
     interval_s: float
     rows: int
+    kurtosis: npt.NDArray[np.float64]
 
     def column(self, number: int) -> AllanCurve:
         """The curve of one column of a series that had some."""
         parts = {name: getattr(self, name)[:, number] for name in ("deviation", "low", "high", "freedom", "noise")}
-        return replace(self, **parts)
+        return replace(self, **parts, kurtosis=self.kurtosis[number])
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,44 @@ class SeriesShape:
 @dataclass(frozen=True)
 class Moments:
     """Moments of one column, per averaging factor: `sums` of squared second differences, and the first, or the middle,
-    `averages` side by side.
+    `averages` side by side; `kurtosis` of its white noise.
     """
 
     sums: Sequence[float]
     averages: Sequence[npt.NDArray[np.float64]]
+    kurtosis: float = 0.0
+
+
+class ChangeMoments:
+    """Second and fourth moment of the changes of a column from row to row, block by block."""
+
+    def __init__(self) -> None:
+        self._last: npt.NDArray[np.float64] = np.zeros(0)
+        self._number, self._squares, self._fourths = 0, 0.0, 0.0
+        self._scale = 0.0  # fourth powers of any unit would overflow
+
+    def feed(self, values: npt.NDArray[Any]) -> None:
+        """Add the next values (n,)."""
+        for start in range(0, len(values), _BLOCK):
+            block = np.concatenate([self._last, np.asarray(values[start : start + _BLOCK], np.float64)])
+            changes = np.diff(block)
+            self._scale = self._scale or float(np.abs(changes).max(initial=0.0))
+            squares = (changes / (self._scale or 1.0)) ** 2
+            self._number += len(squares)
+            self._squares += float(squares.sum())
+            self._fourths += float(squares @ squares)
+            self._last = block[-1:]
+
+    def kurtosis(self) -> float:
+        """Return the excess kurtosis of the white noise in the column: twice that of the changes, which a drift hardly
+        affects, since the fourth cumulants and the variances of two readings add up. 0 for a constant.
+        """
+        if not self._squares:
+            return 0.0
+        return 2 * (self._fourths * self._number / self._squares**2 - 3)
+
+
+_BLOCK = 32768
 
 
 def octaves(rows: int) -> tuple[int, ...]:
@@ -101,7 +136,8 @@ def make_curve(
     low, high = interval(deviations, freedoms, confidence)
     kinds = np.array(noises).T.reshape(deviations.shape)
     tau_s = m * np.float64(interval_s)
-    return AllanCurve(tau_s, deviations, terms, low, high, freedoms, kinds, stride, float(interval_s), rows)
+    kurtosis = np.array([column.kurtosis for column in columns]).reshape(shape)
+    return AllanCurve(tau_s, deviations, terms, low, high, freedoms, kinds, stride, float(interval_s), rows, kurtosis)
 
 
 def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:

@@ -28,6 +28,11 @@ _LEAST_SPREAD = 1e-6
 _LEAST_SIZE = 1e-3
 """Least eigenvalue of their correlation; noise has 0.007 and more, and the sums behind it are taken to 0.003."""
 
+_WHITE = TERMS.index("white")
+
+_LEAST_KURTOSIS = -1.5
+"""Readings of two codes have -2; their variance would be taken for exactly known."""
+
 _TURNS = 30
 _TURNS_OF_BOUND = 3
 _CONVERGED = 1e-6
@@ -37,7 +42,8 @@ _CONVERGED = 1e-6
 class AllanEstimate:
     """Data of the fit: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
 
-    They are in units of `size` squared, in which the largest is 1.
+    They are in units of `size` squared, in which the largest is 1. `kurtosis`: of the white noise, in excess of that of
+    a normal distribution.
     """
 
     variance: Floats
@@ -45,6 +51,7 @@ class AllanEstimate:
     factors: tuple[int, ...]
     rows: int
     interval_s: float
+    kurtosis: float = 0.0
     _solutions: dict[tuple[int, ...], Solution] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
@@ -80,8 +87,14 @@ class AllanEstimate:
         return float(np.sum((decorrelated @ roots) ** 2))
 
     def _scatter(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Matrix (t, t) that decorrelates, and standard deviations (t,)."""
+        """Matrix (t, t) that decorrelates, and standard deviations (t,).
+
+        A fourth cumulant k of independent readings adds k / (n m m') to the covariance of Allan variances at m and m':
+        each is a quadratic form of the n readings whose diagonal is 1 / (n m), but for the ends of the series.
+        """
+        white = theta[_WHITE] * self.design[:, _WHITE]
         covariance_ = covariance(self.factors, self.rows, theta)
+        covariance_ = covariance_ + max(self.kurtosis, _LEAST_KURTOSIS) / self.rows * np.outer(white, white)
         spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design @ theta)) ** 2)
         sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread

@@ -19,6 +19,7 @@ from imuarray.characterise.allan_curve import (
     CONFIDENCE,
     IDENTIFY,
     AllanCurve,
+    ChangeMoments,
     Moments,
     SeriesShape,
     make_curve,
@@ -111,12 +112,14 @@ class _Pyramid:
             self._levels[stride] = level
         self._total = 0.0
         self._reference: Any = None
+        self._changes = ChangeMoments()
         self._levels[1].add(np.zeros(1))
 
     def feed(self, values: Values) -> None:
         """The next values (n,); ValueError if one is not finite."""
         if self._reference is None:
             self._reference = values[0] if values.dtype.kind in "biu" else values[:_ROWS].mean(dtype=np.float64)
+        self._changes.feed(values)
         root, start = self._levels[1], 0
         while start < len(values):
             free = root.free()
@@ -130,7 +133,7 @@ class _Pyramid:
         """Return the moments of all values so far."""
         self._levels[1].work(through=True)
         sums = [self._levels[stride].sums[m // stride] for m, stride in zip(factors, strides, strict=True)]
-        return Moments(sums, [self._levels[m].averages() / m for m in factors])
+        return Moments(sums, [self._levels[m].averages() / m for m in factors], self._changes.kurtosis())
 
 
 class _Link:

@@ -33,11 +33,12 @@ _LISTED_CODES = 4096
 _ALIASES_TO_HZ = 500.0
 
 
-def timing_of(survey: Survey) -> dict[str, Any]:
-    """Intervals, their jitter and gaps; how often a reading repeats the one before."""
+def timing_of(survey: Survey, rate_hz: float) -> dict[str, Any]:
+    """Intervals, their jitter and gaps; how often a reading repeats the one before, at `rate_hz` rows per second (the
+    intervals do not say the rate of rows that arrive in bursts).
+    """
     intervals = asdict(survey.intervals) | {"longest": [gap._asdict() for gap in survey.intervals.longest]}
     repeats = asdict(survey.repeats)
-    rate_hz = 1 / survey.intervals.mean_s if survey.intervals.mean_s > 0 else math.nan
     return {**intervals, "repeats": repeats | {"update_rate_hz": survey.repeats.update_rate_hz(rate_hz)}}
 
 

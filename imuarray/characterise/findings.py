@@ -26,7 +26,9 @@ def findings(result: Mapping[str, Any]) -> list[str]:
     """One sentence for each thing that a person should know, sensor by sensor; axes of which the same is true share
     it.
     """
-    return [sentence for sensor in result["sensors"] for sentence in _of_sensor(sensor)]
+    remark = result["stretch"]["remark"]
+    about_box = [f"{remark}; the rows around are left out"] if remark else []
+    return [*about_box, *(sentence for sensor in result["sensors"] for sentence in _of_sensor(sensor))]
 
 
 def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:

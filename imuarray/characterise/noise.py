@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
+from imuarray.characterise.stretch import Spans, flags_of
 from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS, SATURATED, STALE, SUSPECT
 
@@ -86,8 +87,8 @@ class _Pairs(NamedTuple):
         return (self.product - offset * self.both) / self.number + offset**2
 
 
-def noise_statistics(sensor: SensorLog, rows: slice) -> NoiseStatistics:
-    """Statistics of a sensor's `rows`, which should be a stretch at rest."""
+def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> NoiseStatistics:
+    """Statistics of a sensor's `rows`, which should be a stretch at rest, without those in the spans `left_out`."""
     zeros = np.zeros(int(sensor.counts.shape[1]))
     total, pairs, even = _Moments(0, zeros, zeros), _Pairs(0, zeros, zeros), zeros
     flags = dict.fromkeys(FLAGS, 0)
@@ -95,7 +96,7 @@ def noise_statistics(sensor: SensorLog, rows: slice) -> NoiseStatistics:
     origin: Floats | None = None
     for batch in _batches(rows):
         in_batch = _Moments(0, zeros, zeros)
-        for kept in _used_rows(sensor, batch, flags):
+        for kept in _used_rows(sensor, batch, flags, left_out):
             origin = kept.mean(axis=0) if origin is None else origin
             in_batch = in_batch.merge(_moments(kept))
             pairs = pairs.merge(_pairs(kept - origin))
@@ -107,14 +108,16 @@ def noise_statistics(sensor: SensorLog, rows: slice) -> NoiseStatistics:
     return _finish(_Sums(rows.stop - rows.start, flags, total, pairs, even, means, offset))
 
 
-def _used_rows(sensor: SensorLog, rows: slice, flags: dict[str, int]) -> Iterator[npt.NDArray[np.int64]]:
+def _used_rows(
+    sensor: SensorLog, rows: slice, flags: dict[str, int], left_out: Spans
+) -> Iterator[npt.NDArray[np.int64]]:
     """Counts (n, k) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
         status = np.asarray(sensor.status[part])
         for name, flag in FLAGS.items():
             flags[name] += int(np.count_nonzero(status & flag))
-        kept = np.asarray(sensor.counts[part], np.int64)[(status & LEFT_OUT) == 0]
+        kept = np.asarray(sensor.counts[part], np.int64)[(flags_of(sensor, part, left_out) & LEFT_OUT) == 0]
         if len(kept):
             yield kept
 

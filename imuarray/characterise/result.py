@@ -93,6 +93,8 @@ def _stretch(stretch: Stretch) -> dict[str, Any]:
         "start_s": stretch.start_ns * 1e-9,
         "end_s": stretch.end_ns * 1e-9,
         "chosen_by": stretch.chosen_by,
+        "left_out_s": [[start_ns * 1e-9, end_ns * 1e-9] for start_ns, end_ns in stretch.left_out],
+        "remark": stretch.remark,
     }
 
 
@@ -106,10 +108,10 @@ def _sensor(
     """One sensor: what it is, its times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
     pattern = row_timing(sensor)
-    timing = find_timing(sensor, rows, counted=pattern.kind == "bursts")
-    statistics = noise_statistics(sensor, rows)
+    timing = find_timing(sensor, rows, counted=pattern.kind == "bursts", left_out=stretch.left_out)
+    statistics = noise_statistics(sensor, rows, stretch.left_out)
     run = _run(sensor, timing)
-    surveyed = survey(sensor, rows, timing, run["interval_s"], estimator)
+    surveyed = survey(sensor, rows, timing, run["interval_s"], estimator, stretch.left_out)
     count = statistics.rows or math.nan
     per_count = _per_count(sensor, scale)
     rails = find_rails(sensor) if sensor.is_triad else None
@@ -125,7 +127,8 @@ def _sensor(
         "largest_gap_s": timing.largest_gap_s,
         "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
         "allan_estimator": surveyed and surveyed.estimator,
-        "timing": surveyed and timing_of(surveyed) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
+        "timing": surveyed
+        and timing_of(surveyed, 1 / run["interval_s"]) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
         "axes": _axes(sensor, per_count, surveyed, statistics, progress),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,13 +24,32 @@ fro has a short and a long interval in turn, and the long ones are none."""
 
 @dataclass(frozen=True)
 class Stretch:
-    """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` says why this one."""
+    """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` says why this one.
+
+    Rows between the times of `left_out` (ns) are no readings at rest; `remark` says what happened there.
+    """
 
     start_ns: int
     end_ns: int
     phase: str | None
     up: str
     chosen_by: str
+    left_out: tuple[tuple[int, int], ...] = ()
+    remark: str = ""
+
+
+Spans = Sequence[tuple[int, int]]
+"""Start and end in ns of times in which readings do not count."""
+
+
+def flags_of(sensor: SensorLog, part: slice, left_out: Spans = ()) -> npt.NDArray[np.uint16]:
+    """Return the flags (n,) of rows of a sensor; those in spans that are left out are suspect."""
+    flags = np.array(sensor.status[part], np.uint16)
+    if len(left_out):
+        time_ns = np.asarray(sensor.time[part], np.int64)
+        for start_ns, end_ns in left_out:
+            flags[slice(*np.searchsorted(time_ns, (start_ns, end_ns)))] |= SUSPECT
+    return flags
 
 
 @dataclass(frozen=True)
@@ -76,13 +96,15 @@ def _whole(log: Log) -> Stretch:
     return Stretch(start, end, None, "", "no phase at rest: the whole log")
 
 
-def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16, *, counted: bool = False) -> Timing:
+def find_timing(
+    sensor: SensorLog, rows: slice, block: int = 1 << 16, *, counted: bool = False, left_out: Spans = ()
+) -> Timing:
     """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
 
     A run ends at a gap, where readings were lost or the chip was set up again, and at every row in which the chip is in
-    doubt. With `counted`, rows came in bursts: they were taken steadily, and no interval between them is a gap. The
-    median of more than `block` rows is the median of the blocks' medians, and so is the quartile. LogError
-    if time doesn't increase.
+    doubt or which is in a span that is left out. With `counted`, rows came in bursts: they were taken steadily, and no
+    interval between them is a gap. The median of more than `block` rows is the median of the blocks' medians, and so is
+    the quartile. LogError if time doesn't increase.
     """
     if rows.stop - rows.start < 2:
         return Timing(float("nan"), float("nan"), 0, rows)
@@ -94,7 +116,7 @@ def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16, *, counted
         wide = intervals > (np.inf if counted else GAP * upper)
         gaps += int(np.count_nonzero(wide))
         largest = max(largest, int(intervals.max()))
-        for row in (part.start + 1 + np.flatnonzero(wide | _broken(sensor, part))).tolist():
+        for row in (part.start + 1 + np.flatnonzero(wide | broken_rows(flags_of(sensor, part, left_out))[1:])).tolist():
             best = max(best, slice(begin, row), key=_length)
             begin = row
     longest = max(best, slice(begin, rows.stop), key=_length)
@@ -112,11 +134,6 @@ def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
     if intervals.min() <= 0:
         raise LogError(f"{sensor.where}: time does not increase at row {part.start + 1 + int(intervals.argmin())}")
     return intervals
-
-
-def _broken(sensor: SensorLog, part: slice) -> npt.NDArray[np.bool_]:
-    """For every row but the first: the flags say that it doesn't continue the one before."""
-    return broken_rows(np.asarray(sensor.status[part]))[1:]
 
 
 def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from imuarray.characterise.correlation import Autocorrelation, Autocovariance
 from imuarray.characterise.intervals import Intervals, IntervalTally
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
-from imuarray.characterise.stretch import Timing, broken_rows
+from imuarray.characterise.stretch import Spans, Timing, broken_rows, flags_of
 from imuarray.log import SensorLog
 from imuarray.log.format import SUSPECT
 
@@ -54,10 +54,15 @@ class Survey:
 
 
 def survey(
-    sensor: SensorLog, rows: slice, timing: Timing, interval_s: float, estimator: Estimator | None = None
+    sensor: SensorLog,
+    rows: slice,
+    timing: Timing,
+    interval_s: float,
+    estimator: Estimator | None = None,
+    left_out: Spans = (),
 ) -> Survey | None:
     """Return everything about the `rows` of a sensor, whose runs `timing` found; `interval_s` is the longest run's
-    mean.
+    mean. Rows in the spans `left_out` do not count.
 
     `estimator` None: overlapping for a run of at most `EXACT_ROWS`, else decimated. None without two rows.
     """
@@ -70,7 +75,7 @@ def survey(
     covariance = Autocovariance(LAGS, columns)
     intervals, repeats, seen = IntervalTally(), RepeatTally(), [NOTHING] * columns
     stream = AllanStream(interval_s) if chosen == "decimated" and run_rows >= MIN_ROWS else None
-    for begin, starts_run, counts in _pieces(sensor, rows, timing, intervals):
+    for begin, starts_run, counts in _pieces(sensor, rows, timing, intervals, left_out):
         if starts_run:
             for tally in (welch, covariance, repeats):
                 tally.end_run()
@@ -114,13 +119,13 @@ class _Column:
 
 
 def _pieces(
-    sensor: SensorLog, rows: slice, timing: Timing, intervals: IntervalTally
+    sensor: SensorLog, rows: slice, timing: Timing, intervals: IntervalTally, left_out: Spans
 ) -> Iterator[tuple[int, bool, npt.NDArray[np.int64]]]:
     """The rows cut into pieces: number of the first row, whether it starts a run, and the counts (n, k)."""
     before_ns, in_doubt = None, False
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
-        time_ns, status = np.asarray(sensor.time[part], np.int64), np.asarray(sensor.status[part])
+        time_ns, status = np.asarray(sensor.time[part], np.int64), flags_of(sensor, part, left_out)
         counts = np.asarray(sensor.counts[part], np.int64)
         intervals.update(time_ns)
         since_ns = np.diff(time_ns, prepend=time_ns[0] if before_ns is None else before_ns)

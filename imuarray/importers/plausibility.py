@@ -17,6 +17,8 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.calibrate.knocks import find_knocks, knock_sentence
+from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
@@ -59,6 +61,9 @@ STILL = 2.5
 
 QUIET = 0.1
 """Share of the windows that are the quiet ones: a recording rests for that long at least."""
+
+RESTS = 0.5
+"""Share of windows at rest from which on a disturbance is called a knock, and not motion."""
 
 SHAKEN = 0.1
 SHAKEN_LEVEL = 3.0
@@ -197,6 +202,9 @@ def report_of(log: Log) -> Report:
                 doubts.add(sensor.name, text)
     for name, text in [*_turns(log, windows), *_twins(log)]:
         doubts.add(name, text)
+    forces = next((sensor.name for sensor in log.of("specific_force") if sensor.name in windows), None)
+    if forces is not None and (knocks := windows[forces].knocks()):
+        quirks.add(forces, knocks)
     return Report(tuple(_facts(levels)), quirks.all(), doubts.all())
 
 
@@ -237,6 +245,18 @@ class _Windows:
         if len(self.spread) == 0:
             return np.zeros(0, bool)
         return np.asarray(self.spread <= STILL * np.quantile(self.spread, QUIET))
+
+    def knocks(self) -> str:
+        """Describe the knocks of an accelerometer that mostly rests; "" without any."""
+        still = self.still()
+        if not len(still) or still.mean() < RESTS:
+            return ""
+        place, count = self.number - self.number[0], int(self.number[-1] - self.number[0]) + 1
+        mean, spread, all_still = np.zeros((count, 3)), np.full(count, np.inf), np.zeros(count, bool)
+        mean[place], spread[place], all_still[place] = self.mean, self.spread, still
+        begin_ns = int(self.number[0]) * self.width_ns + self.offset_ns
+        windows = RestWindows("specific_force", begin_ns, self.width_ns, mean, spread, all_still)
+        return knock_sentence(find_knocks(windows), "mg", 1e3)
 
 
 def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | None, list[str]]:
