@@ -18,7 +18,7 @@ from firmware_emulator.board import Board, BoardKind, named
 from firmware_emulator.bypass import BehindBypass
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
-from firmware_emulator.chips.mpu6500 import Mpu6500
+from firmware_emulator.chips.mpu_queue import MpuFamily
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.six_axis import SixAxis
@@ -155,7 +155,7 @@ def open_array(  # noqa: PLR0913
             branches.setdefault(sensor.channel, []).append(device)
     for (own_bus, channel), behind in bypassed.items():
         hosts = [dies.get((own_bus or channel, address)) for address in mpu6500.ADDRESSES]
-        behind.host = next((host for host in hosts if isinstance(host, Mpu6500)), None)
+        behind.host = next((host for host in hosts if isinstance(host, MpuFamily)), None)
         if behind.host is not None:
             behind.host.on_bypass = wires[own_bus or TRUNK].reroute
             behind.host.on_bypass()

@@ -1,9 +1,11 @@
-"""The bypass of an MPU-9250: while it is open, the magnetometer on its own bus answers on the array's (INV-97)."""
+"""The bypass of an MPU-9150 or MPU-9250: while it is open, the magnetometer on its own bus answers on the array's
+(INV-97).
+"""
 
 from __future__ import annotations
 
 from firmware_emulator.chip import Target
-from firmware_emulator.chips.mpu6500 import Mpu6500
+from firmware_emulator.chips.mpu_queue import MpuFamily
 
 NOWHERE = -1
 
@@ -13,7 +15,7 @@ class BehindBypass:
 
     def __init__(self, device: Target) -> None:
         self._device = device
-        self.host: Mpu6500 | None = None
+        self.host: MpuFamily | None = None
 
     @property
     def address(self) -> int:

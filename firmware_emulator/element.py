@@ -43,6 +43,7 @@ SENSED: dict[str, tuple[str, float]] = {
     "lis3mdl": ("field_box", 1.0),
     "mmc5983": ("field_box", 1.0),
     "ak8963": ("field_box", 1.0),
+    "ak8975": ("field_box", 1.0),
 }
 """By chip: the field of `Stimulus` that it measures, and what one of its unit is in g, dps or gauss."""
 

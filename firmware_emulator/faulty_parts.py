@@ -67,6 +67,7 @@ LAYOUTS = MappingProxyType(
         "hmc5883l": Layout(0x03, -1, 0),
         "mmc5983": Layout(0x00, -1, 0),  # MMC-11
         "ak8963": Layout(0x03, 0x02, 0x01),  # AKM-11, AKM-12
+        "ak8975": Layout(0x03, 0x02, 0x01),  # AKM-22, AKM-23
         "lis3mdl": Layout(0x28, 0x27, 0x0F),  # LIS-12, LIS-14
     }
 )

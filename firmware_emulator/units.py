@@ -145,6 +145,20 @@ def ak8963(_: float) -> Tolerances:
     )
 
 
+def ak8975(_: float) -> Tolerances:
+    """AKM-28; noise of a count is ours (DEC-233), alignment is left out."""
+    return Tolerances(
+        bias=(typical(3.0),) * 3,
+        slope_per_degc=(NONE,) * 3,
+        scale=typical(0.05),
+        cross_axis=NONE,
+        alignment_deg=NONE,
+        noise=(3e-3,) * 3,
+        noise_full_scale=12.29,
+        noise_bandwidth_hz=50.0,
+    )
+
+
 def bmp180(_: float) -> Tolerances:
     """BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC of the truth, 1.5 at most."""
     return replace(
@@ -176,6 +190,7 @@ TOLERANCES: dict[str, Sheet] = {
     "lis3mdl": lis3mdl,
     "mmc5983": mmc5983,
     "ak8963": ak8963,
+    "ak8975": ak8975,
 } | {chip: half.sheet for chip, half in HALVES.items()}
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from imuarray.facts import (
     adxl345,
     ak8963,
+    ak8975,
     bma180,
     bmp180,
     bmp280,
@@ -398,6 +399,18 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             rates_hz=(8.0, 100.0),  # AKM-13
             default_rate_hz=100.0,
             proposed={"range": 49.12, "rate_hz": 100},
+        ),
+        "ak8975": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=ak8975.ADDRESSES,
+            identity=ak8975.WIA,
+            label="AK{}",
+            burst_bytes=8,
+            sensitivity={12.29: 1 / 0.003},  # AKM-22
+            rates_hz=(100.0,),  # AKM-25
+            default_rate_hz=100.0,
+            proposed={"range": 12.29, "rate_hz": 100},
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",

@@ -7,6 +7,7 @@ from firmware_emulator.chip import Chip
 from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
 from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.chips.ak8963 import Ak8963
+from firmware_emulator.chips.ak8975 import Ak8975
 from firmware_emulator.chips.bma180 import Bma180
 from firmware_emulator.chips.bmp180 import Bmp180
 from firmware_emulator.chips.bmp280 import Bmp280
@@ -48,10 +49,11 @@ CHIPS: dict[str, Callable[..., Chip]] = {
     "lis3mdl": Lis3mdl,
     "mmc5983": Mmc5983,
     "ak8963": Ak8963,
+    "ak8975": Ak8975,
 }
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
 
-ON_AUXILIARY_BUS = ("ak8963",)
+ON_AUXILIARY_BUS = ("ak8963", "ak8975")
 """Chips that an MPU-9250 on the same bus hides until its bypass is open."""
 
 BAROMETERS = ("bmp180", "bmp280", "bmp388")

@@ -8,7 +8,6 @@ its bypass, motion detection, low-power cycle, the settling of the zero-rate lev
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from struct import Struct
 from types import ModuleType
@@ -42,8 +41,6 @@ class Mpu6500(MpuFamily):
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
-    on_bypass: Callable[[], None] | None = None
-    """Function that is called when the bypass opens or closes."""
     fifo_bytes: ClassVar[int] = 512  # INV-98
 
     def __init__(
@@ -58,12 +55,6 @@ class Mpu6500(MpuFamily):
         for register in (facts.SELF_TEST_X_GYRO, facts.SELF_TEST_X_ACCEL):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._restart(facts.PWR_MGMT_1.address, at_ns)
-
-    @property
-    def bypass_open(self) -> bool:
-        """True while the auxiliary bus is connected to the array's (INV-97)."""
-        master = facts.MASTER_ON.of(self.page[facts.USER_CTRL.address])
-        return bool(facts.BYPASS.of(self.page[facts.INT_PIN_CFG.address])) and not master
 
     def _convert(self, at_ns: int) -> None:
         """Bring the sample of this instant into the data registers."""
@@ -96,13 +87,6 @@ class Mpu6500(MpuFamily):
         self.end_reset(at_ns)
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
-
-    def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register; whoever is behind the bypass is told when it is opened or closed."""
-        was_open = self.bypass_open
-        super().store(address, value, at_ns)
-        if self.on_bypass is not None and was_open != self.bypass_open:
-            self.on_bypass()
 
     def _restart(self, address: int, at_ns: int) -> None:
         """The grid begins anew with another rate, and when the die wakes (DEC-80)."""

@@ -1,5 +1,5 @@
-"""What the chips of the MPU family have in common: one grid of samples, flags, and a queue of bytes (INV-26, INV-27,
-INV-98).
+"""What the chips of the MPU family have in common: one grid of samples, flags, a queue of bytes (INV-26, INV-27,
+INV-98), and the bypass of the auxiliary bus (INV-97).
 
 A full queue loses its oldest bytes, one by one, so that a record may begin anywhere afterwards; an empty one repeats
 its last byte.
@@ -8,6 +8,7 @@ its last byte.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element
@@ -15,6 +16,7 @@ from firmware_emulator.six_axis import Grid, SixAxis
 
 BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-11, INV-72
 DATA = range(0x3B, 0x49)  # INV-20, INV-75
+INT_PIN_CFG, BYPASS, MASTER = 0x37, 0x02, 0x20
 FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
 OVERFLOW, DATA_READY = 0x10, 0x01
 ON, RESET = 0x40, 0x04
@@ -24,6 +26,13 @@ class MpuFamily(SixAxis):
     """A die with one grid of samples and a queue of `fifo_bytes`."""
 
     fifo_bytes: ClassVar[int]
+    on_bypass: Callable[[], None] | None = None
+    """Function that is called when the bypass opens or closes."""
+
+    @property
+    def bypass_open(self) -> bool:
+        """True while the auxiliary bus is connected to the array's (INV-97)."""
+        return bool(self.page[INT_PIN_CFG] & BYPASS) and not self.page[USER_CTRL] & MASTER
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> None:
         self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
@@ -96,7 +105,14 @@ class MpuFamily(SixAxis):
         return pointer if pointer == FIFO else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
+        """A byte written to a register; whoever is behind the bypass is told when it is opened or closed."""
+        was_open = self.bypass_open
+        self._store(address, value, at_ns)
+        if self.on_bypass is not None and was_open != self.bypass_open:
+            self.on_bypass()
+
+    def _store(self, address: int, value: int, at_ns: int) -> None:
+        """What was sampled before stays as it was."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.begin_reset(address, value, at_ns):

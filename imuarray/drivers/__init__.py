@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.ak8963 import Ak8963
+from imuarray.drivers.ak8975 import Ak8975
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.bmp280 import Bmp280
@@ -68,6 +69,7 @@ DRIVERS: dict[str, type[Driver]] = {
     "lis3mdl": Lis3mdl,
     "mmc5983": Mmc5983,
     "ak8963": Ak8963,
+    "ak8975": Ak8975,
 }
 
 FIFO_DRIVERS: dict[str, type[Driver]] = {

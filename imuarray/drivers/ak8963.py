@@ -37,7 +37,6 @@ _MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
 _POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
 _MODE_CHANGE_S = 0.001  # 100 us: AKM-13
 _MEASURED_S = 0.010  # 9 ms at the most: AKM-14
-_HOSTS = (0x71, 0x73)  # MPU-9250, MPU-9255: INV-03
 _SELF_TEST = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, 16 bits, adjusted
 
 
@@ -47,31 +46,38 @@ class Ak8963:
     burst: ClassVar[int] = 8
     tells_fresh: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(1, 7)
+    host_name: ClassVar[str] = "MPU-9250"
+    host_identities: ClassVar[tuple[int, ...]] = (0x71, 0x73)  # MPU-9250, MPU-9255: INV-03
+    self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = _SELF_TEST
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
         self.rate_hz = sensor.chip_rate_hz
-        self.mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
-        self.watched: tuple[Setting, ...] = (self.mode, facts.SELF_TEST(0))
+        self.mode, self.watched = self.settings()
         self.adjustment = bytes(3)
 
+    def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
+        """The mode in which it measures, and what can be read back while it does."""
+        mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
+        return mode, (mode, facts.SELF_TEST(0))
+
     def open_bypass(self) -> None:
-        """Open the bypass of the MPU-9250 on this bus, if there is one; SensorError where there are two, whose
+        """Open the bypass of the MPU on this bus, if there is one; SensorError where there are two, whose
         magnetometers have one address.
         """
         hosts = []
         for address in mpu6500.ADDRESSES:
             host = Registers(self.registers.bus, address, self.registers.label)
             try:
-                if host.peek(mpu6500.WHO_AM_I)[0] in _HOSTS:
+                if host.peek(mpu6500.WHO_AM_I)[0] in self.host_identities:
                     hosts.append(host)
             except OSError:
                 continue
         if len(hosts) > 1:
             raise SensorError(
-                f"{self.registers.label}: two MPU-9250 are on this bus, and their magnetometers have one address:"
-                " connect them to two channels"
+                f"{self.registers.label}: two {self.host_name} are on this bus, and their magnetometers have one"
+                " address: connect them to two channels"
             )
         for host in hosts:
             host.change(mpu6500.BYPASS(1))
@@ -95,8 +101,12 @@ class Ak8963:
         if not all(self.adjustment):
             raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: no AK8963")
         yield from self._set_mode(_POWER_DOWN)
-        self.registers.set(self.mode)
+        self.start_measuring()
         yield 2 / self.rate_hz
+
+    def start_measuring(self) -> None:
+        """Write the mode, and check that it is kept."""
+        self.registers.set(self.mode)
 
     def _set_mode(self, mode: int) -> Iterator[float]:
         """A mode is set through power-down (AKM-13)."""
@@ -119,20 +129,24 @@ class Ak8963:
         self.registers.poke(facts.ASTC, facts.SELF_TEST(1).value)
         carry_out(self.clock, self._set_mode(_SELF_TEST_MODE))
         sleep_for(self.clock, _MEASURED_S)
-        burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, -1)
+        burst = np.frombuffer(self.measured(), np.uint8).reshape(1, -1)
         decoded = self.decode(burst)
         self.registers.poke(facts.ASTC, 0)
         answer = decoded.counts[0] * self.factors
         self.configure()
-        wanted = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in _SELF_TEST)
+        wanted = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.self_test_limits)
         said = ", ".join(f"{value:+.0f}" for value in answer)
         if decoded.status[0] & STALE:
             return SelfTest(False, "no answer to the self-test in 10 ms")
-        return SelfTest(within(answer, _SELF_TEST), f"answers {said} counts; limits {wanted}")
+        return SelfTest(within(answer, self.self_test_limits), f"answers {said} counts; limits {wanted}")
 
     def fetch(self) -> bytes:
         """0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
         return self.registers.peek(facts.ST1, self.burst)
+
+    def measured(self) -> bytes:
+        """The burst of the self-test."""
+        return self.fetch()
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Counts of 16 bits, low byte first; stale where ST1 said that nothing was ready, overrun where it said that

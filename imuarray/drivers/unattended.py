@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from imuarray.array import SensorConfig
 from imuarray.bus.serial_link import Request
 from imuarray.drivers import DRIVERS
+from imuarray.drivers.ak8975 import Ak8975
 from imuarray.drivers.forced_barometer import ForcedBarometer
 from imuarray.facts import bmp180
 
@@ -63,6 +64,8 @@ def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
     if isinstance(driver, ForcedBarometer):
         return _forced_barometer(sensor.address, driver)
     driver.fetch()
+    if isinstance(driver, Ak8975):  # read, and told to measure again, at once
+        return (Visit(tuple(bus.asked)),)
     return tuple(Visit((request,)) for request in bus.asked)
 
 

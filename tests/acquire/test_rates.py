@@ -36,6 +36,7 @@ ALONE = {
     "lis3mdl": "address=0x1C\nrange=4\n",
     "mmc5983": "address=0x30\nrange=8\n",
     "ak8963": "address=0x0C\nrange=49.12\n",
+    "ak8975": "address=0x0C\nrange=12.29\n",
 }
 
 

@@ -34,6 +34,7 @@ SENSORS = {
     "lis3mdl": "address = 0x1C\nrange = 4\n",
     "mmc5983": "address = 0x30\nrange = 8\n",
     "ak8963": "address = 0x0C\nrange = 49.12\n",
+    "ak8975": "address = 0x0C\nrange = 12.29\n",
 }
 DEAD_WITHOUT = {
     "adxl345": (0x31, 0x80),
@@ -49,6 +50,7 @@ DEAD_WITHOUT = {
     "lsm6dso_gyro": (0x14, 0x0C),
     "lis3mdl": (0x20, 0x01),
     "ak8963": (0x0C, 0x40),
+    "ak8975": (0x0C, 0x40),
 }
 """Register and bits that start the self-test (ADX-26, BMA-21, L3G-14, INV-13, -14, -75, TDK-41, LSM-20, LIS-16,
 AKM-15): without them a chip is dead.

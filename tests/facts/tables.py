@@ -12,6 +12,7 @@ from imuarray.facts.registers import Field, Register
 CHIPS = (
     "adxl345",
     "ak8963",
+    "ak8975",
     "bma180",
     "bmp180",
     "bmp280",
@@ -34,6 +35,7 @@ CHIPS = (
 READ_ONLY = {
     "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
     "ak8963": {*range(0x0A), *range(0x10, 0x13)},
+    "ak8975": {*range(0x0A), *range(0x10, 0x13)},
     "bma180": {*range(0x0D)},
     "bmp180": {0xAA, 0xD0, 0xF6, 0xF7, 0xF8},
     "bmp280": {0x88, 0xD0, 0xF3, *range(0xF7, 0xFD)},
@@ -51,6 +53,7 @@ READ_ONLY = {
 WRITE_ONLY = {
     "adxl345": set(),
     "ak8963": set(),
+    "ak8975": set(),
     "bma180": {0x10},
     "bmp180": {0xE0},
     "bmp280": {0xE0},
@@ -68,6 +71,7 @@ WRITE_ONLY = {
 WRITABLE = {
     "adxl345": {*range(0x1D, 0x2B), *range(0x2C, 0x30), 0x31, 0x38},
     "ak8963": {0x0A, 0x0B, 0x0C},
+    "ak8975": {0x0A, 0x0C},
     "bma180": {0x0D, 0x0E, 0x0F, *range(0x20, 0x3C)},
     "bmp180": {0xF4},
     "bmp280": {0xF4, 0xF5},
@@ -89,6 +93,7 @@ WRITABLE = {
 ADDRESSES = {  # ADX-01, BMA-01, BMP-01, BMP-101, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, INV-70, PCA-01
     "adxl345": {0x53, 0x1D},
     "ak8963": {0x0C},
+    "ak8975": {0x0C, 0x0D, 0x0E, 0x0F},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
     "bmp280": {0x76, 0x77},
@@ -110,6 +115,7 @@ RESERVED_WITHOUT_FIELDS = {  # by address, in registers of which no field is nam
 UNPRINTED = {  # without a reset value in print: measured, computed when read, never readable, different in every part
     "adxl345": {0x30, *range(0x32, 0x38), 0x39},
     "ak8963": {0x01, 0x02, *range(0x03, 0x0A), *range(0x10, 0x13)},
+    "ak8975": {0x01, 0x02, *range(0x03, 0x0A), *range(0x10, 0x13)},
     "bma180": {*range(0x01, 0x09), 0x3B},
     "bmp180": {0xAA},
     "bmp280": {0x88, 0xF3},

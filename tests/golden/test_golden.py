@@ -13,6 +13,7 @@ PATHS = sorted(Path(__file__).parent.glob("*.jsonl"))
 CHIPS = {
     "adxl345",
     "ak8963",
+    "ak8975",
     "bma180",
     "bmp180",
     "bmp280",

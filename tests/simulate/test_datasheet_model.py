@@ -236,6 +236,13 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("scale", "error", 5 * PERCENT),
         ),
     ),
+    "ak8975": (
+        12.29,
+        (
+            typical("bias", "offset", 3.0),  # AKM-28
+            typical("scale", "error", 5 * PERCENT),
+        ),
+    ),
     "mmc5983": (
         8.0,
         (
@@ -393,6 +400,7 @@ ALSO = {
     "lis3mdl": {"bias"},
     "mmc5983": {"bias", "scale"},
     "ak8963": {"bias", "scale"},
+    "ak8975": {"bias", "scale"},
 }
 
 
@@ -402,6 +410,7 @@ UNPRINTED = {
     "lis3mdl": {"thermal_scale"},
     "mmc5983": {"thermal_scale"},
     "ak8963": {"thermal_scale", "nonlinearity", "white_noise"},
+    "ak8975": {"thermal_scale", "nonlinearity", "white_noise"},
 }
 """What the others print, and these do not."""
 

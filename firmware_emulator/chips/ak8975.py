@@ -1,0 +1,81 @@
+"""AK8975 magnetometer behind its registers, as it is in the MPU-9150; AKM-21 ... AKM-28, DEC-231 to -235.
+
+It measures once when it is told to, and is powered down afterwards. Whether it can be reached is for the bypass of the
+MPU-9150 around it to say (`firmware_emulator.bypass`).
+"""
+
+from __future__ import annotations
+
+from firmware_emulator.chip import Chip, Element
+from firmware_emulator.chips.ak8963 import ADJUSTMENT, DOWN, FAR_NS, FUSE_ROM, SELF_TEST, SINGLE
+from imuarray.facts import ak8975 as facts
+
+MEASURED_NS = 7_300_000  # typical: AKM-25
+GAUSS_A_COUNT = 0.003  # AKM-22
+LOWEST, HIGHEST = -4096, 4095
+OVERFLOWS_GAUSS = 24.0  # sum of the sizes: AKM-23
+FULL_SCALE_GAUSS = 12.29
+OWN_FIELD = (0.0, 0.0, -1.8)
+"""Gauss that the self-test adds in the place of the field: -600 counts, adjusted (AKM-26, DEC-234)."""
+
+_ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
+_CONTROL, _ROM = facts.CNTL.address, facts.ASAX.address
+
+
+class Ak8975(Chip):
+    """The chip; `adjustment` is what its fuse ROM holds, `identity` what WIA says."""
+
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        adjustment: tuple[int, int, int] = ADJUSTMENT,
+        identity: int | None = None,
+    ) -> None:
+        self._adjustment = adjustment
+        self._identity = facts.WIA.reset if identity is None else identity
+        super().__init__(address, facts, element, powered_on_ns)
+
+    def power_on(self, at_ns: int) -> None:
+        """Reset values, powered down."""
+        super().power_on(at_ns)
+        self.page[facts.WIA.address] = self._identity
+        self._over_ns = FAR_NS
+
+    def _sync(self, at_ns: int) -> None:
+        """A measurement that is over into the data registers; then it is powered down (AKM-24)."""
+        if at_ns < self._over_ns:
+            return
+        gauss = self.element.sample(self._over_ns, FULL_SCALE_GAUSS, 50.0)
+        is_own = facts.MODE.of(self.page[_CONTROL]) == SELF_TEST and facts.SELF_TEST.of(self.page[facts.ASTC.address])
+        if is_own:
+            gauss = OWN_FIELD
+        codes = (
+            round(field / GAUSS_A_COUNT * 256 / (adjustment + 128))  # AKM-27
+            for field, adjustment in zip(gauss, self._adjustment, strict=True)
+        )
+        data = b"".join(max(LOWEST, min(HIGHEST, code)).to_bytes(2, "little", signed=True) for code in codes)
+        self.page[_DATA : _DATA + 6] = data
+        self.page[_ST2] = facts.OVERFLOW.mask * (sum(map(abs, gauss)) >= OVERFLOWS_GAUSS)
+        self.page[_ST1] = facts.DATA_READY.mask
+        self.page[_CONTROL] = DOWN
+        self._over_ns = FAR_NS
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A byte; reading data or ST2 clears ST1 (AKM-23)."""
+        self._sync(at_ns)
+        byte = self.page[address]
+        if _DATA <= address <= _ST2:
+            self.page[_ST1] = 0
+        elif _ROM <= address <= facts.ASAZ.address:  # in its own mode only: AKM-27, DEC-230
+            byte = self._adjustment[address - _ROM] if facts.MODE.of(self.page[_CONTROL]) == FUSE_ROM else 0
+        return byte
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A mode or a setting; a mode ends a measurement that is in progress (DEC-235)."""
+        self._sync(at_ns)
+        super().store(address, value, at_ns)
+        if address == _CONTROL:
+            self._over_ns = at_ns + MEASURED_NS if facts.MODE.of(value) in (SINGLE, SELF_TEST) else FAR_NS

@@ -1,0 +1,77 @@
+"""AK8975 magnetometer, as it is in the MPU-9150; facts AKM-21 ... AKM-28.
+
+It measures only when it is asked to: a call takes what was measured and starts the next measurement, so that a reading
+was measured right after the call before, at most 100 times a second. In all else it is the AK8963
+(`imuarray.drivers.ak8963`): behind the bypass of the MPU, with a fuse ROM, and with the same axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.ak8963 import Ak8963
+from imuarray.drivers.driver import Bytes, DecodedBursts, flagged
+from imuarray.facts import ak8975 as facts
+from imuarray.facts.registers import Setting
+from imuarray.log.format import SATURATED, STALE
+
+_SINGLE = 0b0001
+_PERIOD_NS = 9_500_000
+"""From one measurement to the next at least: it takes 9 ms at the most (AKM-25), and a poll at 100 Hz may be early."""
+
+
+class Ak8975(Ak8963):
+    """Driver of one AK8975."""
+
+    host_name: ClassVar[str] = "MPU-9150"
+    host_identities: ClassVar[tuple[int, ...]] = (0x68,)  # INV-02
+    self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = ((-100.0, 100.0), (-100.0, 100.0), (-1000.0, -300.0))
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self._due_ns = 0
+
+    def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
+        """Measure once, and what stays as it was written: the mode does not (AKM-24)."""
+        return facts.MODE(_SINGLE), (facts.SELF_TEST(0),)
+
+    def _set_mode(self, mode: int) -> Iterator[float]:
+        """A mode is set through power-down (AKM-24)."""
+        self.registers.poke(facts.CNTL, facts.MODE(mode).value)
+        yield 0.001
+
+    def steps(self) -> Iterator[float]:
+        """As of the AK8963, to the first measurement."""
+        yield from super().steps()
+        self._due_ns = self.clock.now_ns()
+
+    def start_measuring(self) -> None:
+        """Start the first measurement; the chip is powered down again when it is over."""
+        self.registers.poke(facts.CNTL, self.mode.value)
+
+    def fetch(self) -> bytes:
+        """0x02 ... 0x09: ST1, x, y, z, ST2; then a new measurement, unless one may be in progress (AKM-23, AKM-25)."""
+        block = self.registers.peek(facts.ST1, self.burst)
+        now_ns = self.clock.now_ns()
+        if now_ns >= self._due_ns:
+            self.start_measuring()
+            self._due_ns = now_ns + _PERIOD_NS
+        return block
+
+    def measured(self) -> bytes:
+        """The burst of the self-test: no measurement follows it."""
+        return self.registers.peek(facts.ST1, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 13 bits in words of 16, low byte first; stale where ST1 said that nothing was ready, saturated
+        where ST2 said that the sensor overflowed (AKM-22, AKM-23).
+        """
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
+        status = flagged(~bursts[:, 0], facts.DATA_READY.mask, STALE)
+        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], facts.OVERFLOW.mask, SATURATED))
