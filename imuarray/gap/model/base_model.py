@@ -441,12 +441,13 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
     tolerance, is_flagged = clock_tolerance(header), _is_flagged(rests)
+    equal_in_a_row = _equal_in_a_row(_equal_by_chance(rests, is_flagged), sum(phase.rows for phase in rests))
     flags_missed = any(phase.flags["overrun"] for phase in rests)
     for phase in rests:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
-        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + _equal_in_a_row(by_chance, phase.rows)
+        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + equal_in_a_row
         longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next one
         if rows_per_s < (1 - tolerance) * header.rate_hz:
             continue
@@ -495,6 +496,18 @@ def _equal_in_a_row(by_chance: float, rows: int) -> int:
     if by_chance >= 1:
         return rows
     return math.ceil(math.log(rows) / -math.log(by_chance)) if by_chance > 1 / rows else 0
+
+
+def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
+    """Share of new readings that equal the one before, in all phases together: short ones show it poorly. Flags tell
+    the repeats from readings that are equal by chance.
+    """
+    if not is_flagged:
+        return float(np.average([_equal_neighbours(phase) for phase in phases], weights=[phase.rows for phase in phases]))
+    equal = sum(phase.repeats.repeat_share * phase.rows for phase in phases)
+    repeated = sum(phase.flags["stale"] for phase in phases)
+    fresh = sum(phase.rows for phase in phases) - repeated
+    return max(float(equal - repeated) / fresh, 0.0) if fresh else 1.0
 
 
 def _repeated_share(phase: Summary, is_flagged: bool) -> float:

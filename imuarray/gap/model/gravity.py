@@ -44,7 +44,7 @@ def estimated_forces(
     )
     known_g = np.array([np.full(3, np.nan) if rest.known is None else rest.known for rest in rests])
     noted_g = np.array([rest.nominal for rest in rests])
-    return _forces(rests, ups_of(array_mean(readings), known_g, noted_g).up_box)
+    return _forces(rests, ups_of(array_mean(readings, noted_g), known_g, noted_g).up_box)
 
 
 def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
@@ -57,7 +57,8 @@ def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callabl
     readings = shared_readings(
         [rest.attitude for rest in rests], _readings([rest.accelerometers for rest in rests], less)
     )
-    return _forces(rests, directions(array_mean(readings))[0])
+    noted_g = np.array([rest.nominal for rest in rests])
+    return _forces(rests, directions(array_mean(readings, noted_g))[0])
 
 
 class _Rest(NamedTuple):

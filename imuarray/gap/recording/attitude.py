@@ -13,13 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.log.format import Phase
 
 GROSS_G = 0.25
 """An accelerometer that differs from the median of all by so much in any pose is left out of the mean: wrong range,
 swapped axis, dead chip.
 """
+
+_OFF_FACE_G = 0.5
+"""An accelerometer that differs by so much from a noted face has exchanged axes: a tilt of 30 degrees is none."""
 
 LEAN_SIGMA, SCALE_PRIOR, _FORM_G = 0.02, 0.02, 1e-3
 """Standard deviations: the tilt of a box on a noted face in radians, the scale error of the array's mean reading, and
@@ -130,11 +133,12 @@ def _with_faces(mean_g: Floats, known_g: Floats, noted_g: Floats) -> Ups:
     return Ups(directions(mean_g - bias)[0], bias)
 
 
-def array_mean(readings: Floats) -> Floats:
+def array_mean(readings: Floats, noted_g: Floats | None = None) -> Floats:
     """Mean reading (k, 3) of s accelerometers from `readings` (k, s, 3) in g in the box frame, nan where there is none.
 
     The median of the accelerometers that read in every pose and are never `GROSS_G` from it (the mean of two), or of
     all if there are none such. With a median, an accelerometer whose bias changed does not tilt the box for the others.
+    Where two disagree, the noted faces `noted_g` (k, 3), nan where none is noted, tell which of them is counted.
     """
     whole = np.isfinite(readings).all(axis=(0, 2))
     if not whole.any():
@@ -142,8 +146,19 @@ def array_mean(readings: Floats) -> Floats:
             known = np.isfinite(readings)
             return np.asarray(np.where(known, readings, 0.0).sum(axis=1) / known.sum(axis=1))
     complete = readings[:, whole]
-    near = (np.abs(complete - np.median(complete, axis=1)[:, None]) < GROSS_G).all(axis=(0, 2))
-    return np.asarray(np.median(complete[:, near] if near.any() else complete, axis=1))
+    counted = _within(complete, np.median(complete, axis=1), GROSS_G)
+    if noted_g is not None and not counted.any():
+        counted = _within(complete, noted_g, _OFF_FACE_G)
+    return np.asarray(np.median(complete[:, counted] if counted.any() else complete, axis=1))
+
+
+def _within(readings: Floats, reference_g: Floats, most_g: float) -> Booleans:
+    """Which accelerometers (s,) never read `most_g` from the reference (k, 3) in the poses where it is known, False
+    where it never is.
+    """
+    known = np.isfinite(reference_g).all(axis=1)
+    near = np.abs(readings[known] - reference_g[known][:, None]) < most_g
+    return np.asarray(near.all(axis=(0, 2)) & known.any())
 
 
 def directions(vectors: Floats) -> tuple[Floats, Floats]:

@@ -168,7 +168,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
         attitude_numbers(still), np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
     )
     known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
-    estimates = ups_of(array_mean(readings), np.full_like(known, np.nan), known).up_box.tolist()
+    estimates = ups_of(array_mean(readings, known), np.full_like(known, np.nan), known).up_box.tolist()
     attitudes = [_attitude(*item) for item in zip(still, noted, estimates, strict=True)]
     note = (
         f"The axis that was up is not noted in {free} of {len(still)} phases at rest. It is estimated from all "

@@ -201,9 +201,8 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
             by_replicate = [probe.statistic(phases) for phases in still]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(float, probe.resolution)))
         else:
-            values.append(
-                _ProbeValues(name, _rows([probe.statistic(log, sensor) for log in replicates]), _any_difference)
-            )
+            by_replicate = [probe.statistic(log, sensor) for log in replicates]
+            values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, replicates[0], sensor)))
     return values
 
 

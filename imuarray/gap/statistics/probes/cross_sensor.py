@@ -13,7 +13,7 @@ from imuarray.arrays import Floats, Indices
 from imuarray.axes import Matrix
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import Cross
-from imuarray.gap.statistics.probes.level import level
+from imuarray.gap.statistics.probes.level import least_level, level
 from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, fisher_z, once
 from imuarray.log.format import SensorHeader
 
@@ -79,6 +79,13 @@ def level_apart(log: LogSummary, sensor: str) -> Floats:
         if name != sensor and (other.chip, other.quantity) == (header.chip, header.quantity)
     ]
     return sensor_level - np.mean(others, axis=0) if others else NOTHING
+
+
+def least_level_apart(log: LogSummary, sensor: str) -> float:
+    """The least difference from the other sensors that says anything: that of the sensor's own mean, which an attitude
+    estimated from two opposed chips takes out of both.
+    """
+    return min(map(least_level, log.still(sensor)), default=0.0)
 
 
 @once
@@ -150,4 +157,5 @@ LEVEL_APART = ArrayProbe(
     "{u}",
     ("turn_on_bias", "bistable_bias", "range_reset"),
     level_apart,
+    resolution=least_level_apart,
 )

@@ -89,9 +89,12 @@ class CrossProbe(Probe):
 
 @dataclass(frozen=True)
 class ArrayProbe(Probe):
-    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest."""
+    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest;
+    `resolution` as in `PhaseProbe`.
+    """
 
     statistic: Callable[[LogSummary, str], Floats]
+    resolution: Callable[[LogSummary, str], float] = lambda _, __: 0.0
 
 
 @dataclass(frozen=True)
