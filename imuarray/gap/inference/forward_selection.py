@@ -54,7 +54,9 @@ _DIVIDED, _LOST = 3, 2.0
 """Trials of a unit that are tried in some logs alone, if the others lose so many nats by them."""
 
 _BRIEF = 4.0
-"""Cost in nats of the choice of a moment."""
+"""Cost in nats, to the mean of both parts, of the choice of a moment: to their sum twice as much, the log of thousands
+of moments.
+"""
 
 _OUTDONE, _FAR_LESS = 10.0, 0.5
 """Cost in nats of leaving twice the squared scores of another trial that gains as much."""
@@ -351,16 +353,16 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
 
     It has to show in the training part too, to which its numbers are fitted. A trial without such numbers (an exchange
     of axes) may show in the held-out part alone, which has all of the faces, or the only motion: it is judged as one
-    that happens once, by the mean of both parts, less the cost of that choice.
+    that happens once, by the sum of both parts, less the cost of that choice.
     """
     if evaluation.trial.needs_both:
-        return evaluation.gain  # what happens once has no more than one reason to show: all of its gain counts
+        return 2 * evaluation.gain  # what happens once may show in one part alone: the gain of both counts, untempered
     temper = _tempering(standing, evaluation)
     if max(temper, 1.0) * evaluation.train_gain > WORTH:
         return temper * evaluation.gain
     if evaluation.factors or evaluation.train_gain < 0:
         return -math.inf
-    return temper * ((evaluation.train_gain + evaluation.gain) / 2 - _BRIEF)
+    return temper * (evaluation.train_gain + evaluation.gain - 2 * _BRIEF)
 
 
 def _squares(scores: Floats) -> float:

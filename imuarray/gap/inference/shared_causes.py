@@ -18,6 +18,10 @@ from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
 
 _MOST = 0.5
+"""Share of a member's gain that a shared cause explains if the member's own cause is redundant."""
+
+_EXACT = 0.05
+"""Share of the gain of several fitted causes by which a shared one without any fitted number may be worse."""
 
 
 def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) -> Evaluation:
@@ -35,12 +39,15 @@ def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluatio
     too, by more than its rarity.
 
     The held-out part has shown that there is a cause; whether it is one or several is decided on both parts, to which
-    equally many numbers were fitted.
+    equally many numbers were fitted. A shared cause without any, such as an exchange of two sensors, need not explain
+    quite as much as causes that are fitted to each: chance would not make it explain nearly as much.
     """
     best = family.selection
     if best is None:
         return None
     more = 2 * ACCEPTED * max(count - 1, 0) - best.trial.rarity
+    if count > 1 and not best.factors:
+        more += _EXACT * max(_on_both(members), 0.0)
     return best if _on_both(best) + more > _on_both(members) else None
 
 

@@ -341,7 +341,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
     samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
     are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
-    rounding adds no filter passes.
+    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`).
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
@@ -354,20 +354,34 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
     noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     correlations = (lags - again) / max(float(noise_share), 0.1)
-    if not np.isfinite(correlations).all() or np.abs(correlations).max() < LEAST_CORRELATION:
+    if not np.isfinite(correlations).all():
+        return None
+    without_memory = _beyond_wander(correlations, np.zeros_like(correlations))
+    if np.abs(without_memory).max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
-    white = float(np.square(correlations).sum())
+    white = float(np.square(without_memory).sum())
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
     best, least = None, white
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
     for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
-        misfit = float(np.square(correlations - expected[of_kind]).sum())
+        misfit = float(np.square(_beyond_wander(correlations, expected[of_kind])).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
+
+
+def _beyond_wander(correlations: Floats, expected: Floats) -> Floats:
+    """Correlations (p, k) of p phases at k lags less those `expected` (p, k) of noise, with a slow wander in each phase.
+
+    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The share is
+    fitted to each phase, from 0 up.
+    """
+    room = 1 - expected
+    share = (room * (correlations - expected)).sum(axis=1) / np.square(room).sum(axis=1)
+    return np.asarray(correlations - expected - np.maximum(share, 0.0)[:, None] * room)
 
 
 class _Reads(NamedTuple):
