@@ -46,8 +46,8 @@ from imuarray.gap.statistics.catalogue import (
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
-from imuarray.simulate.effects.own_clock import OwnClock
+from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, correlation
+from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.effects.size_effect import with_position
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.tone import Tone
@@ -347,7 +347,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if configured_hz <= 0 or not rests:
         return None
-    reads = tuple(_reads(phase, _is_flagged(rests)) for phase in rests)
+    reads = tuple(_reads(phase, header.rate_hz, _is_flagged(rests)) for phase in rests)
     again = np.array(
         [[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in range(1, _LAGS + 1)] for pace in reads]
     )
@@ -374,7 +374,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
 
 def _beyond_wander(correlations: Floats, expected: Floats) -> Floats:
-    """Correlations (p, k) of p phases at k lags less those `expected` (p, k) of noise, with a slow wander in each phase.
+    """Correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase.
 
     A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The share is
     fitted to each phase, from 0 up.
@@ -385,18 +385,23 @@ def _beyond_wander(correlations: Floats, expected: Floats) -> Floats:
 
 
 class _Reads(NamedTuple):
-    """The reads of a sensor: how many a second, and the samples of the chip from one to the next, at most 1."""
+    """The reads of a sensor: how many a second, and the samples of the chip from one to the next; 1 where there are
+    many.
+    """
 
     rows_per_s: float
     samples_a_row: float
 
 
-def _reads(phase: Summary, is_flagged: bool) -> _Reads:
-    """The reads of a phase, rounded so that phases of one rate share what is computed for it."""
-    return _Reads(
-        round(1 / phase.intervals.mean_s, 2),
-        round(1 - min(max(_repeated_share(phase, is_flagged), 0.0), _MOST_REPEATED), 2),
-    )
+def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
+    """The reads of a phase of a chip that samples at `rate_hz`, rounded so that phases of one rate share what is
+    computed for it.
+    """
+    rows_per_s = round(1 / phase.intervals.mean_s, 2)
+    samples_a_row = rate_hz / rows_per_s
+    if not 1 + AT_ITS_RATE < samples_a_row < SEVERAL_SAMPLES:
+        samples_a_row = 1 - min(max(_repeated_share(phase, is_flagged), 0.0), _MOST_REPEATED)
+    return _Reads(rows_per_s, round(samples_a_row, 2))
 
 
 def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
@@ -517,7 +522,9 @@ def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
     the repeats from readings that are equal by chance.
     """
     if not is_flagged:
-        return float(np.average([_equal_neighbours(phase) for phase in phases], weights=[phase.rows for phase in phases]))
+        return float(
+            np.average([_equal_neighbours(phase) for phase in phases], weights=[phase.rows for phase in phases])
+        )
     equal = sum(phase.repeats.repeat_share * phase.rows for phase in phases)
     repeated = sum(phase.flags["stale"] for phase in phases)
     fresh = sum(phase.rows for phase in phases) - repeated

@@ -20,6 +20,10 @@ _MEMORY = 8  # rows that noise behind a digital filter is predicted from
 _STEPS = 8  # of the quadrature for each cutoff and each radian
 
 
+SEVERAL_SAMPLES = 4
+"""Readings of the chip for each row from which on one more or less hardly changes the time between two rows."""
+
+
 @dataclass(frozen=True)
 class Bandwidth(Effect):
     """White noise w becomes n[k] = phi n[k-1] + sqrt(1 - phi^2) w[k], phi = exp(-2 pi cutoff / rows_per_s).
@@ -39,7 +43,8 @@ class Bandwidth(Effect):
     `_MEMORY` rows before each row reproduce (Yule and Walker).
 
     Of a chip that is polled faster than it samples the noise remembers the sample before, not the row before: rows that
-    read one sample again have its noise.
+    read one sample again have its noise. Of one that is polled more slowly rows are one sample apart or two (or up to
+    `SEVERAL_SAMPLES`): the filter passes the samples that no row reads, too.
 
     `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
     1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so
@@ -71,7 +76,11 @@ class Bandwidth(Effect):
     def lookback(self, at: Place) -> int:
         """Rows until 1e-12 is left of what was before them."""
         rows = math.ceil(_FORGOTTEN / self._decay(at))
-        return rows if math.isinf(self.sampled_hz) else max(rows, _memory(self._decay(at), self.poles, self._band))
+        if math.isinf(self.sampled_hz):
+            return rows
+        samples_a_row = at.sensor.rate_hz / at.rows_per_s
+        decay = self._decay(at) / (samples_a_row if 1 < samples_a_row < SEVERAL_SAMPLES else 1)
+        return max(rows, _memory(decay, self.poles, self._band))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
@@ -81,11 +90,31 @@ class Bandwidth(Effect):
         value = self._passed(analog.value, decay)
         if self.signal_only:
             return replace(analog, value=value)
+        if (1 + AT_ITS_RATE) * at.rows_per_s < analog.rate_hz < SEVERAL_SAMPLES * at.rows_per_s and any(
+            analog.white_rms
+        ):
+            return replace(analog, value=value, noise=self._of_every_sample(analog, at))
         if not 0 < (1 + AT_ITS_RATE) * analog.rate_hz < at.rows_per_s:
             return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
         is_new = np.concatenate([[True], np.diff(analog.instant_ns) > 0])
         samples = self._coloured(analog.noise[is_new], decay * at.rows_per_s / analog.rate_hz)
         return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
+
+    def _of_every_sample(self, analog: Analog, at: Place) -> Reals:
+        """The noise (n, 3) of rows between which the chip makes readings that nobody reads."""
+        most = math.ceil(analog.rate_hz / at.rows_per_s)
+        samples = np.rint(np.diff(analog.instant_ns) * 1e-9 * analog.rate_hz).astype(int)
+        skipped = np.concatenate([[0], np.clip(samples - 1, 0, most)])
+        places = np.cumsum(skipped + 1) - 1  # of the rows among all samples
+        is_read = np.zeros(places[-1] + 1, bool)
+        is_read[places] = True
+        stop = analog.first + len(analog.noise)
+        unread = at.stream(self.name, "unread", width=3 * most).normal(analog.first, stop).reshape(-1, most, 3)
+        white = np.empty((len(is_read), 3), analog.noise.dtype)
+        white[is_read] = analog.noise
+        white[~is_read] = unread[np.arange(most) < skipped[:, None]] * np.array(analog.white_rms, white.dtype)
+        decay = self._decay(at) * at.rows_per_s / analog.rate_hz
+        return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
         """The noise (n, 3) behind the filter, `decay` time constants from one row to the next."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -31,4 +32,5 @@ class WhiteNoise(Effect):
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         noise = at.stream(self.name, scale=self.rms).normal(analog.first, analog.first + len(analog.noise))
-        return replace(analog, noise=noise if analog.is_silent else noise + analog.noise)
+        x, y, z = map(math.hypot, self.rms, analog.white_rms)
+        return replace(analog, noise=noise if analog.is_silent else noise + analog.noise, white_rms=(x, y, z))

@@ -170,3 +170,26 @@ def test_a_share_of_the_noise_comes_through(place: MakePlace, analog: MakeAnalog
     np.testing.assert_allclose(half, whole / 2)
     with pytest.raises(ValueError, match=r"noise_share: -1(\.0)?; allowed is 0 to 10"):
         Bandwidth(10.0, noise_share=-1.0)
+
+
+@pytest.mark.parametrize(("rows_per_s", "poles"), [(80.0, 2.0), (60.0, 1.0), (37.0, 2.0)])
+def test_noise_of_a_chip_that_is_polled_more_slowly_than_it_samples(
+    constant: type[Constant], rows_per_s: float, poles: float
+) -> None:
+    """100 samples a second behind a digital filter of 12.5 Hz: rows one sample apart correlate as scipy's filtered
+    noise does after one, those two apart as after two, and so on. Standard errors of 0.006 at most.
+    """
+    rows, period_ns = 60_000, round(1e9 / rows_per_s)
+    lines = PollTimes(rows, period_ns)
+    plan = Plan({"S1": (header("l3g4200d", rate_hz=100.0), lines)}, lines)
+    effects = {"S1": (WhiteNoise(5.0), Bandwidth(12.5, poles=poles, sampled_hz=100.0))}
+    block = Simulation(plan, constant(), effects).sensors["S1"].block(0, rows)
+    level = block.counts[:, 0] - block.counts[:, 0].mean()
+    samples = np.diff(np.floor(np.arange(rows) * period_ns * 1e-9 * 100 + 1e-9))
+    frequency_hz = np.linspace(0, 50, 2001)
+    power = 1 / (1 + (frequency_hz / 12.5) ** (2 * poles))
+    assert level.std() == pytest.approx(5.0 * plan.sensors["S1"][0].sensitivity, rel=0.03)
+    for apart in np.unique(samples):
+        expected = (power * np.cos(2 * np.pi * frequency_hz * apart / 100)).sum() / power.sum()
+        at = np.flatnonzero(samples == apart)
+        assert np.mean(level[at] * level[at + 1]) / level.var() == pytest.approx(expected, abs=0.03)
