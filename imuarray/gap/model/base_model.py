@@ -31,7 +31,7 @@ from imuarray.gap.model.populations import (
     response_tolerance,
     usual_model,
 )
-from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fitted_to, slope_of
+from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fitted_to, rms_of, slope_of
 from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
 from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
@@ -70,6 +70,16 @@ _SAMPLES_A_ROW = 8
 
 _LAGS, _CUTOFFS = 3, 101
 """Lags of the correlations to which a filter is fitted, and cutoffs tried for each number of poles."""
+
+_FAR_LAG, _FORGOTTEN, _WANDERS = 5, 0.1, 4.0
+"""Lag at which a wander shows, the largest correlation that a filter leaves there if it is to show, and the least in
+standard deviations.
+"""
+
+_MEMORY, _MOST_LAGS = 5.0, 200
+"""Time constants after which a filter's noise is forgotten, and most rows of that time."""
+
+_FITTED_LAGS = (*range(1, _LAGS + 1), _FAR_LAG)
 
 _MOST_REPEATED = 0.9
 """Share of repeated rows up to which a filter is fitted to them."""
@@ -179,10 +189,8 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     lags_s = _lags(campaign, motions, headers)
     campaign = with_element_temperatures(campaign, motions, lags_s)
     forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
-    fitted = {
-        name: fitted_to(header, list(_at_rest(campaign, motions, forces, name)), response_tolerance(header))
-        for name, header in headers.items()
-    }
+    rests = {name: list(_at_rest(campaign, motions, forces, name)) for name in headers}
+    fitted = {name: fitted_to(header, rests[name], response_tolerance(header)) for name, header in headers.items()}
     for name, lag_s in lags_s.items():
         fitted[name] = replace(fitted[name], lag_s=lag_s)
     for name, header in headers.items():
@@ -191,8 +199,10 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
             continue  # the model says what the filter is
         filter_effect = _filter_of(campaign, header, fitted[name])
         if filter_effect is not None:
+            memory = _row_correlations(campaign, header, filter_effect)
             fitted[name] = replace(
                 fitted[name],
+                rms=rms_of(header, rests[name], memory),
                 cutoff_hz=filter_effect.cutoff_hz,
                 poles=filter_effect.poles,
                 sampled_hz=filter_effect.sampled_hz,
@@ -348,15 +358,14 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     if configured_hz <= 0 or not rests:
         return None
     reads = tuple(_reads(phase, header.rate_hz, _is_flagged(rests)) for phase in rests)
-    again = np.array(
-        [[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in range(1, _LAGS + 1)] for pace in reads]
-    )
-    lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
+    again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _FITTED_LAGS] for pace in reads])
+    lags = np.array([np.median(phase.correlation[list(_FITTED_LAGS)], axis=1) for phase in rests])
+    least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
     noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     correlations = (lags - again) / max(float(noise_share), 0.1)
     if not np.isfinite(correlations).all():
         return None
-    without_memory = _beyond_wander(correlations, np.zeros_like(correlations))
+    without_memory = _beyond_wander(correlations, np.zeros_like(correlations), least_wander)
     if np.abs(without_memory).max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
@@ -367,21 +376,33 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
     for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
-        misfit = float(np.square(_beyond_wander(correlations, expected[of_kind])).sum())
+        misfit = float(np.square(_beyond_wander(correlations, expected[of_kind], least_wander)).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
 
 
-def _beyond_wander(correlations: Floats, expected: Floats) -> Floats:
-    """Correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase.
+def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:
+    """Correlations (k,) of noise behind a filter at lags of 1 ... k rows, as far as it remembers."""
+    phases = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    rows_per_s = 1 / float(np.median([phase.intervals.mean_s for phase in phases]))
+    decay = 2 * math.pi * effect.cutoff_hz / rows_per_s / math.sqrt(effect.poles)
+    lags = range(1, min(math.ceil(_MEMORY / decay), _MOST_LAGS) + 1)
+    band = effect.sampled_hz / 2 / effect.cutoff_hz
+    return np.array([correlation(decay * lag, effect.poles, band) for lag in lags])
 
-    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The share is
-    fitted to each phase, from 0 up.
+
+def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
+    """Correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase, at all
+    lags but the last.
+
+    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last one
+    tells w, if the filter has forgotten by then, and if w is at least `least` (p,).
     """
-    room = 1 - expected
-    share = (room * (correlations - expected)).sum(axis=1) / np.square(room).sum(axis=1)
-    return np.asarray(correlations - expected - np.maximum(share, 0.0)[:, None] * room)
+    far, expected_far = correlations[:, -1], expected[:, -1]
+    share = (far - expected_far) / (1 - expected_far)
+    share = np.where((np.abs(expected_far) < _FORGOTTEN) & (share > least), share, 0.0)[:, None]
+    return np.asarray((correlations - expected - share * (1 - expected))[:, :-1])
 
 
 class _Reads(NamedTuple):
@@ -420,10 +441,10 @@ def _filter_correlations(
     filters = []
     for effect in _filters(configured_hz, sampled_hz):
         band = effect.sampled_hz / 2 / effect.cutoff_hz
-        expected = np.zeros((len(kinds), _LAGS))
+        expected = np.zeros((len(kinds), len(_FITTED_LAGS)))
         for at, (rows_per_s, samples_a_row) in enumerate(kinds):
             decay = 2 * math.pi * effect.cutoff_hz / (rows_per_s * samples_a_row) / math.sqrt(effect.poles)
-            for column, lag in enumerate(range(1, _LAGS + 1)):
+            for column, lag in enumerate(_FITTED_LAGS):
                 expected[at, column] = sum(
                     share * correlation(decay * samples, effect.poles, band)
                     for samples, share in _samples_apart(samples_a_row, lag).items()

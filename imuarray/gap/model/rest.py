@@ -41,6 +41,12 @@ REFERENCE_DEGC = 25.0
 _LEAST_ROWS = 4
 """Fewest rows of a segment whose variance is used."""
 
+WHITE = np.zeros(0)
+"""The correlations of noise without a memory."""
+
+_LEAST_SHARE = 0.2
+"""Least share of the variance of noise with a memory that shows within a segment, if it is to tell the rest."""
+
 _ADDED, _LARGEST = 0.3, 64.0
 """Least share of a variance that remains if something was added to it; largest factor by which one is scaled."""
 
@@ -309,19 +315,30 @@ def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats
     return raw, bounded
 
 
-def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
+def rms_of(header: SensorHeader, phases: Sequence[Rest], correlations: Floats) -> Triple:
+    """RMS of the noise in the sensor's unit, without rounding, whose `correlations` (k,) at lags of 1 ... k rows are
+    known.
+    """
+    return _triple(_rms_lsb(header, phases, correlations) / header.sensitivity)
+
+
+def _rms_lsb(header: SensorHeader, phases: Sequence[Rest], correlations: Floats = WHITE) -> Floats:
     """Root of the median over segments of the variance, less step^2 / 12 of rounding (Sheppard's correction).
 
     The median of a variance of nu degrees of freedom is (1 - 2 / (9 nu))^3 of its mean (Wilson and Hilferty, PNAS 17,
-    1931); it is not affected by a few glitches or jumps.
+    1931); it is not affected by a few glitches or jumps. About their own mean, n rows that correlate by r_k at lag k
+    have the variance 1 - (1 + 2 sum (1 - k / n) r_k) / n, of (n - 1) / (1 + 2 sum r_k^2) degrees of freedom (Bartlett).
     """
     rows = np.concatenate([phase.rows for phase in phases])
     variance = np.concatenate([phase.variance for phase in phases])
     has_rows = rows >= _LEAST_ROWS
     if not has_rows.any():
         return np.zeros(3)
-    freedom = rows[has_rows, None] - 1.0
-    unbiased = variance[has_rows] * rows[has_rows, None] / freedom / (1 - 2 / (9 * freedom)) ** 3
+    count = rows[has_rows, None].astype(float)
+    pairs = np.maximum(1 - np.arange(1, len(correlations) + 1) / count, 0.0)
+    share = np.maximum(1 - (1 + 2 * pairs @ correlations) / count[:, 0], _LEAST_SHARE)[:, None]
+    freedom = np.maximum((count - 1) / (1 + 2 * np.square(correlations).sum()), 1.0)
+    unbiased = variance[has_rows] / share / (1 - 2 / (9 * freedom)) ** 3
     return np.asarray(np.sqrt(np.maximum(np.median(unbiased, axis=0) - rounding_lsb2(header), 0.0)))
 
 
