@@ -71,15 +71,16 @@ _SAMPLES_A_ROW = 8
 _LAGS, _CUTOFFS = 3, 101
 """Lags of the correlations to which a filter is fitted, and cutoffs tried for each number of poles."""
 
-_FAR_LAG, _FORGOTTEN, _WANDERS = 5, 0.1, 4.0
-"""Lag at which a wander shows, the largest correlation that a filter leaves there if it is to show, and the least in
-standard deviations.
+_FORGOTTEN, _WANDERS, _FLAT = 0.1, 4.0, 0.9
+"""The largest correlation that a filter leaves at the last lag if a wander is to show there, the least that does in
+standard deviations, and its least share of that at the lag before.
 """
 
 _MEMORY, _MOST_LAGS = 5.0, 200
 """Time constants after which a filter's noise is forgotten, and most rows of that time."""
 
-_FITTED_LAGS = (*range(1, _LAGS + 1), _FAR_LAG)
+_ALL_LAGS = range(1, _LAGS + 3)
+"""The lags of the filter, and two at which a wander shows."""
 
 _MOST_REPEATED = 0.9
 """Share of repeated rows up to which a filter is fitted to them."""
@@ -358,8 +359,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     if configured_hz <= 0 or not rests:
         return None
     reads = tuple(_reads(phase, header.rate_hz, _is_flagged(rests)) for phase in rests)
-    again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _FITTED_LAGS] for pace in reads])
-    lags = np.array([np.median(phase.correlation[list(_FITTED_LAGS)], axis=1) for phase in rests])
+    again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
+    lags = np.array([np.median(phase.correlation[list(_ALL_LAGS)], axis=1) for phase in rests])
     least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
     noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     correlations = (lags - again) / max(float(noise_share), 0.1)
@@ -394,15 +395,16 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
     """Correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase, at all
-    lags but the last.
+    lags but the last two.
 
-    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last one
-    tells w, if the filter has forgotten by then, and if w is at least `least` (p,).
+    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last lag
+    tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls.
     """
     far, expected_far = correlations[:, -1], expected[:, -1]
     share = (far - expected_far) / (1 - expected_far)
-    share = np.where((np.abs(expected_far) < _FORGOTTEN) & (share > least), share, 0.0)[:, None]
-    return np.asarray((correlations - expected - share * (1 - expected))[:, :-1])
+    is_wander = (np.abs(expected_far) < _FORGOTTEN) & (share > least) & (far > _FLAT * correlations[:, -2])
+    wander = np.where(is_wander, share, 0.0)[:, None]
+    return np.asarray((correlations - expected - wander * (1 - expected))[:, :_LAGS])
 
 
 class _Reads(NamedTuple):
@@ -441,10 +443,10 @@ def _filter_correlations(
     filters = []
     for effect in _filters(configured_hz, sampled_hz):
         band = effect.sampled_hz / 2 / effect.cutoff_hz
-        expected = np.zeros((len(kinds), len(_FITTED_LAGS)))
+        expected = np.zeros((len(kinds), len(_ALL_LAGS)))
         for at, (rows_per_s, samples_a_row) in enumerate(kinds):
             decay = 2 * math.pi * effect.cutoff_hz / (rows_per_s * samples_a_row) / math.sqrt(effect.poles)
-            for column, lag in enumerate(_FITTED_LAGS):
+            for column, lag in enumerate(_ALL_LAGS):
                 expected[at, column] = sum(
                     share * correlation(decay * samples, effect.poles, band)
                     for samples, share in _samples_apart(samples_a_row, lag).items()
