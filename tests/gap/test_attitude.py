@@ -28,6 +28,28 @@ from tests.gap.small_bench import Run, prepared
 UNKNOWN = np.full((20, 3), np.nan)
 
 
+FACES = np.array([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+
+
+@pytest.mark.parametrize("exchange", [np.diag([-1.0, 1, 1]), np.eye(3)[[1, 0, 2]], 2 * np.eye(3)])
+@pytest.mark.parametrize("faulty", [0, 1])
+def test_of_two_accelerometers_that_disagree_the_noted_faces_tell_the_right_one(exchange: Floats, faulty: int) -> None:
+    """One has an axis reversed, two exchanged, or another range; the box leans by up to 0.1 rad on its faces."""
+    lean = np.random.default_rng(4).uniform(-0.1, 0.1, FACES.shape)
+    right, wrong = FACES + lean, (FACES + lean) @ exchange.T
+    readings = np.stack([wrong, right] if faulty == 0 else [right, wrong], axis=1)
+    np.testing.assert_allclose(array_mean(readings, FACES), right, atol=1e-12)
+    np.testing.assert_allclose(array_mean(readings), (right + wrong) / 2, atol=1e-12)
+    partly = np.where(np.arange(6)[:, None] < 5, FACES, np.nan)
+    np.testing.assert_allclose(array_mean(readings, partly), right, atol=1e-12)
+
+
+def test_noted_faces_that_no_accelerometer_agrees_with_change_nothing() -> None:
+    up = directions(4)
+    readings = np.stack([up + 0.2, up - 0.2], axis=1)
+    np.testing.assert_allclose(array_mean(readings, -up), up, atol=1e-12)
+
+
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.floats(-0.1, 0.1)] * 3))
 def test_a_common_bias_is_told_from_directions(seed: int, bias: tuple[float, float, float]) -> None:
     """Twenty poses without noise: lengths differ from one by nothing else."""

@@ -295,6 +295,42 @@ def test_rows_that_the_recorder_flags_tell_a_slow_clock_where_most_readings_are_
     assert flagged.clock_error == pytest.approx(-0.012, abs=1e-3)
 
 
+def test_readings_that_are_equal_after_a_repeat_do_not_hide_a_slow_clock() -> None:
+    """Three equal rows in a row, of which the recorder flags one: a repeat, and a reading that is equal by chance."""
+    noise = np.random.default_rng(6).normal(size=(2000, 3))
+    latest = np.floor(np.arange(2000) * (1 - 0.012)).astype(int)
+    is_stale = np.append(False, np.diff(latest) == 0)
+    after = latest[np.flatnonzero(is_stale)[:3]] + 1
+    noise[after] = noise[after - 1]
+    noise[[500, 900, 1200]] = noise[[499, 899, 1199]]
+    result = fitted_to_rows(noise[latest], data_rate_hz=200.0, bandwidth_hz=50.0, stale=is_stale)
+    assert result.clock_error == pytest.approx(-0.012, abs=1e-3)
+
+
+@pytest.mark.parametrize("wander_rms", [0.0, 0.5, 1.0])
+def test_a_filter_is_fitted_beside_a_slow_wander(wander_rms: float) -> None:
+    """One pole at 35 Hz: 0.333 at the first lag; a wander over a minute makes it 0.67 where both have one rms."""
+    generator = np.random.default_rng(7)
+    phi = math.exp(-2 * math.pi * 35 / 200)
+    noise = lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], generator.normal(size=(20_000, 3)), axis=0)
+    time_s = np.arange(20_000)[:, None] / 200
+    wander = math.sqrt(2) * wander_rms * np.sin(2 * np.pi * (time_s / 60 + [0.1, 0.4, 0.7]))
+    result = fitted_to_rows(noise + wander, data_rate_hz=800.0, bandwidth_hz=35.0)
+    assert result.cutoff_hz == pytest.approx(35.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("cutoff_hz", "poles"), [(25.0, 1), (12.0, 1), (12.0, 2), (6.0, 2)])
+def test_noise_with_a_memory_is_not_taken_for_less(cutoff_hz: float, poles: int) -> None:
+    """Segments of 312 rows: about their own mean rows behind 6 Hz vary by 5 % less, and their median lies lower."""
+    white = np.random.default_rng(8).normal(size=(400_000, 3))
+    noise = lfilter(*butter(poles, cutoff_hz, fs=4000.0), white, axis=0)[::20]
+    result = fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=cutoff_hz)
+    assert result.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
+    rms = noise.std() * 20.0 / noise.std() / header("G", chip="l3g4200d", rate_hz=800.0).sensitivity
+    each = noise.std(axis=0) / noise.std() * rms
+    np.testing.assert_allclose(result.rms, each, rtol=0.03)
+
+
 def test_polls_that_are_early_and_late_by_turns_tell_the_nominal_rate() -> None:
     """Polls 1 ms early and late by turns, of readings made 0.5 ms after each of the nominal moments: every other poll
     finds nothing new, and every other one finds that it missed a reading. As many overruns as repeats: no clock is off.

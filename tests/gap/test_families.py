@@ -96,10 +96,21 @@ def test_an_exchange_is_one_from_either_side() -> None:
 
 def test_several_causes_have_to_be_worth_it_each() -> None:
     """One cause of three sensors in the place of three, which gain up to twice as much more as one has to."""
-    one = found(10.0)
+    line = Hypothesis((Tone(1.0, 5.0),), ("amplitude",))
+    one = replace(found(10.0), hypothesis=FittedHypothesis(line))
     round_ = Round(by_hand([0.0], drawn(1)), (one,), 0.0, one)
     assert shared_wins(round_, found(10.0 + 2 * ACCEPTED - 0.1), 3) is one
     assert shared_wins(round_, found(10.0 + 2 * ACCEPTED + 0.1), 3) is None
+
+
+@pytest.mark.parametrize(("members", "is_shared"), [(1050.0, True), (1059.0, False)])
+def test_an_exchange_without_fitted_numbers_need_not_explain_quite_as_much(members: float, is_shared: bool) -> None:
+    """1000 nats on each part beside those of two fitted causes: 5 % less and 3 nats on each are forgiven."""
+    exchange = replace(found(1000.0), hypothesis=FittedHypothesis(SWAP))
+    round_ = Round(by_hand([0.0], drawn(1)), (exchange,), 0.0, exchange)
+    assert (shared_wins(round_, found(members), 2) is exchange) == is_shared
+    fitted = replace(exchange, hypothesis=FittedHypothesis(Hypothesis((Tone(1.0, 5.0),), ("amplitude",))))
+    assert shared_wins(Round(round_.before, (fitted,), 0.0, fitted), found(members), 2) is None
 
 
 @pytest.mark.slow

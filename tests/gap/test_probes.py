@@ -117,6 +117,19 @@ def test_level_apart_from_the_others() -> None:
     assert all(np.isnan(probe.statistic(log, name)).all() for name in "BGM")
 
 
+def test_levels_apart_differ_by_a_share_of_their_standard_error_at_least() -> None:
+    """An attitude that is estimated from two opposed chips makes the difference of some of their axes zero; what is
+    left then says nothing. 2 counts of noise in 100 rows: half of the standard error is 0.1 counts.
+    """
+    phase = Phase(0, SECOND, "static", "+Z")
+    rows = gaussian(2.0, rows=100)
+    summaries = {name: summary(block(rows), phase, sensor=header(name)) for name in ("A1", "A2")}
+    log = LogSummary("static", (PhaseSummary(phase, 0, Layout({}, 1), summaries, None),))
+    probe = PROBES["level_apart"]
+    assert isinstance(probe, ArrayProbe)
+    assert probe.resolution(log, "A1") == pytest.approx(0.1 / SCALE, rel=0.4)
+
+
 def test_white_noise_does_not_wander() -> None:
     """64 segments: the log of a chi-squared variance with 62 degrees of freedom has a standard error of 0.18."""
     np.testing.assert_allclose(value("wander", summary(block(gaussian()))), 0.0, atol=0.9)

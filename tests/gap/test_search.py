@@ -252,8 +252,8 @@ def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_
         (("offset",), WORTH - 0.1, 99.0, False),  # nothing to be seen where it was fitted
         ((), WORTH - 0.1, 99.0, True),  # nothing was fitted
         ((), -0.1, 99.0, False),
-        ((), 0.0, 2 * (ACCEPTED + 4.1), True),  # the mean of both parts, less 4
-        ((), 0.0, 2 * (ACCEPTED + 3.9), False),
+        ((), 0.0, ACCEPTED + 8.1, True),  # the sum of both parts, less 8
+        ((), 0.0, ACCEPTED + 7.9, False),
     ],
 )
 def test_a_cause_that_only_the_held_out_part_shows(
@@ -312,6 +312,13 @@ def test_what_needs_both_may_show_in_one_part_alone() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
     assert found.selection is not None
+
+
+@pytest.mark.parametrize(("gain", "is_taken"), [(ACCEPTED / 2 + 0.1, True), (ACCEPTED / 2 - 0.1, False)])
+def test_what_happens_once_counts_in_both_parts(gain: float, is_taken: bool) -> None:
+    """The evaluation of a brief cause holds the mean of both parts: their sum is twice that."""
+    result, _ = round_of({"stuck": 9.0, "tone": 0.0}, {"stuck": (0.0, gain), "tone": (0.0, 0.0)}, Stuck(3.0, 1.0))
+    assert (result.selection is not None) == is_taken
 
 
 def test_nothing_worth_looking_at() -> None:
