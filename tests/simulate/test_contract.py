@@ -87,7 +87,7 @@ CHANGED: Mapping[str, set[str]] = {
     "popcorn_noise": {"Analog.value"},
     "common_mode": {"Analog.value"},
     "tone": {"Analog.value"},
-    "white_noise": {"Analog.noise"},
+    "white_noise": {"Analog.noise", "Analog.white_rms"},
     "bandwidth": {"Analog.noise"},
     "odr_error": {"Instants.rate_hz", "Analog.noise", "Analog.rate_hz"},
     "range_reset": {"Analog.value", "Analog.noise", "Analog.sensitivity"},
