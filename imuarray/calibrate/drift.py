@@ -60,7 +60,7 @@ def fit_drift(stretches: Sequence[Segments], width_s: float) -> Drift | None:
         return None
     parts = [Segments(part.time_s, part.mean[:, moving] / scale[moving]) for part in levelled]
     times = np.geomspace(SHORTEST * width_s, max(spans), _TIMES)
-    coarse = _likelihood(parts, width_s, times, np.repeat(_RATIOS[:, None], len(moving), axis=1))
+    coarse = _likelihood(parts, width_s, times, _RATIOS[:, None])
     fine = _likelihood(parts, width_s, *coarse.about_maximum())
     figures = np.zeros((3, 3))
     figures[:, moving] = np.stack(fine.rms()) * scale[moving]
@@ -125,20 +125,23 @@ def _closer(values: Floats, profile: Floats) -> Floats:
 
 
 def _likelihood(parts: Sequence[Segments], width_s: float, times: Floats, ratios: Floats) -> _Grid:
-    """The Kalman filter of a sampled process under white noise, all points of the grid at once.
+    """The Kalman filter of a sampled process under white noise, all points of the grid at once; `ratios` (u, k), or
+    (u, 1) for all axes, whose covariances are worked out once then.
 
     Covariances are in units of the noise's variance, whose likeliest value follows; levels are integrated out.
     """
     share = (width_s / times)[:, None, None]
     shared = ratios**2 * (2 / share * np.sinh(share / 2)) ** 2
     noise = 1 + ratios**2 * 2 / share**2 * (share + np.expm1(-share)) - shared
-    squares, logs, freedom = np.zeros(shared.shape), np.zeros(shared.shape), 0
+    axes = parts[0].mean.shape[1]
+    squares, logs, freedom = np.zeros((*shared.shape[:2], axes)), np.zeros(shared.shape), 0
     for part in parts:
         sums = _filtered(part, times[:, None, None], shared, noise)
         squares += sums.values - sums.mixed**2 / sums.ones
         logs += sums.logs + np.log(sums.ones)
         freedom += len(part.time_s) - 1
     variance = squares / freedom
+    ratios = np.broadcast_to(ratios, (len(ratios), axes))
     return _Grid(times, ratios, -(freedom * np.log(variance) + logs) / 2, np.sqrt(variance))
 
 
@@ -155,8 +158,8 @@ class _Sums(NamedTuple):
 
 def _filtered(part: Segments, times: Floats, shared: Floats, noise: Floats) -> _Sums:
     """One stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
-    values, ones, mixed, logs = (np.zeros(shared.shape) for _ in range(4))
-    state, level, variance = np.zeros(shared.shape), np.zeros(shared.shape), shared
+    values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
+    ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
     steps = np.diff(part.time_s, append=np.inf)
     for mean, step in zip(part.mean, steps, strict=True):
         spread = variance + noise

@@ -246,7 +246,7 @@ class SensorLog:
         counts = dict.fromkeys(FLAGS, 0)
         for block in self.blocks():
             status = np.asarray(self.status[block])
-            for name, flag in FLAGS.items():
+            for name, flag in FLAGS.items() if status.any() else ():
                 counts[name] += int(np.count_nonzero(status & flag))
         return counts
 
