@@ -18,10 +18,13 @@ from imuarray.drivers import DRIVERS
 from imuarray.errors import SensorError
 from imuarray.printable import printable
 
-_ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883")})
+_ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883"), "ak8963 or ak8975": ("ak8963", "ak8975")}
+)
 """Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
 _REMARKS = {
-    "hmc5883 or hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; --self-test fails for one"
+    "hmc5883 or hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; --self-test fails for one",
+    "ak8963 or ak8975": "or ak8975 (of an MPU-9150), with range = 12.29: they identify themselves alike",
 }
 """By what was found: what stands beside it in the file."""
 

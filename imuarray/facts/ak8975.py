@@ -5,7 +5,7 @@ Facts AKM-21 ... AKM-28. The I2C disable register and the factory's test registe
 
 from imuarray.facts.registers import Register
 
-ADDRESSES = (0x0C, 0x0D, 0x0E, 0x0F)  # CAD1, CAD0; 0x0C in the MPU-9150: AKM-21
+ADDRESSES = (0x0C,)  # in the MPU-9150: AKM-21
 
 WIA = Register(0x00, "r", reset=0x48)
 INFO = Register(0x01, "r")

@@ -13,6 +13,8 @@ from firmware_emulator.array import open_array
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.units import unit_of
 from firmware_emulator.world import Still
+from imuarray.acquire.detect import explore
+from imuarray.acquire.propose import propose, tell_apart
 from imuarray.acquire.record import record
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
@@ -308,6 +310,17 @@ def test_the_magnetometer_of_an_mpu9150_is_read_behind_its_bypass() -> None:
             + unit.bias
         )
         assert field == pytest.approx(felt, abs=4.4 * 3e-3 / 5 + 0.5 / array["Mag"].sensitivity)
+
+
+@pytest.mark.parametrize(("text", "chip"), [(BEHIND, "ak8963"), (BEHIND_9150, "ak8975")])
+def test_the_magnetometers_of_an_mpu9150_and_an_mpu9250_are_told_apart_by_their_self_test(text: str, chip: str) -> None:
+    with open_array(parse_array(text.replace("channel = 1\n", "").replace("mux =", "# mux ="))) as bus:
+        bus.transfer(0x69, b"\x37\x02")
+        listed = explore(bus)
+        assert [line.found for line in listed if line.address == 0x0C] == ["ak8963 or ak8975"]
+        distinct = tell_apart(listed, bus)
+        assert [line.found for line in distinct if line.address == 0x0C] == [chip]
+        assert [sensor.chip for sensor in parse_array(propose(distinct, "spi:")).sensors].count(chip) == 1
 
 
 def test_two_mpu9150_on_one_bus_hide_their_magnetometers_from_each_other() -> None:

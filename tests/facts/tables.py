@@ -93,7 +93,7 @@ WRITABLE = {
 ADDRESSES = {  # ADX-01, BMA-01, BMP-01, BMP-101, HMC-01, TDK-01, L3G-01, LSM-01, INV-01, INV-70, PCA-01
     "adxl345": {0x53, 0x1D},
     "ak8963": {0x0C},
-    "ak8975": {0x0C, 0x0D, 0x0E, 0x0F},
+    "ak8975": {0x0C},
     "bma180": {0x40, 0x41},
     "bmp180": {0x77},
     "bmp280": {0x76, 0x77},
