@@ -19,6 +19,10 @@ _SLOW_SHARE = 0.95
 _LINES = 4
 _ALIASES = 3
 
+_MAINS_HZ = (50, 60)
+_MAINS_HZ_ERROR = 0.05
+"""The mains frequency of large grids stays within this in normal operation (the Continental European grid: 50 mHz)."""
+
 Axis = Mapping[str, Any]
 
 
@@ -102,9 +106,21 @@ def _lines(axis: Axis, sensor: Mapping[str, Any]) -> Iterator[str]:
         base = line.get("fundamental_hz")
         order = f", harmonic {round(line['frequency_hz'] / base)} of {base:.4g} Hz" if base else ""
         place = f"{width}at {line['frequency_hz']:.4g} Hz{order}{aliases}"
-        yield f"a line {place}, amplitude {amplitude:.3g} +- {error:.1g} {unit}"
+        yield f"a line {place}, amplitude {amplitude:.3g} +- {error:.1g} {unit}{_mains(line)}"
     if len(axis["lines"]) > _LINES:
         yield f"weaker lines: {len(axis['lines']) - _LINES}"
+
+
+def _mains(line: Mapping[str, Any]) -> str:
+    """Name the mains frequency that a line is, as it is or aliased, within the errors of line and rate; "" if none."""
+    if line.get("width_hz"):
+        return ""
+    near = 2 * line["frequency_error_hz"] + _MAINS_HZ_ERROR
+    for mains_hz in _MAINS_HZ:
+        if any(abs(hz - mains_hz) < near for hz in line["aliases_hz"]):
+            aliased = "" if abs(line["frequency_hz"] - mains_hz) < near else "aliased "
+            return f", as {aliased}{mains_hz} Hz mains would be"
+    return ""
 
 
 def _fit(axis: Axis) -> Iterator[str]:

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.printable import printable
+from imuarray.printable import counted, printable
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison
 
 _MOST = 40
-"""Changes that are told on the screen."""
+"""Changes that are printed."""
+
+_PAIRS = 12
+"""Opposing pairs that are printed."""
 
 _UNITS = {"g": (1e3, "mg"), "dps": (1.0, "dps"), "g/degC": (1e3, "mg/degC"), "gauss": (1e3, "mgauss")}
 
@@ -40,7 +43,7 @@ def print_report(report: dict[str, Any]) -> None:
         )
         for row in report["common"]:
             factor, unit = _in_words(row["unit"])
-            units = ", ".join(row["units"])
+            units = counted(len(row["units"]), "unit")
             click.echo(
                 printable(
                     f"  {row['chip']:24} {row['axis']}: common {factor * row['common']:8.3f}, own"
@@ -49,17 +52,21 @@ def print_report(report: dict[str, Any]) -> None:
             )
     if report["opposed"]:
         click.echo(
-            "opposing axes: rms change of each alone and of their mean; p: probability of such a correlation by chance"
+            "opposing axes, best pairs first: rms change of each alone and of their mean"
+            + ("; p: probability of such a correlation" if report["opposed"][0]["p_value"] is not None else "")
         )
-        for row in report["opposed"]:
+        rows = sorted(report["opposed"], key=lambda row: row["together"] / row["alone"] if row["alone"] else 1.0)
+        for row in rows[:_PAIRS]:
             factor, unit = _in_words(row["unit"])
-            chance = "-" if row["p_value"] is None else f"{row['p_value']:.2g}"
+            chance = "" if row["p_value"] is None else f", p {row['p_value']:.2g}"
             click.echo(
                 printable(
                     f"  {row['first']} and {row['second']} along {row['box_axis']}: {factor * row['alone']:.3f} alone,"
-                    f" {factor * row['together']:.3f} {unit} together, p {chance}"
+                    f" {factor * row['together']:.3f} {unit} together{chance}"
                 )
             )
+        if len(rows) > _PAIRS:
+            click.echo(f"  {len(rows) - _PAIRS} more pairs (--json lists all)")
 
 
 def _print_changes(changes: list[dict[str, Any]]) -> None:

@@ -72,6 +72,9 @@ _SAME_SCALE = 0.25
 """Log ratio of these rotations that quick motion can make."""
 _NEAR_UNIT = 0.3
 """Greatest log ratio between the rotation of gravity and that by a gyroscope at which a unit explains it."""
+_PLAIN = 0.95
+"""Share of rows of one width that begin with a number, from which on a text is one table."""
+
 _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
@@ -292,14 +295,16 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     numeric = [sum(_is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
     if not any(numeric):
         raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
-    first = numeric.index(True)
+    first = _first_of_table(rows, numeric, layout)
+    is_plain = first is not None
+    first = numeric.index(True) if first is None else first
     widths = {len(row) for _, row in rows[first:]}
     starts = {row[0] for _, row in rows[first:] if row and not _is_number(row[0], layout)}
     heads = [row[0] for _, row in rows[first:] if row]
     worded = sum(head in starts for head in heads)
     changes = sum(a != b for a, b in pairwise(heads))
     alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
-    if (len(widths) > 1 or alternate) and 1 < len(starts) < 20:
+    if not is_plain and (len(widths) > 1 or alternate) and 1 < len(starts) < 20:
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
     width = len(rows[first][1])
@@ -312,6 +317,20 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     names = [name.strip() for name in header[1]] if header is not None and layout.named else []
     body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
     return layout, names, body[:LOOKED_AT_ROWS]
+
+
+def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[bool], layout: _Layout) -> int | None:
+    """Return the first row of a table of numbers below a preamble of other widths; None if the rows below are of
+    several widths or begin with words, so that they may be of several kinds.
+    """
+    tail = [row for _, row in rows[len(rows) // 2 :]]
+    widths = [len(row) for row in tail]
+    usual = max(set(widths), key=widths.count)
+    if widths.count(usual) < _PLAIN * len(tail):
+        return None
+    if sum(_is_number(row[0], layout) for row in tail if row) < _PLAIN * len(tail):
+        return None
+    return next((at for at, (_, row) in enumerate(rows) if numeric[at] and len(row) == usual), None)
 
 
 def _fitness(lines: Sequence[str], delimiter: str) -> float:
@@ -363,11 +382,9 @@ def _quoted(text: str) -> str:
 
 def _unit_in(name: str) -> str:
     """Return the unit in a column's name; "" without one."""
-    match = _UNIT_IN_NAME.search(name)
-    if match is None:
-        return ""
-    text = match[1] or match[2] or ""
-    return _SPELLINGS.get(text.lower(), text)
+    texts = [match[1] or match[2] or "" for match in _UNIT_IN_NAME.finditer(name)]
+    units = [_SPELLINGS.get(text.lower(), text) for text in texts]
+    return next((unit for unit in units if unit and not unit.isdigit()), "")
 
 
 def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
@@ -393,7 +410,8 @@ def _propose(
     columns = _without_padding(columns)
     time = _time_index(names, columns, dates)
     taken = set() if time is None else {time}
-    triads = sorted(_triads(names, columns, taken, stem), key=lambda triad: triad[0] != "specific_force")
+    triads = _with_quantity(list(_triads(names, columns, taken, stem)), names, proposal)
+    triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append("rate_hz = 100   # ? no column increases like time")
     else:
@@ -422,7 +440,8 @@ def _propose(
 def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats]) -> None:
     """Propose the sensor of a kind of rows: time, and the three columns after it."""
     quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
-    item, _ = _sensor(quantity, [], columns, (2, 3, 4), "", proposal)
+    in_m_s2 = any('unit = "m/s2"' in line for other in proposal.items for line in other)
+    item, _ = _sensor(quantity, [], columns, (2, 3, 4), "m/s2" if in_m_s2 else "", proposal)
     number = sum(other[1].startswith(f'name = "{_NAMES[quantity]}') for other in proposal.items)
     item[1] = f'name = "{_NAMES[quantity]}{number + 1 if number else ""}"'
     item.insert(2, f"kind = {_quoted(kind)}")
@@ -486,7 +505,7 @@ def _time_lines(
 def _triads(
     names: Sequence[str], columns: Sequence[Floats], taken: set[int], stem_of_file: str
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Yield quantity and columns of each triad."""
+    """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken]
         yield from _nameless(columns, free)
@@ -509,8 +528,21 @@ def _triads(
                 used.update(indices)
                 stem = name[:place] + "*" + name[place + 1 :]
                 called = stem if stem.strip("*_.- []()") else stem_of_file
-                by_name = next((what for what, words in _QUANTITIES if words.search(called)), "specific_force")
+                by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
                 yield _QUANTITY_OF_UNIT.get(_unit_in(name), by_name), indices
+
+
+def _with_quantity(
+    triads: list[tuple[str, tuple[int, int, int]]], names: Sequence[str], proposal: _Proposal
+) -> list[tuple[str, tuple[int, int, int]]]:
+    """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
+    known = [triad for triad in triads if triad[0]]
+    if not known:
+        return [("specific_force", indices) for _, indices in triads]
+    others = [names[indices[0]] for quantity, indices in triads if not quantity]
+    if others:
+        proposal.doubts.append(f"left out, their names say no quantity: {', '.join(others)}, and the next two of each")
+    return known
 
 
 def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:

@@ -509,7 +509,7 @@ class _Recording:
             unit = self._headers[name].unit
             how = "as the grid of its values says"
             if not resolution.is_exact:
-                how = "so that 16 bits hold its values, rounded; of several files of one array the map says both"
+                how = "assumed so that 16 bits hold its values; state both in the map if several files are of one array"
             remarks.append(
                 f"{name}: {resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
             )

@@ -43,7 +43,8 @@ class Observations:
     """The observations of a recording: its number of sensors and frames, `missed` frames; by name the seconds for which
     sensors are `silent`, the readings that they `lost`, their `gaps` of unknown length and `clipped` readings; `faults`
     by sensor ("": the array) and kind of event; `stopped`: why it does not go on ("" it does, or ended as it should);
-    `room_s` until the disk is full (None: not known).
+    `room_s` until the disk is full (None: not known). `stalled`: by name the share of the time without readings,
+    where the recorder stalled again and again.
     """
 
     sensors: int
@@ -56,6 +57,7 @@ class Observations:
     faults: Mapping[tuple[str, str], int] = field(default_factory=dict)
     stopped: str = ""
     room_s: float | None = None
+    stalled: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,11 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         yield _Reason(f"{counted(seen.missed, 'frame')} missed", _SLOWER)
     if lost := {name: count for name, count in seen.lost.items() if count}:
         yield _Reason(f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost", _EVENTS)
+    if seen.stalled:
+        share = max(seen.stalled.values())
+        yield _Reason(
+            f"no readings of {_names(seen.stalled)} in {share:.0%} of the time: the recorder stalled", _STALLS
+        )
     if gaps := {name: count for name, count in seen.gaps.items() if count}:
         yield _Reason(f"{counted(sum(gaps.values()), 'gap')} in the readings of {_names(gaps)}", _EVENTS)
     if clipped := {name: count for name, count in seen.clipped.items() if count}:
@@ -116,6 +123,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
 
 
 _SLOWER = "ask for fewer frames a second, or for fewer sensors"
+_STALLS = "compare readings by their times, not by their row numbers"
 _EVENTS = "read the events, which say why"
 _ROOM = "free space, or log to another disk"
 

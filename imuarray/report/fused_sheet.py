@@ -39,9 +39,13 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
     """A line."""
     calibration = Path(head.calibration).name or "the data sheets"
     yield f"{path.name}: {head.frames} frames of {Path(head.log).name} by {head.technique}, by {calibration}."
-    failed = sorted({event.sensor for event in read_fused_events(path) if event.state == "isolated"})
-    if failed:
+    if failed := _failed(path):
         yield f"{path.name}: left out for a time, because they failed: {', '.join(failed)}."
+
+
+def _failed(path: Path) -> list[str]:
+    """Return the sensors that were left out for a time."""
+    return sorted({event.sensor for event in read_fused_events(path) if event.state == "isolated"})
 
 
 def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict, Section]:
@@ -53,7 +57,7 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict
         factor, unit = READABLE_SI[quantity]
         own = course.sigma.get(quantity)
         for axis in range(3):
-            deviation = f"{factor * own[axis]:.3f}" if own is not None and np.isfinite(own[axis]) else "–"
+            deviation = f"{factor * own[axis]:.3f}" if own is not None and 0 < own[axis] < np.inf else "–"
             rows.append(
                 [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
             )
@@ -68,7 +72,7 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict
     if drawn:
         parts += [_drawn(quantity, course) for quantity in course.triads]
     section = Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
-    return fused_verdict(path, head, noise, course.sigma), section
+    return fused_verdict(path, head, noise, course.sigma, _failed(path)), section
 
 
 def _events(path: Path) -> Table | None:

@@ -16,6 +16,7 @@ from imuarray.characterise.plots import allan_figure, spectrum_figure
 from imuarray.errors import ImuArrayError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
+from imuarray.printable import counted
 from imuarray.report.page import Figure, Section, Table
 from imuarray.report.recording import PERIODS, Recording, recording_of, scripts
 from imuarray.units import READABLE
@@ -34,7 +35,7 @@ def log_summary(log: Log) -> Iterator[str]:
     """A line or two: what it is, and what is wrong with it."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
     source = "the emulated array, no hardware" if log.source == "emulated" else log.source
-    yield f"{log.path.name}: {_duration(log)} of {len(log.sensors)} sensors, {rows} readings ({source})."
+    yield f"{log.path.name}: {_duration(log)} of {counted(len(log.sensors), 'sensor')}, {rows} readings ({source})."
     if log.state != "finished":
         yield f"{log.path.name} is {log.state}: what was acknowledged is shown."
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
+from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, SATURATED
 from imuarray.printable import counted
@@ -175,6 +176,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     spans += [Span("silent", end_s - after_s, end_s)] if after_s else []
     width = -(-len(sensor) // most) if len(sensor) > most else 1
     period_ns = _period_ns(sensor)
+    in_bursts = len(sensor) > 1 and row_timing(sensor).kind == "bursts"
     parts: list[tuple[Floats, Floats, Floats]] = []
     clipped = missing = 0
     missing_s, last_ns = 0.0, None
@@ -183,12 +185,14 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
         steps = np.diff(time, prepend=time[0] if last_ns is None else last_ns)
         last_ns = int(time[-1])
         at_end = (status & SATURATED) != 0
-        pauses = np.flatnonzero((steps > PERIODS * period_ns) | (((status & LOST_BEFORE) != 0) & (steps > 0)))
+        pauses = np.flatnonzero(
+            ((steps > PERIODS * period_ns) & (not in_bursts)) | (((status & LOST_BEFORE) != 0) & (steps > 0))
+        )
         clipped, missing = clipped + int(at_end.sum()), missing + len(pauses)
         missing_s += float(steps[pauses].sum()) * 1e-9
         spans += [Span("missing", (time[row] - steps[row]) * 1e-9, time[row] * 1e-9) for row in pauses]
         spans += [Span("clipped", time[a] * 1e-9, (time[b] + period_ns) * 1e-9) for a, b in _runs(at_end)]
-        breaks = np.flatnonzero(steps > max(PERIODS, width) * period_ns)
+        breaks = np.flatnonzero((steps > max(PERIODS, width) * period_ns) & (not in_bursts))
         parts.append(_envelope(time, _values(sensor, rows, calibration), np.arange(0, len(time), width), breaks))
     time_s, low, high = (
         (np.concatenate([part[number] for part in parts]) for number in range(3))
@@ -196,6 +200,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
         else (np.zeros(0), np.zeros((0, len(columns))), np.zeros((0, len(columns))))
     )
     note = _note(clipped, missing, missing_s, before_s, after_s)
+    note = "; ".join(filter(None, [note, "rows arrived in bursts" if in_bursts else ""]))
     about = f"{sensor.chip}, {sensor.quantity.replace('_', ' ')}"
     merged = tuple(_merged(spans, (end_s - start_s) / _SEPARATE))
     return Trace(sensor.name, about, unit, columns, time_s, low, high, merged, note)
@@ -272,7 +277,8 @@ def _merged(spans: Sequence[Span], separate_s: float) -> Iterator[Span]:
 
 def _note(clipped: int, missing: int, missing_s: float, before_s: float, after_s: float) -> str:
     parts = [f"{counted(clipped, 'reading')} clipped"] if clipped else []
-    parts += [f"readings missing in {counted(missing, 'pause')}, {missing_s:.2g} s in all"] if missing else []
+    length = f"{missing_s:.2g}" if missing_s < 100 else f"{missing_s:.0f}"
+    parts += [f"readings missing in {counted(missing, 'pause')}, {length} s in all"] if missing else []
     parts += [f"silent for {before_s:.0f} s at the beginning"] if before_s else []
     parts += [f"silent for {after_s:.0f} s at the end"] if after_s else []
     return "; ".join(parts)

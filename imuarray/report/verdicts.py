@@ -13,6 +13,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.fuse import Comparison, FusedHead, Score
+from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log
 from imuarray.log.health import Observations, health_of, is_trouble
 from imuarray.log.missed_frames import frame_timing
@@ -37,6 +38,8 @@ def recording_verdict(log: Log) -> Verdict:
     faults = Counter((event.sensor, event.kind) for event in log.events if is_trouble(event))
     missed = frame_timing(log).missed or 0
     ended = log.state == "finished"
+    timings = {name: row_timing(sensor) for name, sensor in sensors.items() if len(sensor) > 1}
+    stalls = {name: timing for name, timing in timings.items() if timing.kind == "stalls"}
     seen = Observations(
         sensors=len(sensors),
         frames=max((len(sensor) for sensor in sensors.values()), default=0),
@@ -46,6 +49,7 @@ def recording_verdict(log: Log) -> Verdict:
         clipped={name: counts.get("saturated", 0) for name, counts in flags.items()},
         faults=faults,
         stopped="" if ended else f"the log is {log.state}",
+        stalled={name: timing.gaps_s / timing.seconds for name, timing in stalls.items()},
     )
     if not rows:
         return Verdict(f"{log.path.name} holds no reading.", "bad", ((f"{len(sensors)}", "sensors"), ("0", "readings")))
@@ -53,7 +57,8 @@ def recording_verdict(log: Log) -> Verdict:
     words = {"green": "is healthy", "amber": "is usable, with losses", "red": "is not as it should be"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
     advice = advice if ended else "; imuarray recover finishes it"
-    gaps, clipped = sum(seen.gaps.values()), sum(seen.clipped.values())
+    gaps = sum(seen.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
+    clipped = sum(seen.clipped.values())
     return Verdict(
         f"{log.path.name} {words}: {health.reason}{advice}.",
         _LEVELS[health.level],
@@ -136,9 +141,11 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed: dict[str, Floats]) -> Verdict:
+def fused_verdict(
+    path: Path, head: FusedHead, noise: dict[str, Floats], claimed: dict[str, Floats], failed: Sequence[str] = ()
+) -> Verdict:
     """Return how quiet the result is, and whether it is as good as it says. `noise` and `claimed` (3,) in SI by
-    quantity.
+    quantity; `failed` are the sensors that were left out for a time.
     """
     figures, texts, ratios = [(f"{head.frames}", "frames")], [], []
     for quantity, values in noise.items():
@@ -157,6 +164,9 @@ def fused_verdict(path: Path, head: FusedHead, noise: dict[str, Floats], claimed
     level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good" if texts else "neutral"
     quiet = f"scatters by {' and '.join(texts)} at rest" if texts else "has no frames at rest"
     honest = ", more than it says; give fuse a calibration with measured noise" if level == "doubtful" else ""
+    if failed:
+        level = "doubtful"
+        honest += f"; {len(failed)} of {counted(count, 'sensor')} were left out for a time: see the faults below"
     return Verdict(f"{path.name}, fused by {head.technique}, {quiet}{honest}.", level, tuple(figures[:_FIGURES]))
 
 

@@ -50,6 +50,18 @@ def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Ch
     assert "G x, z: neighbouring readings correlate by 0.40" in told
 
 
+def test_mains_are_named_aliased_or_not(characterised: Characterise) -> None:
+    """50.02 Hz at 76.93 Hz appear at 26.91 Hz, and 60 Hz at 350 Hz as they are; a line at 21 Hz is neither."""
+    hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 50.02})
+    other = ("tone", {"amplitude": (0.05, 0.0, 0.0), "frequency_hz": 21.0})
+    texts = [text for text in findings(characterised(NOISE, hum, other, rate_hz=76.93)) if " line at " in text]
+    assert [text.endswith(", as aliased 50 Hz mains would be") for text in texts] == [False, True]
+    assert "26.91 Hz" in texts[1]
+    hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 60.0})
+    (text,) = (text for text in findings(characterised(NOISE, hum)) if " line at " in text)
+    assert text.endswith(", as 60 Hz mains would be")
+
+
 @pytest.mark.slow
 def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     coarse = ("quantisation", {"step_lsb": 4})

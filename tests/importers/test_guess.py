@@ -53,6 +53,23 @@ CASES: dict[str, tuple[str, list[str]]] = {
         "Logger 3\nmade today\n" + text_of("t,ax,ay,az,wx,wy,wz", SI).replace(",", ";").replace(".", ","),
         ['delimiter = ";"', 'decimal = ","', "skip_rows = 2", 'unit = "m/s2"'],
     ),
+    "a preamble of another width, and triads of other things (flight controllers)": (
+        '"Product","Flight recorder"\n"acc_1G","4096"\n"looptime","125"\n'
+        + text_of(
+            "time (us),axisP[0],axisP[1],axisP[2],accSmooth[0],accSmooth[1],accSmooth[2],gyroADC[0] (deg/s),"
+            "gyroADC[1] (deg/s),gyroADC[2] (deg/s)",
+            np.hstack([COUNTS[:, 3:], COUNTS[:, :3], np.degrees(SI[:, 3:])]),
+            walk().time_s * 1e6,
+        ),
+        [
+            "skip_rows = 3",
+            'unit = "us"',
+            'columns = ["accSmooth[0]"',
+            "sensitivity = 4096   # ? from gravity",
+            'unit = "dps"\n',
+            "no quantity: axisP[0]",
+        ],
+    ),
     "milliseconds, tabs": (
         text_of("millis,acc.x,acc.y,acc.z,rot.x,rot.y,rot.z", SI, walk().time_s * 1000).replace(",", "\t"),
         ['delimiter = "\\t"', 'column = "millis"', 'unit = "ms"'],

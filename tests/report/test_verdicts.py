@@ -70,6 +70,27 @@ def test_is_the_recording_healthy(tmp_path: Path, arguments: tuple[object, ...],
     assert len(verdict.figures) == 5
 
 
+def test_a_recorder_that_stalls_is_no_healthy_recording(tmp_path: Path) -> None:
+    """Fifty rows in half a second, then nothing for half a second, twenty times."""
+    time_ns = (np.arange(1000) * 10_000_000 + np.arange(1000) // 50 * 500_000_000).astype(np.int64)
+    with LogWriter(tmp_path / "run.h5", [ACC], source="imported", epoch="2026-01-01T00:00:00Z") as log:
+        log.append("Acc", Block(time_ns, np.ones((1000, 3)), np.zeros(1000, np.uint16)))
+    with open_log(tmp_path / "run.h5") as run:
+        verdict = recording_verdict(run)
+    assert verdict.level == "doubtful"
+    # 19 stalls of 0.51 s in 19.49 s
+    assert "no readings of Acc in 50% of the time: the recorder stalled" in verdict.sentence
+    assert ("19", "gaps in the readings") in verdict.figures
+
+
+def test_a_result_without_most_of_its_sensors_is_doubtful() -> None:
+    head = FusedHead("optimal", "run.h5", "", "", 500, {"specific_force": ("A", "B", "C")})
+    noise, own = {"specific_force": np.full(3, 0.00980665)}, {"specific_force": np.full(3, 0.01)}
+    verdict = fused_verdict(Path("f.h5"), head, noise, own, ["A", "B"])
+    assert verdict.level == "doubtful"
+    assert "; 2 of 3 sensors were left out for a time" in verdict.sentence
+
+
 def test_a_log_without_readings(tmp_path: Path) -> None:
     verdict = recorded(tmp_path / "run.h5", 0, 0)
     assert (verdict.level, verdict.sentence) == ("bad", "run.h5 holds no reading.")
