@@ -69,10 +69,10 @@ CONFIGS = {
     + sensor("Gyro", "l3g4200d", "l3g4200d", RATE, f"range = 500\n{TRIGGERED}")
     + sensor("Mag", "lis3mdl", "lis3mdl", FIELD, f"range = 8\n{TRIGGERED}"),
     "queued": HEAD
-    + sensor("A1", "mpu6050", "mpu6050", FORCE, "rate_hz = 50\nrange = 4\nfifo = true")
-    + sensor("G1", "mpu6050", "mpu6050", RATE, "rate_hz = 50\nrange = 1000\nfifo = true")
-    + sensor("A2", "lsm6dso_accel", "lsm6dso", FORCE, "rate_hz = 52\nrange = 8\nfifo = true")
-    + sensor("G2", "lsm6dso_gyro", "lsm6dso", RATE, "rate_hz = 52\nrange = 250\nfifo = true"),
+    + sensor("A1", "mpu6050", "mpu6050", FORCE, "rate_hz = 20\nrange = 4\nfifo = true")
+    + sensor("G1", "mpu6050", "mpu6050", RATE, "rate_hz = 20\nrange = 1000\nfifo = true")
+    + sensor("A2", "lsm6dso_accel", "lsm6dso", FORCE, "rate_hz = 26\nrange = 8\nfifo = true")
+    + sensor("G2", "lsm6dso_gyro", "lsm6dso", RATE, "rate_hz = 26\nrange = 250\nfifo = true"),
 }
 SENSITIVITY = {  # counts per unit of the data sheets: INV-40, INV-41, LSM-30, LSM-31, L3G-41, LIS-10
     "A1": 8192.0,
