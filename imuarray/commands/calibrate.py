@@ -187,7 +187,9 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
 @click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @json_option
 def compare(files: tuple[Path, ...], as_json: bool) -> None:
-    """Compare calibrations of an array: what changed, and by how many standard errors.
+    """Compare calibrations of one array.
+
+    Prints what changed and by how many standard errors.
 
     Also shows which part of the bias changes is common to the units of a design, and how much of it opposing axes
     cancel. Biases are compared at one temperature where the calibrations state temperatures and slopes.

@@ -110,8 +110,17 @@ def _time_constant(row: dict[str, Any]) -> str:
     ):
         return ""
     ends = drift["time_constant_interval_s"] or (None, None)
-    first, last = ("?" if end is None or np.isnan(end) else f"{end:.3g}" for end in ends)
-    return f"{drift['time_constant_s']:.3g} s ({first} to {last})"
+    first, last = (None if end is None or np.isnan(end) else _whole(end) for end in ends)
+    if first is None and last is None:
+        return f"{_whole(drift['time_constant_s'])} s (uncertain)"
+    if first is None or last is None:
+        return f"{_whole(drift['time_constant_s'])} s ({f'>= {first}' if last is None else f'<= {last}'})"
+    return f"{_whole(drift['time_constant_s'])} s ({first} to {last})"
+
+
+def _whole(seconds: float) -> str:
+    """Return three digits without an exponent."""
+    return f"{seconds:.0f}" if seconds >= 100 else f"{seconds:.3g}"
 
 
 def _lines(row: dict[str, Any], axis: str) -> str:
