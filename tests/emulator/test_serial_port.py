@@ -150,5 +150,7 @@ def test_the_papers_array_from_another_process(tmp_path: Path) -> None:
             assert process.wait(5) == 130
     with open_log(run) as log:
         for sensor in ("ADXL1", "BMA3", "Gyro3"):
-            assert len(log[sensor].time) == pytest.approx(250, abs=25)
+            time_s = log[sensor].time[:].astype(float) * 1e-9
+            assert 2.5 < np.ptp(time_s) < 5.5  # a busy machine may lose some of the 250 frames
+            assert np.median(np.diff(time_s)) == pytest.approx(0.02, rel=0.01)
             assert abs(np.linalg.norm(log["BMA3"].counts[:].mean(axis=0)) - 5461) < 800  # g at 1.5 g full scale
