@@ -134,7 +134,7 @@ def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
         other(COVARIANCE, np.full((FRAMES, 6), -1.0))(file)
     _, section = fused_sections(path, read_fused_head(path), drawn=False)
     assert isinstance(section.parts[0], Table)
-    assert [row[-1] for row in section.parts[0].rows] == ["0.000"] * 3
+    assert [row[-1] for row in section.parts[0].rows] == ["–"] * 3
 
 
 def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_short(tmp_path: Path) -> None:
