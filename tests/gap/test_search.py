@@ -265,6 +265,26 @@ def test_a_cause_that_only_the_held_out_part_shows(
     assert (result.selection is not None) == is_taken
 
 
+@pytest.mark.parametrize(
+    ("train", "gain", "is_taken"),
+    [
+        (ACCEPTED + 11.1, 0.0, True),  # beyond 8 nats for the choice and 1 for each number that was fitted
+        (ACCEPTED + 10.9, 0.0, False),
+        (ACCEPTED + 11.1, -0.2, False),  # the held-out part is against it
+    ],
+)
+def test_a_cause_that_only_the_training_part_shows(train: float, gain: float, is_taken: bool) -> None:
+    """It is judged on both parts then, by the mean of both less 4 nats, and says so."""
+    run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
+    trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), ("offset",))]}, {UNIT: Hypothesis((LINE,))}
+    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    assert (result.selection is not None) == is_taken
+    if result.selection is not None:
+        assert result.selection.trial.needs_both
+        assert result.confirmed == (result.selection,)
+        assert result.selection.gain == pytest.approx((train + gain) / 2 - 4)
+
+
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
 def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -> None:
     """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""

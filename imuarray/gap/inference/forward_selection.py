@@ -58,6 +58,9 @@ _BRIEF = 4.0
 of moments.
 """
 
+_INDIFFERENT = 0.1
+"""Nats that a held-out part may lose by a cause that it does not show."""
+
 _OUTDONE, _FAR_LESS = 10.0, 0.5
 """Cost in nats of leaving twice the squared scores of another trial that gains as much."""
 
@@ -339,13 +342,49 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
         if has_placebo
         else (evaluations, 0.0)
     )
-    odds = _log_odds(standing, real)
-    ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
+    ranked = _ranked(standing, real)
     if known:
         return Round(standing, ranked, bar, next((evaluation for evaluation in ranked if evaluation.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
-    good = [evaluation for evaluation in ranked if evaluation.closes and _counted_gain(standing, evaluation) > least]
-    return Round(standing, ranked, bar, good[0] if good else None)
+    selection = _accepted(standing, ranked, least)
+    if selection is None:
+        on_both = (_on_both_parts(each) if _needs_both_parts(standing, each) else each for each in ranked)
+        ranked_on_both = _ranked(standing, tuple(on_both))
+        if (selection := _accepted(standing, ranked_on_both, least)) is not None:
+            ranked = ranked_on_both
+    return Round(standing, ranked, bar, selection)
+
+
+def _ranked(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
+    """The evaluations, those with the best odds first."""
+    odds = _log_odds(standing, evaluations)
+    return tuple(evaluations[at] for at in sorted(range(len(evaluations)), key=lambda at: -odds[at]))
+
+
+def _accepted(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> Evaluation | None:
+    """The first of the evaluations that is good enough."""
+    good = (evaluation for evaluation in ranked if evaluation.closes and _counted_gain(standing, evaluation) > least)
+    return next(good, None)
+
+
+def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
+    """True for a lasting cause that the training part alone shows beyond the choice among thousands, while the held-out
+    part has nothing against it: not every motion reaches the end of a range twice.
+    """
+    if evaluation.trial.needs_both or not evaluation.factors or evaluation.gain < -_INDIFFERENT:
+        return False
+    train_gain = min(_tempering(standing, evaluation), 1.0) * evaluation.train_gain
+    return train_gain - COST * evaluation.factors - 2 * _BRIEF > ACCEPTED
+
+
+def _on_both_parts(evaluation: Evaluation) -> Evaluation:
+    """The evaluation as that of a cause that needs both parts."""
+    trial = replace(evaluation.trial, whole=True)
+    return replace(
+        evaluation,
+        hypothesis=replace(evaluation.hypothesis, trial=trial),
+        gain=(evaluation.train_gain + evaluation.gain) / 2 - _BRIEF,
+    )
 
 
 def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
