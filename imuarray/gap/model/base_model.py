@@ -101,7 +101,9 @@ _OVERSAMPLED = 1.05
 """Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
 
 _BY_CHANCE = 2.0
-"""Squared standard deviations that are added for the error of an estimated correlation."""
+"""Variances of an estimated correlation that are due to chance: the medians of three axes have less than half of one, so
+that three of them together exceed six in one of 250 phases.
+"""
 
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
@@ -352,7 +354,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
     samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
     are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
-    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`).
+    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`). Correlations no larger than
+    chance makes those of white noise tell no filter.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
@@ -371,6 +374,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
     white = float(np.square(without_memory).sum())
+    if white <= chance:
+        return None
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
     best, least = None, white
