@@ -101,8 +101,8 @@ _OVERSAMPLED = 1.05
 """Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
 
 _BY_CHANCE = 2.0
-"""Variances of an estimated correlation that are due to chance: the medians of three axes have less than half of one, so
-that three of them together exceed six in one of 250 phases.
+"""Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
+that those at three lags together exceed six in one of 250 phases.
 """
 
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
