@@ -81,7 +81,8 @@ def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
             continue
         if item.name in ("rate_hz", "phase"):
             raise ValueError(f"spans: {item.name} can't change for a part of a run")
-        wide = inside[:, None] if np.ndim(old) == 2 or np.ndim(new) == 2 or np.ndim(old) == 0 else inside
+        is_wide = item.name == "white_rms" or np.ndim(old) in (0, 2) or np.ndim(new) == 2
+        wide = inside[:, None] if is_wide else inside
         mixed = np.where(wide, new, old)
         changes[item.name] = mixed.astype(old.dtype) if isinstance(old, np.ndarray) else mixed
     return replace(before, **changes)

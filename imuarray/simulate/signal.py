@@ -51,8 +51,9 @@ class Analog:
     `value` (n, 3) without noise and `noise` (n, 3) are kept apart until they are converted; `force_g` (n, 3) is the
     true specific force in g along the sensor's axes, `temperature_degc` (n,) the element's, `thermometer_degc` (n,)
     what the chip's own thermometer feels. `sensitivity` (counts per unit, a number or (n, 1)), `lowest` and `highest`
-    code and `step` between codes are the converter's; `rate_hz` is how often it makes new ones. `white_rms` is the
-    standard deviation along each axis of the part of the noise that is independent from one reading to the next.
+    code and `step` between codes are the converter's; `rate_hz` is how often it makes new ones. `white_rms`, (3,) or
+    (n, 3), is the standard deviation along each axis of the part of the noise that is independent from one reading to
+    the next.
     """
 
     first: int
@@ -67,7 +68,7 @@ class Analog:
     step: int | Integers
     thermometer_degc: Reals
     rate_hz: float
-    white_rms: Triple = (0.0, 0.0, 0.0)
+    white_rms: Triple | Reals = (0.0, 0.0, 0.0)
 
     @property
     def is_silent(self) -> bool:

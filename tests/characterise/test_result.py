@@ -41,6 +41,8 @@ def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
         "start_s": 5.0,
         "end_s": 55.0,
         "chosen_by": "longest phase at rest",
+        "left_out_s": [],
+        "remark": "",
     }
 
 

@@ -90,14 +90,13 @@ class Bandwidth(Effect):
         value = self._passed(analog.value, decay)
         if self.signal_only:
             return replace(analog, value=value)
-        if (1 + AT_ITS_RATE) * at.rows_per_s < analog.rate_hz < SEVERAL_SAMPLES * at.rows_per_s and any(
-            analog.white_rms
-        ):
+        samples_a_row = analog.rate_hz / at.rows_per_s
+        if 1 + AT_ITS_RATE < samples_a_row < SEVERAL_SAMPLES and np.any(analog.white_rms):
             return replace(analog, value=value, noise=self._of_every_sample(analog, at))
-        if not 0 < (1 + AT_ITS_RATE) * analog.rate_hz < at.rows_per_s:
+        if not 0 < (1 + AT_ITS_RATE) * samples_a_row < 1:
             return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
         is_new = np.concatenate([[True], np.diff(analog.instant_ns) > 0])
-        samples = self._coloured(analog.noise[is_new], decay * at.rows_per_s / analog.rate_hz)
+        samples = self._coloured(analog.noise[is_new], decay / samples_a_row)
         return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
 
     def _of_every_sample(self, analog: Analog, at: Place) -> Reals:
@@ -110,9 +109,10 @@ class Bandwidth(Effect):
         is_read[places] = True
         stop = analog.first + len(analog.noise)
         unread = at.stream(self.name, "unread", width=3 * most).normal(analog.first, stop).reshape(-1, most, 3)
+        unread = unread * np.broadcast_to(np.asarray(analog.white_rms, unread.dtype), analog.noise.shape)[:, None]
         white = np.empty((len(is_read), 3), analog.noise.dtype)
         white[is_read] = analog.noise
-        white[~is_read] = unread[np.arange(most) < skipped[:, None]] * np.array(analog.white_rms, white.dtype)
+        white[~is_read] = unread[np.arange(most) < skipped[:, None]]
         decay = self._decay(at) * at.rows_per_s / analog.rate_hz
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 

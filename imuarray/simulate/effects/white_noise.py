@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
+from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, per_axis, require
 from imuarray.simulate.signal import Analog, Place, Triple
 
@@ -32,5 +35,10 @@ class WhiteNoise(Effect):
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         noise = at.stream(self.name, scale=self.rms).normal(analog.first, analog.first + len(analog.noise))
-        x, y, z = map(math.hypot, self.rms, analog.white_rms)
-        return replace(analog, noise=noise if analog.is_silent else noise + analog.noise, white_rms=(x, y, z))
+        before = analog.white_rms
+        if isinstance(before, tuple):
+            x, y, z = map(math.hypot, self.rms, before)
+            white_rms: Triple | Reals = (x, y, z)
+        else:
+            white_rms = np.hypot(self.rms, before)
+        return replace(analog, noise=noise if analog.is_silent else noise + analog.noise, white_rms=white_rms)

@@ -193,3 +193,20 @@ def test_noise_of_a_chip_that_is_polled_more_slowly_than_it_samples(
         expected = (power * np.cos(2 * np.pi * frequency_hz * apart / 100)).sum() / power.sum()
         at = np.flatnonzero(samples == apart)
         assert np.mean(level[at] * level[at + 1]) / level.var() == pytest.approx(expected, abs=0.03)
+
+
+def test_noise_that_grows_at_a_moment_on_a_chip_that_is_polled_more_slowly(constant: type[Constant]) -> None:
+    """3 counts of noise for 250 s, and then 4 more: 5 together, also in the samples that no row reads."""
+    rows = 40_000
+    lines = PollTimes(rows, 12_500_000)
+    sensor = header("l3g4200d", rate_hz=100.0)
+    count = 1 / sensor.sensitivity
+    effects = (
+        WhiteNoise(3 * count),
+        WhiteNoise(4 * count, spans=(0.0, 250.0, 1e9)),
+        Bandwidth(12.5, poles=2.0, sampled_hz=100.0),
+    )
+    simulation = Simulation(Plan({"S1": (sensor, lines)}, lines), constant(), {"S1": effects})
+    counts = simulation.sensors["S1"].block(0, rows).counts
+    assert counts[:20_000].std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.03)
+    assert counts[20_100:].std() == pytest.approx(np.sqrt(25 + 1 / 12), rel=0.03)
