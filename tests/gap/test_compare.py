@@ -121,17 +121,20 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
 
 @pytest.mark.slow
 def test_a_tone_is_found_where_it_is() -> None:
-    """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope."""
+    """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope: readings correlate over many rows,
+    and the spectrum has a line.
+    """
     found = compared({**units(1), "G2": (*units(1)["G2"], Tone((0.0, 0.04, 0.0), 17.0))}, 1)
     root = found.localisation.root
     assert found.localisation.is_gap
     assert found.localisation.p == pytest.approx(1 / 41)
     assert [node.path for node in root.found("chip")][:1] == [("l3g4200d",)]
     assert [node.path for node in root.found("axis")] == [("l3g4200d", "G2", "y")]
-    assert root.found("domain")[0].path[-1] == "spectrum"
+    assert {node.path[-1] for node in root.found("domain")[:2]} == {"spectrum", "autocorrelation"}
     first, *_ = found.localisation.p_by_place
     key = found.pairs.keys[first]
-    assert (key.sensor, key.axis, key.domain) == ("G2", "y", "spectrum")
+    assert (key.sensor, key.axis) == ("G2", "y")
+    assert key.domain in ("spectrum", "autocorrelation")
     assert abs(found.assessment.scores[first]) > 5
     assert {(found.pairs.keys[at].sensor, found.pairs.keys[at].axis) for at in found.localisation.p_by_place} == {
         ("G2", "y")
