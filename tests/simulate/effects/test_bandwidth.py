@@ -210,3 +210,16 @@ def test_noise_that_grows_at_a_moment_on_a_chip_that_is_polled_more_slowly(const
     counts = simulation.sensors["S1"].block(0, rows).counts
     assert counts[:20_000].std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.03)
     assert counts[20_100:].std() == pytest.approx(np.sqrt(25 + 1 / 12), rel=0.03)
+
+
+@pytest.mark.parametrize("poles", [1.0, 2.0])
+@pytest.mark.parametrize("sampled_hz", [100.0, np.inf])
+def test_samples_that_no_row_reads_do_not_depend_on_the_block(
+    constant: type[Constant], poles: float, sampled_hz: float
+) -> None:
+    lines = PollTimes(4000, 12_500_000)
+    plan = Plan({"S1": (header("l3g4200d", rate_hz=100.0), lines)}, lines)
+    effects = (WhiteNoise(5.0), Bandwidth(6.0, poles=poles, sampled_hz=sampled_hz))
+    whole, parts = (Simulation(plan, constant(), {"S1": effects}).sensors["S1"] for _ in range(2))
+    counts = np.concatenate([parts.block(first, first + 800).counts for first in range(0, 4000, 800)])
+    np.testing.assert_array_equal(counts, whole.block(0, 4000).counts)
