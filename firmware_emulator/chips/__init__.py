@@ -54,7 +54,7 @@ CHIPS: dict[str, Callable[..., Chip]] = {
 """By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
 
 ON_AUXILIARY_BUS = ("ak8963", "ak8975")
-"""Chips that an MPU-9250 on the same bus hides until its bypass is open."""
+"""Chips that an MPU-9150 or MPU-9250 on the same bus hides until its bypass is open."""
 
 BAROMETERS = ("bmp180", "bmp280", "bmp388")
 """Chips that have no axes, and draw their noise themselves, from a `generator`."""

@@ -6,46 +6,34 @@ MPU-9250 around it to say (`firmware_emulator.bypass`).
 
 from __future__ import annotations
 
-from firmware_emulator.chip import Chip, Element
+from types import ModuleType
+from typing import ClassVar
+
+from firmware_emulator.chips.akm_family import FAR_NS, SELF_TEST, SINGLE, AkmFamily
 from firmware_emulator.six_axis import Grid
 from imuarray.facts import ak8963 as facts
 
-FAR_NS = 1 << 62
-DOWN, SINGLE, SLOW, FAST, SELF_TEST, FUSE_ROM = 0b0000, 0b0001, 0b0010, 0b0110, 0b1000, 0b1111  # AKM-13
+SLOW, FAST = 0b0010, 0b0110  # AKM-13
 RATES_HZ = {SLOW: 8.0, FAST: 100.0}
 MEASURED_NS = 7_200_000  # typical: AKM-14
 GAUSS_A_COUNT = (0.006, 0.0015)  # 14 and 16 bits: AKM-11
 HIGHEST = (8190, 32760)
 OVERFLOWS_GAUSS = 49.12  # sum of the sizes: AKM-12
-ADJUSTMENT = (176, 178, 167)
-"""Values in the fuse ROM by default (DEC-231)."""
 OWN_FIELD = (0, 0, -2000)
 """Counts of 16 bits, adjusted, that the self-test answers: inside the data sheet's limits (AKM-15, DEC-232)."""
 
 _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
-_CONTROL, _RESET, _ROM = facts.CNTL1.address, facts.CNTL2.address, facts.ASAX.address
+_CONTROL, _RESET = facts.CNTL1.address, facts.CNTL2.address
 
 
-class Ak8963(Chip):
-    """The chip; `adjustment` is what its fuse ROM holds, `identity` what WIA says."""
+class Ak8963(AkmFamily):
+    """The chip."""
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        adjustment: tuple[int, int, int] = ADJUSTMENT,
-        identity: int | None = None,
-    ) -> None:
-        self._adjustment = adjustment
-        self._identity = facts.WIA.reset if identity is None else identity
-        super().__init__(address, facts, element, powered_on_ns)
+    table: ClassVar[ModuleType] = facts
 
     def power_on(self, at_ns: int) -> None:
         """Reset values, powered down."""
         super().power_on(at_ns)
-        self.page[facts.WIA.address] = self._identity
         self.page[facts.INFO.address] = 0x9A
         self._grid = Grid()
         self._once_ns = FAR_NS
@@ -75,11 +63,7 @@ class Ak8963(Chip):
         if own and facts.SELF_TEST.of(self.page[facts.ASTC.address]):
             x, y, z = (count * GAUSS_A_COUNT[1] for count in OWN_FIELD)
             gauss = x, y, z
-        codes = []
-        for field, adjustment in zip(gauss, self._adjustment, strict=True):
-            code = round(field / GAUSS_A_COUNT[fine] * 256 / (adjustment + 128))  # AKM-16
-            codes.append(max(-HIGHEST[fine], min(HIGHEST[fine], code)))
-        self.page[_DATA : _DATA + 6] = b"".join(code.to_bytes(2, "little", signed=True) for code in codes)
+        self.page[_DATA : _DATA + 6] = self._data(gauss, GAUSS_A_COUNT[fine], -HIGHEST[fine], HIGHEST[fine])
         overflow = sum(abs(field) for field in gauss) >= OVERFLOWS_GAUSS
         self.page[_ST2] = facts.SIXTEEN_BITS_SHOWN.mask * fine | facts.OVERFLOW.mask * overflow
         self.page[_ST1] |= facts.DATA_READY.mask
@@ -89,12 +73,10 @@ class Ak8963(Chip):
     def load(self, address: int, at_ns: int) -> int:
         """A byte; reading data or ST2 clears ST1, data keep others out until ST2 is read (AKM-12)."""
         self._sync(at_ns)
-        byte = self.page[address]
+        byte = self._byte(address, self.page[_CONTROL])
         if _DATA <= address <= _ST2:
             self.page[_ST1] = 0
             self._reading = address != _ST2 and bool(self._grid.start_ns < FAR_NS)
-        elif _ROM <= address <= facts.ASAZ.address:  # in its own mode only: AKM-16, DEC-230
-            byte = self._adjustment[address - _ROM] if facts.MODE.of(self.page[_CONTROL]) == FUSE_ROM else 0
         return byte
 
     def store(self, address: int, value: int, at_ns: int) -> None:

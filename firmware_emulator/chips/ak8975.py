@@ -6,8 +6,10 @@ MPU-9150 around it to say (`firmware_emulator.bypass`).
 
 from __future__ import annotations
 
-from firmware_emulator.chip import Chip, Element
-from firmware_emulator.chips.ak8963 import ADJUSTMENT, DOWN, FAR_NS, FUSE_ROM, SELF_TEST, SINGLE
+from types import ModuleType
+from typing import ClassVar
+
+from firmware_emulator.chips.akm_family import DOWN, FAR_NS, SELF_TEST, SINGLE, AkmFamily
 from imuarray.facts import ak8975 as facts
 
 MEASURED_NS = 7_300_000  # typical: AKM-25
@@ -19,29 +21,17 @@ OWN_FIELD = (0.0, 0.0, -1.8)
 """Gauss that the self-test adds in the place of the field: -600 counts, adjusted (AKM-26, DEC-234)."""
 
 _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
-_CONTROL, _ROM = facts.CNTL.address, facts.ASAX.address
+_CONTROL = facts.CNTL.address
 
 
-class Ak8975(Chip):
-    """The chip; `adjustment` is what its fuse ROM holds, `identity` what WIA says."""
+class Ak8975(AkmFamily):
+    """The chip."""
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        adjustment: tuple[int, int, int] = ADJUSTMENT,
-        identity: int | None = None,
-    ) -> None:
-        self._adjustment = adjustment
-        self._identity = facts.WIA.reset if identity is None else identity
-        super().__init__(address, facts, element, powered_on_ns)
+    table: ClassVar[ModuleType] = facts
 
     def power_on(self, at_ns: int) -> None:
         """Reset values, powered down."""
         super().power_on(at_ns)
-        self.page[facts.WIA.address] = self._identity
         self._over_ns = FAR_NS
 
     def _sync(self, at_ns: int) -> None:
@@ -52,12 +42,7 @@ class Ak8975(Chip):
         is_own = facts.MODE.of(self.page[_CONTROL]) == SELF_TEST and facts.SELF_TEST.of(self.page[facts.ASTC.address])
         if is_own:
             gauss = OWN_FIELD
-        codes = (
-            round(field / GAUSS_A_COUNT * 256 / (adjustment + 128))  # AKM-27
-            for field, adjustment in zip(gauss, self._adjustment, strict=True)
-        )
-        data = b"".join(max(LOWEST, min(HIGHEST, code)).to_bytes(2, "little", signed=True) for code in codes)
-        self.page[_DATA : _DATA + 6] = data
+        self.page[_DATA : _DATA + 6] = self._data(gauss, GAUSS_A_COUNT, LOWEST, HIGHEST)
         self.page[_ST2] = facts.OVERFLOW.mask * (sum(map(abs, gauss)) >= OVERFLOWS_GAUSS)
         self.page[_ST1] = facts.DATA_READY.mask
         self.page[_CONTROL] = DOWN
@@ -66,11 +51,9 @@ class Ak8975(Chip):
     def load(self, address: int, at_ns: int) -> int:
         """A byte; reading data or ST2 clears ST1 (AKM-23)."""
         self._sync(at_ns)
-        byte = self.page[address]
+        byte = self._byte(address, self.page[_CONTROL])
         if _DATA <= address <= _ST2:
             self.page[_ST1] = 0
-        elif _ROM <= address <= facts.ASAZ.address:  # in its own mode only: AKM-27, DEC-230
-            byte = self._adjustment[address - _ROM] if facts.MODE.of(self.page[_CONTROL]) == FUSE_ROM else 0
         return byte
 
     def store(self, address: int, value: int, at_ns: int) -> None:

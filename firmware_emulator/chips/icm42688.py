@@ -1,8 +1,8 @@
 """ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -64.
 
 After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
-when it is switched on. Not modelled: packets of high resolution, interrupts, low-power modes,
-notch filter, the filters' delay.
+when it is switched on. Not modelled: packets of high resolution, interrupts, low-power modes, notch filter, the
+filters' delay.
 """
 
 from __future__ import annotations

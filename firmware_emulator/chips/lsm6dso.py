@@ -1,9 +1,8 @@
 """LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -74.
 
 After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set, at a
-sample of the other half if that is on: both rates are divided from one clock. Not
-modelled: the queue's compression and watermark, interrupts, embedded functions, low-power modes, the
-gyroscope's optional filters, settling.
+sample of the other half if that is on: both rates are divided from one clock. Not modelled: the queue's compression and
+watermark, interrupts, embedded functions, low-power modes, the gyroscope's optional filters, settling.
 """
 
 from __future__ import annotations
