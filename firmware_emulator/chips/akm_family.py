@@ -17,7 +17,9 @@ ADJUSTMENT = (176, 178, 167)
 
 
 class AkmFamily(Chip):
-    """A magnetometer with the registers of `table`; `adjustment` is what its fuse ROM holds, `identity` what WIA says."""
+    """A magnetometer with the registers of `table`; `adjustment` is the content of its fuse ROM, `identity` that of
+    WIA.
+    """
 
     table: ClassVar[ModuleType]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.knocks import Knock, find_knocks, knock_sentence
-from imuarray.calibrate.pose_readings import SAME_POSE, Pose, poses_in, rest_windows, windows_of
+from imuarray.calibrate.pose_readings import Pose, RestWindows, poses_in, rest_windows, windows_of
 from imuarray.characterise.stretch import Stretch, choose_stretch
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
@@ -35,7 +35,7 @@ def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
         return None
     knocks = find_knocks(windows)
     longest = max(_join(poses_in(log, windows), knocks), key=lambda rest: rest.end_ns - rest.start_ns, default=None)
-    return None if longest is None else replace(longest, remark=_sentence(log, knocks))
+    return None if longest is None else replace(longest, remark=_sentence(log, windows, knocks))
 
 
 def _join(poses: Sequence[Pose], knocks: Sequence[Knock]) -> list[Stretch]:
@@ -53,17 +53,8 @@ def _join(poses: Sequence[Pose], knocks: Sequence[Knock]) -> list[Stretch]:
     return rests
 
 
-def knocks_of(log: Log) -> str:
-    """Describe the knocks of a log at rest in a sentence; "" without any, or if the log does not show its rests."""
-    try:
-        return _sentence(log, find_knocks(rest_windows(log)))
-    except CalibrationError:
-        return ""
-
-
-def _sentence(log: Log, knocks: Sequence[Knock]) -> str:
-    quantity = next(quantity for quantity in SAME_POSE if log.of(quantity))
-    unit = next(iter(log.of(quantity))).unit
+def _sentence(log: Log, windows: RestWindows, knocks: Sequence[Knock]) -> str:
+    unit = next(iter(log.of(windows.quantity))).unit
     factor, readable = READABLE.get(unit, (1.0, unit))
     return knock_sentence(knocks, readable, factor)
 

@@ -69,6 +69,10 @@ class Moments:
     kurtosis: float = 0.0
 
 
+_BLOCK = 32768
+"""Values of a column that are processed at once."""
+
+
 class ChangeMoments:
     """Second and fourth moment of the changes of a column from row to row, block by block."""
 
@@ -96,9 +100,6 @@ class ChangeMoments:
         if not self._squares:
             return 0.0
         return 2 * (self._fourths * self._number / self._squares**2 - 3)
-
-
-_BLOCK = 32768
 
 
 def octaves(rows: int) -> tuple[int, ...]:

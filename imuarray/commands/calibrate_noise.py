@@ -111,11 +111,11 @@ def _time_constant(row: dict[str, Any]) -> str:
         return ""
     ends = drift["time_constant_interval_s"] or (None, None)
     first, last = (None if end is None or np.isnan(end) else _whole(end) for end in ends)
-    if first is None and last is None:
-        return f"{_whole(drift['time_constant_s'])} s (uncertain)"
-    if first is None or last is None:
-        return f"{_whole(drift['time_constant_s'])} s ({f'>= {first}' if last is None else f'<= {last}'})"
-    return f"{_whole(drift['time_constant_s'])} s ({first} to {last})"
+    if first is None:
+        interval = "uncertain" if last is None else f"<= {last}"
+    else:
+        interval = f">= {first}" if last is None else f"{first} to {last}"
+    return f"{_whole(drift['time_constant_s'])} s ({interval})"
 
 
 def _whole(seconds: float) -> str:

@@ -11,7 +11,7 @@ from imuarray.commands.options import Duration, force_option, json_option, print
 from imuarray.shipped import find_config
 
 PAPERS_ARRAY = "martin2013"
-"""Whose demonstration shows what the paper claims."""
+"""Name of the array whose demonstration also checks the paper's claims."""
 
 
 @click.command("demo")
@@ -55,7 +55,8 @@ def command(**options: Any) -> None:
 
     wanted = DemoOptions(options["seconds"], options["seed"], options["force"], options["workers"])
     config, output = find_config(Path(options["array"])), options["output"]
-    if load_array(config).name == PAPERS_ARRAY:
+    name = load_array(config).name
+    if name == PAPERS_ARRAY:
         from imuarray.studies.demo import run_demo as run
     else:
         from imuarray.studies.array_demo import run_array_demo as run
@@ -63,8 +64,8 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         print_json(result)
         return
-    name = "The paper's array" if config.stem == PAPERS_ARRAY else f"The array {config.stem}"
-    click.echo(f"{name}, emulated to the register: recorded, calibrated, fused, diagnosed.")
+    subject = "The paper's array" if name == PAPERS_ARRAY else f"The array {name}"
+    click.echo(f"{subject}, emulated to the register: recorded, calibrated, fused, diagnosed.")
     for line in result["summary"]:
         click.echo(f"  {line}")
     click.echo(f"  {result['gap']['sentence']}")

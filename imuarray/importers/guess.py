@@ -201,13 +201,14 @@ def _propose_map(path: Path) -> _Proposal:
             proposal.doubts.append(
                 f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns"
             )
+            force_unit = ""
             for kind in kinds:
                 of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
                 if of_kind:
                     cells = _columns([row[: len(of_kind[0])] for row in of_kind], layout)
                     if _increases(cells[1]) and not proposal.items:
                         proposal.time = _time_lines([], cells, 1, set(), proposal)
-                    _propose_kind(proposal, kind, cells)
+                    force_unit = _propose_kind(proposal, kind, cells, force_unit)
             return proposal
         columns = _columns(rows, layout)
         return _propose(layout, names, columns, _dates(rows, names), path.name.partition(".")[0])
@@ -437,15 +438,17 @@ def _propose(
     return proposal
 
 
-def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats]) -> None:
-    """Propose the sensor of a kind of rows: time, and the three columns after it."""
+def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:
+    """Propose the sensor of a kind of rows: time, and the three columns after it. Return "m/s2" once a sensor of this
+    table has that unit, else "".
+    """
     quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
-    in_m_s2 = any('unit = "m/s2"' in line for other in proposal.items for line in other)
-    item, _ = _sensor(quantity, [], columns, (2, 3, 4), "m/s2" if in_m_s2 else "", proposal)
+    item, unit = _sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
     number = sum(other[1].startswith(f'name = "{_NAMES[quantity]}') for other in proposal.items)
     item[1] = f'name = "{_NAMES[quantity]}{number + 1 if number else ""}"'
     item.insert(2, f"kind = {_quoted(kind)}")
     proposal.items.append(item)
+    return "m/s2" if unit == "m/s2" else force_unit
 
 
 def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: set[int]) -> int | None:

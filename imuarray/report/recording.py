@@ -176,7 +176,8 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     spans += [Span("silent", end_s - after_s, end_s)] if after_s else []
     width = -(-len(sensor) // most) if len(sensor) > most else 1
     period_ns = _period_ns(sensor)
-    in_bursts = len(sensor) > 1 and row_timing(sensor).kind == "bursts"
+    in_bursts = row_timing(sensor).kind == "bursts"
+    longest_ns = np.inf if in_bursts else PERIODS * period_ns  # within bursts, intervals say nothing of missing rows
     parts: list[tuple[Floats, Floats, Floats]] = []
     clipped = missing = 0
     missing_s, last_ns = 0.0, None
@@ -185,22 +186,20 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
         steps = np.diff(time, prepend=time[0] if last_ns is None else last_ns)
         last_ns = int(time[-1])
         at_end = (status & SATURATED) != 0
-        pauses = np.flatnonzero(
-            ((steps > PERIODS * period_ns) & (not in_bursts)) | (((status & LOST_BEFORE) != 0) & (steps > 0))
-        )
+        pauses = np.flatnonzero((steps > longest_ns) | (((status & LOST_BEFORE) != 0) & (steps > 0)))
         clipped, missing = clipped + int(at_end.sum()), missing + len(pauses)
         missing_s += float(steps[pauses].sum()) * 1e-9
         spans += [Span("missing", (time[row] - steps[row]) * 1e-9, time[row] * 1e-9) for row in pauses]
         spans += [Span("clipped", time[a] * 1e-9, (time[b] + period_ns) * 1e-9) for a, b in _runs(at_end)]
-        breaks = np.flatnonzero((steps > max(PERIODS, width) * period_ns) & (not in_bursts))
+        breaks = np.flatnonzero(steps > max(longest_ns, width * period_ns))
         parts.append(_envelope(time, _values(sensor, rows, calibration), np.arange(0, len(time), width), breaks))
     time_s, low, high = (
         (np.concatenate([part[number] for part in parts]) for number in range(3))
         if parts
         else (np.zeros(0), np.zeros((0, len(columns))), np.zeros((0, len(columns))))
     )
-    note = _note(clipped, missing, missing_s, before_s, after_s)
-    note = "; ".join(filter(None, [note, "rows arrived in bursts" if in_bursts else ""]))
+    notes = [_note(clipped, missing, missing_s, before_s, after_s), "rows arrived in bursts" if in_bursts else ""]
+    note = "; ".join(filter(None, notes))
     about = f"{sensor.chip}, {sensor.quantity.replace('_', ' ')}"
     merged = tuple(_merged(spans, (end_s - start_s) / _SEPARATE))
     return Trace(sensor.name, about, unit, columns, time_s, low, high, merged, note)

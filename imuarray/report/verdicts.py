@@ -38,7 +38,7 @@ def recording_verdict(log: Log) -> Verdict:
     faults = Counter((event.sensor, event.kind) for event in log.events if is_trouble(event))
     missed = frame_timing(log).missed or 0
     ended = log.state == "finished"
-    timings = {name: row_timing(sensor) for name, sensor in sensors.items() if len(sensor) > 1}
+    timings = {name: row_timing(sensor) for name, sensor in sensors.items()}
     stalls = {name: timing for name, timing in timings.items() if timing.kind == "stalls"}
     seen = Observations(
         sensors=len(sensors),

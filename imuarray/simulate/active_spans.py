@@ -81,8 +81,8 @@ def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
             continue
         if item.name in ("rate_hz", "phase"):
             raise ValueError(f"spans: {item.name} can't change for a part of a run")
-        is_wide = item.name == "white_rms" or np.ndim(old) in (0, 2) or np.ndim(new) == 2
-        wide = inside[:, None] if is_wide else inside
+        is_by_axis = isinstance(old, tuple) or np.ndim(old) in (0, 2) or np.ndim(new) == 2
+        wide = inside[:, None] if is_by_axis else inside
         mixed = np.where(wide, new, old)
         changes[item.name] = mixed.astype(old.dtype) if isinstance(old, np.ndarray) else mixed
     return replace(before, **changes)

@@ -7,6 +7,7 @@ the queues of chips that have some are left off, because the demonstration needs
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,23 +17,24 @@ import numpy as np
 
 from imuarray.array import ArrayConfig, load_array
 from imuarray.atomic import write_text
-from imuarray.calibrate import Calibration, Tumble, calibrate_noise, calibrate_tumble
+from imuarray.calibrate import Calibration, Tumble
 from imuarray.characterise import characterise_log
 from imuarray.errors import ConfigError, LogError
-from imuarray.fuse import errors_of, fuse, write_fused
+from imuarray.fuse import errors_of, fuse
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.log import Log, open_log
 from imuarray.report import Figure, Section, Table, Verdict, write_page
-from imuarray.report.figures import drift_figure
 from imuarray.report.gap_page import write_gap_page
 from imuarray.studies.demo import (
+    calibrate_run,
     calibration_section,
+    drift_of_gyroscopes,
+    fuse_run,
     gap_section,
     noise_section,
     prepare_folder,
     recorded_section,
-    slow_error,
 )
 from imuarray.studies.emulated_runs import DemoOptions, Say, record_all
 from imuarray.units import INERTIAL, READABLE_SI
@@ -40,8 +42,6 @@ from imuarray.units import INERTIAL, READABLE_SI
 TECHNIQUES = ("mean", "opposed", "optimal")
 _RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
 _REPLICATES = 60
-_FUSED = ("mean", "opposed")
-"""Techniques whose result on the heating run is kept as a file."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,9 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
     write_text(polled, polled_text(array), force=True)
     logs = record_all(polled, folder, options, say)
     say("calibrating")
-    with open_log(logs["tumble"]) as log:
-        tumble = calibrate_tumble(log)
-        calibration = tumble.calibration.merged(calibrate_noise(log))
-    calibration.save(folder / "calibration.toml", force=True)
+    tumble, calibration = calibrate_run(logs["tumble"], folder)
     say("fusing")
-    _keep_fused(logs["heating"], calibration, folder)
+    fuse_run(logs["heating"], calibration, folder)
     errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
     say("diagnosing")
     with open_log(logs["static"]) as log:
@@ -114,8 +111,7 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
 
 def polled_text(array: ArrayConfig) -> str:
     """The configuration of the array without the queues of its chips."""
-    lines = array.text.splitlines()
-    return "\n".join("fifo = false" if line.split("#")[0].strip() == "fifo = true" else line for line in lines) + "\n"
+    return re.sub(r"\bfifo(\s*=\s*)true\b", r"fifo\1false", array.text)
 
 
 def chips_text(array: ArrayConfig) -> str:
@@ -223,27 +219,11 @@ def errors_section(errors: list[ArrayError]) -> Section:
 def heating_section(path: Path, calibration: Calibration) -> Section:
     """Gyroscopes about box Y while the box is heated."""
     with open_log(path) as log:
-        single = {
-            sensor.name: slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
-            for sensor in log.of("angular_rate")
-        }
-        curves = {
-            label: slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
-            for label, technique in (("simple average", "mean"), ("opposed", "opposed"))
-        }
         truth = log.truth
         if truth is None or truth.temperature is None:
             raise LogError(f"{path}: an emulated log without a true temperature")
         temperature = (np.asarray(truth.time[:]) * 1e-9, np.asarray(truth.temperature[:]))
-    length = min(len(time) for time, _ in (*single.values(), *curves.values()))
-    time_s = next(iter(single.values()))[0][:length]
-    figure = drift_figure(
-        time_s,
-        {name: values[:length] for name, (_, values) in single.items()},
-        {name: values[:length] for name, (_, values) in curves.items()},
-        "dps",
-        temperature,
-    )
+        figure = drift_of_gyroscopes(log, calibration, temperature)
     return Section(
         "Heated: the drift of the gyroscopes",
         "The box is heated by 28 degrees. The drift of a unit is drawn from its data sheet; opposing the axes removes"
@@ -257,11 +237,3 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
             )
         ],
     )
-
-
-def _keep_fused(path: Path, calibration: Calibration, folder: Path) -> None:
-    """Fused files of the heating run."""
-    with open_log(path) as log:
-        for name in _FUSED:
-            blocks = fuse(log, calibration, name)
-            write_fused(folder / f"fused_{name}.h5", blocks, epoch=log.epoch, technique=name, log=str(path), force=True)

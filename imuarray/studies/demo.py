@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,13 +23,16 @@ from imuarray.fuse import Gain, errors_of, fuse, gains, write_fused
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.findings.text import parameters_text, places_text
-from imuarray.log import open_log
+from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
 from imuarray.report.gap_page import write_gap_page
 from imuarray.studies.emulated_runs import RUNS, DemoOptions, Say, record_all
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as DrawnFigure
 
 BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")
 
@@ -147,13 +150,13 @@ def gap_section(diagnosis: Diagnosis) -> Section:
     return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
 
 
-PAPERS_ARRAY = (
+ABOUT_PAPERS_ARRAY = (
     "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine inertial sensors with"
     " the biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10."
 )
 
 
-def recorded_section(logs: Mapping[str, Path], about: str = PAPERS_ARRAY) -> Section:
+def recorded_section(logs: Mapping[str, Path], about: str = ABOUT_PAPERS_ARRAY) -> Section:
     """Return the section on the contents of every log; `about` is a sentence on the array."""
     rows = []
     for run, path in logs.items():
@@ -290,25 +293,9 @@ def gain_section(rows: Rows) -> Section:
 def heating_section(path: Path, calibration: Calibration) -> Section:
     """Gyroscopes about box Y, the axes that the paper's Figure 10 shows."""
     with open_log(path) as log:
-        names = [sensor.name for sensor in log.of("angular_rate")]
-        curves = {}
-        for label, technique in (("simple average", "mean"), ("opposed", "opposed")):
-            curves[label] = slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
-        single = {}
-        for name in names:
-            time, error = errors_of(log, fuse(log, calibration, "mean", only=[name]))["angular_rate"]
-            single[name] = slow_error(time, error)
-        time_s = single[names[0]][0]
         barometer = log.of("pressure")[0]
         temperature = (np.asarray(barometer.time) * 1e-9, np.asarray(barometer.compensated("temperature")))
-    length = min(len(time_s), *(len(curve[0]) for curve in curves.values()))
-    figure = drift_figure(
-        time_s[:length],
-        {name: values[:length] for name, (_, values) in single.items()},
-        {name: values[:length] for name, (_, values) in curves.items()},
-        "dps",
-        temperature,
-    )
+        figure = drift_of_gyroscopes(log, calibration, temperature)
     return Section(
         "Heated: opposed gyroscopes",
         "The hair dryer heats the box by 28 degrees. About box Y one gyroscope points along and two "
@@ -326,7 +313,30 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
     )
 
 
-def slow_error(time: Any, error: Any) -> tuple[Any, Any]:
+def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[Any, Any]) -> DrawnFigure:
+    """Draw the error about box Y of every gyroscope, of their average and with their axes opposed, over time;
+    `temperature`: times in s, and degC.
+    """
+    single = {
+        sensor.name: _slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
+        for sensor in log.of("angular_rate")
+    }
+    curves = {
+        label: _slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
+        for label, technique in (("simple average", "mean"), ("opposed", "opposed"))
+    }
+    length = min(len(time_s) for time_s, _ in (*single.values(), *curves.values()))
+    time_s, _ = next(iter(single.values()))
+    return drift_figure(
+        time_s[:length],
+        {name: values[:length] for name, (_, values) in single.items()},
+        {name: values[:length] for name, (_, values) in curves.items()},
+        "dps",
+        temperature,
+    )
+
+
+def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
     """Time (s) and five-second means of the error about box Y in dps, from where it starts."""
     groups = (time - time[0]) // 5_000_000_000
     _, first = np.unique(groups, return_index=True)
@@ -388,12 +398,9 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict
     prepare_folder(folder, options.force)
     logs = record_all(config, folder, options, say)
     say("calibrating")
-    with open_log(logs["tumble"]) as log:
-        tumble = calibrate_tumble(log)
-        calibration = tumble.calibration.merged(calibrate_noise(log))
-    calibration.save(folder / "calibration.toml", force=True)
+    tumble, calibration = calibrate_run(logs["tumble"], folder)
     say("fusing")
-    _fuse_heating(logs["heating"], calibration, folder)
+    fuse_run(logs["heating"], calibration, folder)
     rows = compare(logs, calibration)
     say("diagnosing")
     diagnosis = _diagnosed(logs["static"], options.seed)
@@ -448,8 +455,17 @@ def _diagnosed(path: Path, seed: int) -> Diagnosis:
         return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
 
 
-def _fuse_heating(path: Path, calibration: Calibration, folder: Path) -> None:
-    """Fused files of the heating run."""
+def calibrate_run(path: Path, folder: Path) -> tuple[Tumble, Calibration]:
+    """Calibrate by a run on six faces, and save the result as calibration.toml."""
+    with open_log(path) as log:
+        tumble = calibrate_tumble(log)
+        calibration = tumble.calibration.merged(calibrate_noise(log))
+    calibration.save(folder / "calibration.toml", force=True)
+    return tumble, calibration
+
+
+def fuse_run(path: Path, calibration: Calibration, folder: Path) -> None:
+    """Write the result of each technique of `FUSED` as fused_NAME.h5."""
     with open_log(path) as log:
         for name in FUSED:
             blocks = fuse(log, calibration, name)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.calibrate.knocks import find_knocks
-from imuarray.calibrate.motion import knocks_of, longest_rest
+from imuarray.calibrate.knocks import find_knocks, knock_sentence
+from imuarray.calibrate.motion import longest_rest
 from imuarray.calibrate.pose_readings import rest_windows
 from imuarray.characterise import characterise_log
 from imuarray.importers.plausibility import report_of
-from imuarray.log import open_log
+from imuarray.log import Log, open_log
 from tests.calibrate.test_motion import RATE_HZ, Felt, Floats, record, resting
 
 KNOCKS_S = (20.25, 41.3, 77.8)
@@ -32,6 +32,11 @@ def knocked(*at_s: float, g: float = 0.4) -> Felt:
 def tilted(at_s: float, g: float) -> Felt:
     """Knocked, and since then pushed into another attitude."""
     return lambda seconds: knocked(at_s)(seconds) + g * np.outer(seconds > at_s, [1.0, 0, 0])
+
+
+def knocks_of(log: Log) -> str:
+    """The sentence on the knocks that the accelerometers show, in mg."""
+    return knock_sentence(find_knocks(rest_windows(log)), "mg", 1e3)
 
 
 def test_a_knocked_rest_is_one(tmp_path: Path) -> None:

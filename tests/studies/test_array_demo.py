@@ -29,6 +29,13 @@ def test_queues_are_left_off_and_nothing_else_is_changed() -> None:
     assert [{**sensor.model_dump(), "fifo": None} for sensor in polled.sensors] == keys
 
 
+@pytest.mark.parametrize("line", ["fifo=true", "fifo  =  true", "fifo = true  # drained every 10 ms"])
+def test_queues_are_left_off_however_the_configuration_is_written(line: str) -> None:
+    text = find_config(Path("icm42688x8")).read_text().replace("fifo = true", line)
+    polled = parse_array(polled_text(parse_array(text)))
+    assert not any(sensor.fifo for sensor in polled.sensors)
+
+
 def test_one_sensor_of_each_chip_and_quantity_is_diagnosed() -> None:
     assert one_of_each(parse_array(find_config(Path("icm42688x8")).read_text())) == ("IMU1_acc", "IMU1_gyro")
 

@@ -392,10 +392,9 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
     """Correlations (k,) of noise behind a filter at lags of 1 ... k rows, as far as it remembers."""
     phases = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     rows_per_s = 1 / float(np.median([phase.intervals.mean_s for phase in phases]))
-    decay = 2 * math.pi * effect.cutoff_hz / rows_per_s / math.sqrt(effect.poles)
+    decay = effect.decay(rows_per_s)
     lags = range(1, min(math.ceil(_MEMORY / decay), _MOST_LAGS) + 1)
-    band = effect.sampled_hz / 2 / effect.cutoff_hz
-    return np.array([correlation(decay * lag, effect.poles, band) for lag in lags])
+    return np.array([correlation(decay * lag, effect.poles, effect.band) for lag in lags])
 
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
@@ -447,13 +446,12 @@ def _filter_correlations(
     """
     filters = []
     for effect in _filters(configured_hz, sampled_hz):
-        band = effect.sampled_hz / 2 / effect.cutoff_hz
         expected = np.zeros((len(kinds), len(_ALL_LAGS)))
         for at, (rows_per_s, samples_a_row) in enumerate(kinds):
-            decay = 2 * math.pi * effect.cutoff_hz / (rows_per_s * samples_a_row) / math.sqrt(effect.poles)
+            decay = effect.decay(rows_per_s * samples_a_row)
             for column, lag in enumerate(_ALL_LAGS):
                 expected[at, column] = sum(
-                    share * correlation(decay * samples, effect.poles, band)
+                    share * correlation(decay * samples, effect.poles, effect.band)
                     for samples, share in _samples_apart(samples_a_row, lag).items()
                     if samples
                 )

@@ -75,18 +75,18 @@ class Bandwidth(Effect):
 
     def lookback(self, at: Place) -> int:
         """Rows until 1e-12 is left of what was before them."""
-        rows = math.ceil(_FORGOTTEN / self._decay(at))
+        rows = math.ceil(_FORGOTTEN / self.decay(at.rows_per_s))
         if math.isinf(self.sampled_hz):
             return rows
         samples_a_row = at.sensor.rate_hz / at.rows_per_s
-        decay = self._decay(at) / (samples_a_row if 1 < samples_a_row < SEVERAL_SAMPLES else 1)
-        return max(rows, _memory(decay, self.poles, self._band))
+        decay = self.decay(at.rows_per_s) / (samples_a_row if 1 < samples_a_row < SEVERAL_SAMPLES else 1)
+        return max(rows, _memory(decay, self.poles, self.band))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
         if math.isinf(self.cutoff_hz):
             return analog
-        decay = self._decay(at)
+        decay = self.decay(at.rows_per_s)
         value = self._passed(analog.value, decay)
         if self.signal_only:
             return replace(analog, value=value)
@@ -113,14 +113,14 @@ class Bandwidth(Effect):
         white = np.empty((len(is_read), 3), analog.noise.dtype)
         white[is_read] = analog.noise
         white[~is_read] = unread[np.arange(most) < skipped[:, None]]
-        decay = self._decay(at) * at.rows_per_s / analog.rate_hz
+        decay = self.decay(at.rows_per_s) * at.rows_per_s / analog.rate_hz
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
         """The noise (n, 3) behind the filter, `decay` time constants from one row to the next."""
         from scipy.signal import lfilter  # its weight is for those who filter anything
 
-        over, under = _noise_filter(decay, self.poles, self._band)
+        over, under = _noise_filter(decay, self.poles, self.band)
         first = np.zeros((len(under) - 1, white.shape[1]))
         first[0] = (1 - over[0]) * white[0]
         noise, _ = lfilter(over, under, white.astype(float), axis=0, zi=first)
@@ -138,13 +138,13 @@ class Bandwidth(Effect):
         return np.asarray(value + self.share * (late - signal), value.dtype)
 
     @property
-    def _band(self) -> float:
+    def band(self) -> float:
         """The highest frequency of the noise that is filtered, over the cutoff."""
         return self.sampled_hz / 2 / self.cutoff_hz
 
-    def _decay(self, at: Place) -> float:
-        """Time constants per row."""
-        return 2 * math.pi * self.cutoff_hz / at.rows_per_s / math.sqrt(self.poles)
+    def decay(self, readings_per_s: float) -> float:
+        """Time constants from one reading to the next."""
+        return 2 * math.pi * self.cutoff_hz / readings_per_s / math.sqrt(self.poles)
 
 
 def two_pole_cutoff_hz(delay_s: float) -> float:
