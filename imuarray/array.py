@@ -62,6 +62,8 @@ class SensorConfig(BaseModel):
     fifo: bool = False
     """Drain the chip's own queue, or the kernel's buffer, so that every sample arrives however slowly the array is
     polled."""
+    high_resolution: bool = False
+    """Let the queue deliver counts of more bits, at the largest range."""
     trigger: str | None = None
     """What starts each sample of a device that the kernel serves, where its driver does not by itself."""
     axes: str = "+X+Y+Z"
@@ -88,6 +90,7 @@ class SensorConfig(BaseModel):
             self._check_iio,
             self._check_range,
             self._check_rates,
+            self._check_resolution,
             self._check_place,
         ):
             try:
@@ -177,6 +180,18 @@ class SensorConfig(BaseModel):
             chips = ", ".join(name for name, other in CHIPS.items() if other.has_fifo)
             raise ValueError(f"fifo true: the {self.chip} has none; allowed for {chips}")
 
+    def _check_resolution(self) -> None:
+        if not self.high_resolution:
+            return
+        spec = None if self.on_iio else CHIPS.get(self.chip)
+        if spec is None or spec.high_resolution is None:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.high_resolution is not None)
+            raise ValueError(f"high_resolution true: the {self.chip} has no such queue; allowed for {chips}")
+        if not self.fifo:
+            raise ValueError("high_resolution: only with fifo = true, its counts are in the queue alone")
+        if self.range in spec.sensitivity:
+            _one_of("range", self.range, (spec.high_resolution.range,), "g", " with high_resolution")
+
     def _check_place(self) -> None:
         if self.channel is not None and self.bus is not None:
             raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
@@ -201,7 +216,16 @@ class SensorConfig(BaseModel):
         """
         if self.on_iio:
             return 0.0 if self.range is None else self.spec.sensitivity.get(self.range, 0.0)
+        if self.high_resolution and self.spec.high_resolution is not None:
+            return self.spec.high_resolution.sensitivity
         return 0.0 if self.range is None else self.spec.sensitivity[self.range]
+
+    @property
+    def count_bits(self) -> int:
+        """Bits of each axis's counts."""
+        if self.high_resolution and self.spec.high_resolution is not None:
+            return self.spec.high_resolution.count_bits
+        return self.spec.count_bits
 
     @property
     def chip_rate_hz(self) -> float:
@@ -284,8 +308,12 @@ class ArrayConfig(BaseModel):
 
     @property
     def sensitivities(self) -> dict[str, Mapping[float, float]]:
-        """Counts per unit by range of each sensor's chip, by sensor; of chips that have ranges."""
-        return {sensor.name: sensor.spec.sensitivity for sensor in self.sensors if sensor.spec.sensitivity}
+        """Counts per unit by range of each sensor's chip, by sensor; of chips that have ranges to set."""
+        return {
+            sensor.name: sensor.spec.sensitivity
+            for sensor in self.sensors
+            if sensor.spec.sensitivity and not sensor.high_resolution
+        }
 
     def only(self, names: tuple[str, ...]) -> ArrayConfig:
         """The array reduced to these sensors; ConfigError names one that it does not have."""
@@ -318,13 +346,13 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     return array
 
 
-def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str) -> None:
-    """ValueError unless `value` is one of `allowed`; says what is."""
+def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str, when: str = "") -> None:
+    """ValueError unless `value` is one of `allowed`; says what is, and `when`."""
     if value in allowed:
         return
     problem = "is missing" if value is None else f"{value:{style}}"
     choice = (
-        f"allowed are {', '.join(f'{option:{style}}' for option in allowed)}"
+        f"allowed are {', '.join(f'{option:{style}}' for option in allowed)}{when}"
         if allowed
         else "this chip has none to set"
     )
@@ -377,7 +405,7 @@ def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: l
         raise ConfigError(f"{pair} both sit at {second.place}")
     here.append(second.chip)
     die = die_of(first.chip)
-    for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "spi_clock_hz"):
+    for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "high_resolution", "spi_clock_hz"):
         if getattr(first, key) != getattr(second, key):
             raise ConfigError(f"{pair} are one {die}: {key.removeprefix('chip_')} is the same for both")
     numbers = [

@@ -50,6 +50,17 @@ class SpiRules:
 
 
 @dataclass(frozen=True)
+class HighResolution:
+    """What a chip's queue gives with `high_resolution = true`: at this `range` alone, so many counts per unit, each of
+    `count_bits` bits.
+    """
+
+    range: float
+    sensitivity: float
+    count_bits: int
+
+
+@dataclass(frozen=True)
 class ChipSpec:
     """The settings of one chip that a configuration may name.
 
@@ -76,6 +87,8 @@ class ChipSpec:
     count_bits: int = 16
     """Bits of each axis's counts in a log; more than 16 are stored in 32."""
     fifo_has_temperature: bool = False
+    high_resolution: HighResolution | None = None
+    """None: its queue has no packets of more bits."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -252,6 +265,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["icm42688"],
             has_fifo=True,
             fifo_has_temperature=True,
+            high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -279,6 +293,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["icm42688"],
             has_fifo=True,
             fifo_has_temperature=True,
+            high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),

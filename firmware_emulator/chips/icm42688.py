@@ -1,8 +1,7 @@
 """ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -64.
 
 After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
-when it is switched on. Not modelled: packets of high resolution, interrupts, low-power modes, notch filter, the
-filters' delay.
+when it is switched on. Not modelled: interrupts, low-power modes, notch filter, the filters' delay.
 """
 
 from __future__ import annotations
@@ -22,6 +21,8 @@ from imuarray.facts.registers import Field, Register
 RESET_NS = 1_000_000  # TDK-20
 INVALID = b"\x80\x00"  # TDK-13
 LOWEST = -32767
+FINE_INVALID = -524288  # of 20 bits: TDK-88
+FINE_PER_G, FINE_PER_DPS = 8192.0, 131.0  # TDK-89
 RANGES_G = (16.0, 8.0, 4.0, 2.0)  # by code: TDK-14
 RANGES_DPS = (2000.0, 1000.0, 500.0, 250.0, 125.0, 62.5, 31.25, 15.625)
 CODES_PER_G = (2048.0, 4096.0, 8192.0, 16384.0)  # TDK-30
@@ -49,7 +50,11 @@ class _Half:
     startup_ns: int
     place: slice
     grid: Grid
+    zero_bits: int
+    """The lowest bits that are always 0 of its 20 in packets of high resolution (TDK-89)."""
     valid_ns: int = NEVER_NS
+    fine: tuple[int, ...] = (FINE_INVALID,) * 3
+    """Its latest reading in 20 bits."""
 
 
 class Icm42688(SixAxis):
@@ -76,8 +81,8 @@ class Icm42688(SixAxis):
         for register in (facts.XG_ST_DATA, facts.XA_ST_DATA):
             self.banks[register.bank][register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._halves = {  # start-up times: TDK-21
-            ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), Grid()),
-            GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid()),
+            ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), Grid(), 2),
+            GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid(), 1),
         }
         self._flags = facts.INT_STATUS.reset
         self._clear_queue()
@@ -132,27 +137,45 @@ class Icm42688(SixAxis):
 
     @property
     def _packet_size(self) -> int:
-        return 16 if self._packet_control & 0b11 == 0b11 else 8
+        if self._packet_control & 0b11 != 0b11:
+            return 8
+        return 20 if self._is_fine else 16
+
+    @property
+    def _is_fine(self) -> bool:
+        """True if packets have high resolution, which needs both triads (DEC-64)."""
+        control = self._packet_control
+        return control & 0b11 == 0b11 and bool(facts.FIFO_HIGH_RESOLUTION.of(control))
 
     def _packet(self, at_ns: int) -> bytes:
-        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83)."""
+        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83); in high
+        resolution the temperature has 16 bits, and the triads' lowest four stand last (TDK-88).
+        """
         control, page = self._packet_control, self.page
         header, data = 0, b""
         for mask, bit, half in ((1, 0x40, ACCELEROMETER), (2, 0x20, GYROSCOPE)):
             if control & mask:
                 header |= bit
-                data += page[self._halves[half].place]
+                data += self._upper(self._halves[half]) if self._is_fine else page[self._halves[half].place]
         word = bytes(page[_DATA.start : _DATA.start + 2])
         big = facts.DATA_BIG_ENDIAN.of(page[facts.INTF_CONFIG0.address])
         temperature = int.from_bytes(word, "big" if big else "little", signed=True)
-        data += max(-128, min(127, round(temperature / 64))).to_bytes(1, "big", signed=True)
+        data += word if self._is_fine else max(-128, min(127, round(temperature / 64))).to_bytes(1, "big", signed=True)
         if header == 0x60:
             timestamps = page[facts.TMST_CONFIG.address]
             header |= 0x08 if facts.TIMESTAMP_ON.of(timestamps) and facts.FIFO_TIMESTAMP.of(control) else 0
             unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(timestamps) else 1_000
             stamp = int((at_ns - self.powered_on_ns) * self._oscillator / unit_ns) & 0xFFFF
             data += stamp.to_bytes(2, "big" if big else "little") if header & 0x08 else b"\x00\x00"
+        if self._is_fine:
+            header |= 0x10
+            pairs = zip(self._halves[ACCELEROMETER].fine, self._halves[GYROSCOPE].fine, strict=True)
+            data += bytes((force & 0xF) << 4 | rate & 0xF for force, rate in pairs)
         return bytes([header]) + data
+
+    def _upper(self, half: _Half) -> bytes:
+        """The upper 16 of the 20 bits of each axis."""
+        return b"".join(self._word(code >> 4) for code in half.fine)
 
     def _next_byte(self) -> int:
         if not self._part and self._packets:
@@ -195,9 +218,11 @@ class Icm42688(SixAxis):
         code = facts.ACCEL_RANGE.of(self.page[facts.ACCEL_CONFIG0.address]) & 0b11
         filter_code = facts.ACCEL_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
         bandwidth_hz = self._bandwidth_hz(self._halves[ACCELEROMETER], filter_code)
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[code], bandwidth_hz)
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[0 if self._is_fine else code], bandwidth_hz)
         test = self.page[facts.SELF_TEST_CONFIG.address]
         pushed = facts.ACCEL_SELF_TEST.of(test) if facts.ACCEL_SELF_TEST_POWER.of(test) else 0
+        if self._is_fine:
+            self._convert_finely(self._halves[ACCELEROMETER], force, FINE_PER_G, pushed)
         return self._codes(force, CODES_PER_G[code], code, pushed)
 
     def _gyroscope(self, at_ns: int) -> list[int] | None:
@@ -205,7 +230,10 @@ class Icm42688(SixAxis):
         code = facts.GYRO_RANGE.of(self.page[facts.GYRO_CONFIG0.address])
         filter_code = facts.GYRO_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
         bandwidth_hz = self._bandwidth_hz(self._halves[GYROSCOPE], filter_code)
-        before, rate = self._rate_dps, self.felt(GYROSCOPE, at_ns, RANGES_DPS[code], bandwidth_hz)
+        before, rate = (
+            self._rate_dps,
+            self.felt(GYROSCOPE, at_ns, RANGES_DPS[0 if self._is_fine else code], bandwidth_hz),
+        )
         self._rate_dps = rate
         if facts.ADAPTIVE_RANGE.of(self.page[facts.INTF_CONFIG1.address]) != 0b01:
             if any((abs(a) < STALL_DPS) != (abs(b) < STALL_DPS) for a, b in zip(before, rate, strict=True)):
@@ -213,12 +241,25 @@ class Icm42688(SixAxis):
             if at_ns < self._stalled_until_ns:
                 return None
         pushed = facts.GYRO_SELF_TEST.of(self.page[facts.SELF_TEST_CONFIG.address])
+        if self._is_fine:
+            self._convert_finely(self._halves[GYROSCOPE], rate, FINE_PER_DPS, pushed)
         return self._codes(rate, CODES_PER_DPS[code], code, pushed)
 
     def _codes(self, felt: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
         """Three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
-        push = 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
+        push = self._push(range_code)
         return [clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(felt)]
+
+    def _push(self, range_code: int) -> float:
+        """The factory's change by the self-test, in counts of this range; 0 if none is stored."""
+        return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
+
+    def _convert_finely(self, half: _Half, felt: Triple, scale: float, pushed: int) -> None:
+        """Keep a reading in 20 bits, of which the lowest are 0; it does not depend on the range."""
+        highest = (1 << 19 - half.zero_bits) - 1
+        push = self._push(0) * (1 << 4 - half.zero_bits)
+        codes = (round(value * scale + push * (pushed >> axis & 1)) for axis, value in enumerate(felt))
+        half.fine = tuple(max(-highest, min(highest, code)) << half.zero_bits for code in codes)
 
     # Reading and writing ----------------------------------------------------------------------------------------------
 
@@ -293,6 +334,7 @@ class Icm42688(SixAxis):
             half.valid_ns = at_ns + half.startup_ns
         elif not on:
             self.page[half.place] = INVALID * 3
+            half.fine = (FINE_INVALID,) * 3
             if all(other.grid.start_ns == NEVER_NS for other in self._halves.values()):
                 self.page[_DATA.start : _DATA.start + 2] = INVALID
 

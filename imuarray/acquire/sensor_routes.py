@@ -15,7 +15,7 @@ from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
 from imuarray.bus.spi import SpiChip
 from imuarray.chips import die_of
-from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
+from imuarray.drivers import Driver, driver_of
 from imuarray.drivers.iio import IioCapture, IioSensor, iio_sensor
 from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.errors import BusUrlError, SensorError
@@ -72,8 +72,7 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
             segment = _channel_bus(bus, sensor.bus, sensor.name)
         elif mux is not None and sensor.channel is not None:
             segment = mux.channel(sensor.channel)
-        drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
-        driver = drivers[sensor.chip](segment, sensor, bus.clock)
+        driver = driver_of(sensor)(segment, sensor, bus.clock)
         if isinstance(driver, QueuedHalf):
             first = halves.setdefault((driver.registers.address, sensor.bus or sensor.channel), driver)
             if first is not driver:

@@ -4,6 +4,7 @@ line below; docs/how_to/extend.md says what else.
 
 from __future__ import annotations
 
+from imuarray.array import SensorConfig
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.ak8963 import Ak8963
 from imuarray.drivers.ak8975 import Ak8975
@@ -16,8 +17,10 @@ from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import (
     Icm42688Accelerometer,
     Icm42688AccelerometerFifo,
+    Icm42688AccelerometerHighResolution,
     Icm42688Gyroscope,
     Icm42688GyroscopeFifo,
+    Icm42688GyroscopeHighResolution,
 )
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lis3mdl import Lis3mdl
@@ -45,7 +48,17 @@ from imuarray.drivers.mpu6500 import (
     Mpu9250GyroscopeFifo,
 )
 
-__all__ = ["DRIVERS", "FIFO_DRIVERS", "DecodedBursts", "Driver", "FifoDriver", "OnDemandDriver", "SelfTest"]
+__all__ = [
+    "DRIVERS",
+    "FIFO_DRIVERS",
+    "HIGH_RESOLUTION_DRIVERS",
+    "DecodedBursts",
+    "Driver",
+    "FifoDriver",
+    "OnDemandDriver",
+    "SelfTest",
+    "driver_of",
+]
 
 DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,
@@ -87,3 +100,16 @@ FIFO_DRIVERS: dict[str, type[Driver]] = {
     "lsm6dso_gyro": Lsm6dsoGyroscopeFifo,
 }
 """Drivers of chips whose queue is drained (`fifo = true`)."""
+
+HIGH_RESOLUTION_DRIVERS: dict[str, type[Driver]] = {
+    "icm42688_acc": Icm42688AccelerometerHighResolution,
+    "icm42688_gyro": Icm42688GyroscopeHighResolution,
+}
+"""Drivers of chips whose queue delivers counts of more bits (`high_resolution = true`)."""
+
+
+def driver_of(sensor: SensorConfig) -> type[Driver]:
+    """The class of the driver for a sensor as it is configured."""
+    if sensor.high_resolution:
+        return HIGH_RESOLUTION_DRIVERS[sensor.chip]
+    return (FIFO_DRIVERS if sensor.fifo else DRIVERS)[sensor.chip]

@@ -21,6 +21,7 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
+from imuarray.drivers.icm42688_packets import ROW_BYTES
 from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
 from imuarray.drivers.six_axis_queue import DieQueue, Icm42688Queue
 from imuarray.facts import icm42688 as facts
@@ -163,10 +164,13 @@ class _Half(SixAxisHalf):
         return decoded._replace(status=_status(decoded.counts))
 
 
-def _status(counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
-    """(n,) flags of (n, 3) counts: suspect where -32768 says that there is none, saturated at the ends of the rest."""
-    invalid = (counts == _INVALID).any(axis=1)
-    at_end = (np.abs(counts.astype(np.int32)) == 32767).any(axis=1) & ~invalid
+def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
+    """(n,) flags of (n, 3) counts: suspect where the lowest code, -32768 of 16 bits, says that there is no reading,
+    saturated at the ends of the rest.
+    """
+    lowest = -1 << bits - 1
+    invalid = (counts == lowest).any(axis=1)
+    at_end = (np.abs(counts.astype(np.int32)) == -lowest - 1).any(axis=1) & ~invalid
     return (np.where(invalid, SUSPECT, 0) | np.where(at_end, SATURATED, 0)).astype(np.uint16)
 
 
@@ -236,3 +240,44 @@ class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
 
     half: ClassVar[str] = "gyro"
     reading: ClassVar[slice] = slice(7, 13)
+
+
+class _HighResolutionHalf(_QueuedHalf):
+    """One half read by the queue in packets of 20 bytes, which hold the largest range whatever is set (TDK-89)."""
+
+    burst: ClassVar[int] = ROW_BYTES
+    reading: ClassVar[slice] = slice(0, 12)
+    bits: ClassVar[int]
+
+    def _new_queue(self) -> DieQueue:
+        return Icm42688Queue(self.registers, self.clock, self.rate_hz, high_resolution=True)
+
+    def _queue_settings(self) -> tuple[Setting, ...]:
+        """Packets of both halves, whichever are read (TDK-88)."""
+        packets = facts.FIFO_HIGH_RESOLUTION(1) | facts.FIFO_ACCEL(1) | facts.FIFO_GYRO(1)
+        packets |= facts.FIFO_TEMPERATURE(1) | facts.FIFO_TIMESTAMP(1)
+        return (
+            facts.TMST_CONFIG[7:0]((facts.TMST_CONFIG_KEPT(1) | facts.TIMESTAMP_ON(1)).value),
+            facts.FIFO_CONFIG1[7:0](packets.value),
+            facts.FIFO_CONFIG[7:0](facts.FIFO_MODE(_STREAM).value),
+        )
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 18 or 19 bits, whose lowest code is no reading, and the temperature register's own counts."""
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
+        temperature = np.ascontiguousarray(bursts[:, 12:]).view(">i2")[:, 0].astype(np.int16)
+        return DecodedBursts(counts, temperature, _status(counts, self.bits))
+
+
+class Icm42688AccelerometerHighResolution(_HighResolutionHalf, Icm42688Accelerometer):
+    """Driver of the accelerometer of one ICM-42688-P, its queue drained in high resolution."""
+
+    half: ClassVar[str] = "acc"
+    bits: ClassVar[int] = 18
+
+
+class Icm42688GyroscopeHighResolution(_HighResolutionHalf, Icm42688Gyroscope):
+    """Driver of the gyroscope of one ICM-42688-P, its queue drained in high resolution."""
+
+    half: ClassVar[str] = "gyro"
+    bits: ClassVar[int] = 19

@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.clock import Clock
+from imuarray.drivers import icm42688_packets as packet_format
 from imuarray.drivers.driver import Bytes, Registers
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import icm42688, lsm6dso
@@ -174,17 +175,18 @@ def impossible(count: int, capacity: int) -> OSError:
 
 class Icm42688Queue(DieQueue):
     """2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves 16 bytes with a time stamp, of
-    one half 8. A row is a packet of 16 bytes.
+    one half 8. A row is a packet of 16 bytes. With `high_resolution` packets have 20 bytes and both halves, whichever
+    are read, and a row is what `high_resolution_rows` makes of one.
 
     Flags and count are read together, then the packets. The stamps show where samples are missing, and the flag "full"
     where so many are that the 65.536 ms of the stamps have passed.
     """
 
     CAPACITY: ClassVar[int] = 2048
-    LONE: ClassVar[int] = 8
 
-    def __init__(self, registers: Registers, clock: Clock, rate_hz: float) -> None:
+    def __init__(self, registers: Registers, clock: Clock, rate_hz: float, *, high_resolution: bool = False) -> None:
         super().__init__(registers, clock, rate_hz)
+        self.high_resolution = high_resolution
         self._stamp: int | None = None
         self._full = False
         self._period_us = 1e6 / rate_hz
@@ -192,7 +194,7 @@ class Icm42688Queue(DieQueue):
     @property
     def size(self) -> int:
         """Bytes of a packet."""
-        return 2 * self.LONE if len(self._readers) > 1 else self.LONE
+        return packet_format.packet_size(self._header)
 
     def _flush(self) -> None:
         self.registers.poke(icm42688.SIGNAL_PATH_RESET, icm42688.FIFO_FLUSH(1).value)
@@ -213,7 +215,8 @@ class Icm42688Queue(DieQueue):
     def _drain(self) -> bool:
         count, full, counted_ns = self._counted()
         size = self.size
-        if full and size == self.LONE:  # nothing would show where packets are missing
+        has_stamp = size != packet_format.ONE_TRIAD
+        if full and not has_stamp:  # nothing would show where packets are missing
             return False
         if not count:
             return True
@@ -222,34 +225,35 @@ class Icm42688Queue(DieQueue):
         if kinds != {self._header}:
             return False
         gap, self._full = bool(full), False
-        if size > self.LONE:
-            first, last = (packets[at] << 8 | packets[at + 1] for at in (size - 2, len(packets) - 2))
+        if has_stamp:
+            offset = packet_format.stamp_offset(size)
+            first, last = (packets[at] << 8 | packets[at + 1] for at in (offset, len(packets) - size + offset))
             if self._are_missing(last - first, count - 1):
                 return False
             gap |= self._stamp is not None and self._are_missing(first - self._stamp, 1)
             self._stamp = last
         times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1])
         for half, reader in self._readers.items():
-            reader.put(packets if size > self.LONE else self._widened(packets, half), times, gap=gap)
+            reader.put(self._rows(packets, half), times, gap=gap)
         return True
+
+    def _rows(self, packets: bytes, half: str) -> bytes:
+        """The rows of one half."""
+        if self.high_resolution:
+            return packet_format.high_resolution_rows(packets, half)
+        return packets if len(self._readers) > 1 else packet_format.widened(packets, half)
 
     @property
     def _header(self) -> int:
         """Bits 7:4 of a header: not empty, accelerometer, gyroscope, 16 bits (TDK-81)."""
-        return sum({"acc": 0x40, "gyro": 0x20}[half] for half in self.halves)
+        if self.high_resolution:
+            return packet_format.header_of(packet_format.HALVES, high_resolution=True)
+        return packet_format.header_of(self.halves)
 
     def _are_missing(self, stamps: int, periods: int) -> bool:
         """True if a difference of time stamps, known to 16 bits, is not so many periods."""
         off_us = (stamps - periods * self._period_us + 0x8000) % 0x10000 - 0x8000
         return abs(off_us) > self._period_us / 4
-
-    def _widened(self, packets: bytes, half: str) -> bytes:
-        """Packets of one half as packets of both, with nothing in the place of the other."""
-        table = np.frombuffer(packets, np.uint8).reshape(-1, self.LONE)
-        wide = np.zeros((len(table), 2 * self.LONE), np.uint8)
-        first = 1 if half == "acc" else 7
-        wide[:, first : first + 6], wide[:, 13] = table[:, 1:7], table[:, 7]
-        return wide.tobytes()
 
 
 FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8

@@ -1,6 +1,6 @@
 """ICM-42688-P six-axis sensor: TDK InvenSense DS-000347 v1.7.
 
-Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-86. Registers of interrupts, of motion detection and of the notch filter
+Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-89. Registers of interrupts, of motion detection and of the notch filter
 are left out. Bits that the data sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
 """
 

@@ -136,5 +136,5 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
         columns=("ut", "up") if barometer else ("x", "y", "z"),
         has_temperature=spec.has_thermometer and (spec.fifo_has_temperature or not sensor.fifo),
         compensated=("temperature", "pressure") if barometer else (),
-        extra={**extra, COUNT_BITS: spec.count_bits} if spec.count_bits > 16 else extra,
+        extra={**extra, COUNT_BITS: sensor.count_bits} if sensor.count_bits > 16 else extra,
     )

@@ -97,7 +97,8 @@ def code_span(sensor: SensorHeader) -> CodeSpan:
     if sensor.chip in ("hmc5883", "hmc5883l"):
         return CodeSpan(-2048, 2047, beyond=-4096)
     if die_of(sensor.chip) == "icm42688":
-        return CodeSpan(-32767, 32767)
+        highest = (1 << sensor.count_bits - 1) - 1
+        return CodeSpan(-highest, highest)
     return CodeSpan(-(1 << sensor.count_bits - 1), (1 << sensor.count_bits - 1) - 1)
 
 

@@ -22,14 +22,15 @@ from imuarray.array import parse_array
 from imuarray.errors import ConfigError
 
 MS = 1_000_000
-RATES_HZ = {"icm42688": 1000, "lsm6dso": 416, "mpu6050": 500, "mpu6500": 500, "mpu9250": 500}
-ADDRESSES = {"icm42688": 0x68, "lsm6dso": 0x6A, "mpu6050": 0x68, "mpu6500": 0x68, "mpu9250": 0x68}
-DEPTH = {"icm42688": 128, "lsm6dso": 250, "mpu6050": 73, "mpu6500": 36, "mpu9250": 36}
-"""Samples that the queue holds: 2048 bytes of 16, 512 words of two halves and more, 1024 and 512 bytes of 14."""
+FINE = "icm42688 in 20 bits"
+RATES_HZ = {"icm42688": 1000, FINE: 1000, "lsm6dso": 416, "mpu6050": 500, "mpu6500": 500, "mpu9250": 500}
+ADDRESSES = {"icm42688": 0x68, FINE: 0x68, "lsm6dso": 0x6A, "mpu6050": 0x68, "mpu6500": 0x68, "mpu9250": 0x68}
+DEPTH = {"icm42688": 128, FINE: 102, "lsm6dso": 250, "mpu6050": 73, "mpu6500": 36, "mpu9250": 36}
+"""Samples that the queue holds: 2048 bytes of 16 or 20, 512 words of two halves and more, 1024 and 512 bytes of 14."""
 
 
 class Counting:
-    """Feels 20 counts a millisecond at 4 g or 500 dps, from -30000 on."""
+    """Feels 20 counts a millisecond, from -30000 on."""
 
     def __init__(self, per_unit: float) -> None:
         self._per_unit = per_unit
@@ -55,9 +56,11 @@ class Bench:
 
     def __init__(self, die: str, halves: str = "both", rate_hz: int = 0) -> None:
         text = '[array]\nname = "a"\n'
-        for half, full_scale in (("acc", 4), ("gyro", 500)):
+        for half, full_scale in (("acc", 16), ("gyro", 2000)) if die == FINE else (("acc", 4), ("gyro", 500)):
             if halves in ("both", half):
-                text += f'[[sensor]]\nname = "{half}"\nchip = "{die}"\naddress = {ADDRESSES[die]:#x}\nfifo = true\n'
+                chip = die.partition(" ")[0]
+                text += f'[[sensor]]\nname = "{half}"\nchip = "{chip}"\naddress = {ADDRESSES[die]:#x}\nfifo = true\n'
+                text += "high_resolution = true\n" if die == FINE else ""
                 text += f"range = {full_scale}\nrate_hz = {rate_hz or RATES_HZ[die]}\n"
         self.bus: EmulatedBus = open_array(parse_array(text), board=CountingBoard)
         self.broken: Callable[[bytes, int], None] = lambda write, read: None
@@ -109,7 +112,9 @@ def test_every_sample_is_delivered_once_to_each_half(die: str, halves: str) -> N
         assert set(steps(rows, RATES_HZ[die]).tolist()) == {1}
 
 
-@pytest.mark.parametrize(("die", "rate_hz"), [("icm42688", 200), ("icm42688", 25), ("lsm6dso", 104), ("mpu6500", 250)])
+@pytest.mark.parametrize(
+    ("die", "rate_hz"), [("icm42688", 200), ("icm42688", 25), (FINE, 500), ("lsm6dso", 104), ("mpu6500", 250)]
+)
 def test_other_data_rates(die: str, rate_hz: int) -> None:
     bench = Bench(die, rate_hz=rate_hz)
     rows, begun_ns = [], bench.bus.clock.now_ns()
@@ -220,16 +225,27 @@ def test_a_half_that_is_not_visited_waits_and_then_loses_with_a_flag(monkeypatch
     assert set(steps(rows, 1000).tolist()) == {1}
 
 
-def test_a_packet_of_another_kind_is_not_believed() -> None:
-    """TDK-81: an empty queue, and one whose packets are shifted."""
-    bench = Bench("icm42688")
+@pytest.mark.parametrize(
+    ("die", "packet"),
+    [
+        ("icm42688", b"\xff" + bytes(15)),
+        (FINE, b"\xff" + bytes(19)),
+        ("icm42688", b"\x40" + bytes(7)),
+        ("icm42688", b"\x78" + bytes(19)),
+        (FINE, b"\x68" + bytes(15)),
+        (FINE, b"\x20" + bytes(7)),
+    ],
+)
+def test_a_packet_of_another_kind_is_not_believed(die: str, packet: bytes) -> None:
+    """TDK-81: an empty queue, and one with packets of 8, 16 and 20 bytes, after which the others are shifted."""
+    bench = Bench(die)
     bench.wait(20)
     chip: Any = bench.bus.chips["acc"]
     for number in (0, 1):
         bench.fetch(number)
     bench.wait(20)
     chip._sync(bench.bus.clock.now_ns())
-    chip._packets.append(b"\xff" + bytes(15))
+    chip._packets.insert(5, packet)
     assert len(bench.fetch(0)[0]) == 0
     for _ in range(2):
         bench.wait(20)
@@ -238,8 +254,9 @@ def test_a_packet_of_another_kind_is_not_believed() -> None:
     assert set(steps(rows, 1000).tolist()) == {1}
 
 
-def test_a_lost_packet_shows_in_the_time_stamps() -> None:
-    bench = Bench("icm42688")
+@pytest.mark.parametrize("die", ["icm42688", FINE])
+def test_a_lost_packet_shows_in_the_time_stamps(die: str) -> None:
+    bench = Bench(die)
     for _ in range(3):
         bench.wait(20)
         for number in (0, 1):
@@ -251,6 +268,22 @@ def test_a_lost_packet_shows_in_the_time_stamps() -> None:
     rows, _, gap = bench.fetch(0)
     assert gap
     assert set(steps(rows, 1000).tolist()) == {1}
+
+
+@pytest.mark.parametrize("die", ["icm42688", FINE])
+@pytest.mark.parametrize("halves", ["both", "acc", "gyro"])
+def test_the_first_sample_after_a_flush_is_the_first_after_it(die: str, halves: str) -> None:
+    """TDK-84: the count of 0 that follows a flush belongs to no drain, and no sample from before it is delivered."""
+    bench = Bench(die, halves)
+    bench.wait(20)
+    bench.routes[0].driver.configure()  # which empties the queue as its last step
+    flushed_ns = bench.bus.clock.now_ns()
+    bench.wait(10)
+    rows, times, _ = bench.fetch(0)
+    taken_ns = (rows[:, 0].astype(float) + 30000) / 20 * MS
+    assert flushed_ns - 1.1e6 < taken_ns[0] < flushed_ns + 1.1e6
+    assert len(rows) == pytest.approx(10, abs=1)
+    assert np.abs(times - taken_ns).max() < 1.2 * MS
 
 
 def test_both_halves_have_a_queue_or_none() -> None:

@@ -23,7 +23,7 @@ from firmware_emulator.mux import Pca9544a
 from firmware_emulator.wire import Wire
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Pca9544a as MuxDriver
-from imuarray.drivers import DRIVERS, FIFO_DRIVERS
+from imuarray.drivers import driver_of
 from imuarray.log.format import FLAGS
 
 HERE = Path(__file__).parent
@@ -200,7 +200,7 @@ def play_to_driver(conversation: Conversation) -> None:
         script.finish()
         return
     sensor = conversation.sensor
-    driver = (FIFO_DRIVERS if sensor.fifo else DRIVERS)[sensor.chip](script, sensor, script)
+    driver = driver_of(sensor)(script, sensor, script)
     if (before := conversation.before) is not None:
         script.open(before)
         driver.configure()
