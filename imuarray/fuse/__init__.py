@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from imuarray.fuse.axes import Axis, axes_of
     from imuarray.fuse.coasting import Coasting, Errors, coasting
     from imuarray.fuse.compare import Comparison, Score, compare, technique_names
+    from imuarray.fuse.consistency import Consistency, consistency
     from imuarray.fuse.element_temperature import (
         causal_temperatures,
         element_temperatures,
@@ -25,12 +26,10 @@ if TYPE_CHECKING:
         with_mismatch,
     )
     from imuarray.fuse.evaluation import (
-        Consistency,
         Error,
         ErrorFrames,
         Evaluation,
         QuietNoise,
-        consistency,
         error_frames,
         error_of,
         errors_of,
@@ -60,7 +59,7 @@ _PUBLIC = {
     "Coasting": "coasting",
     "Comparison": "compare",
     "ComparisonPipeline": "pipeline",
-    "Consistency": "evaluation",
+    "Consistency": "consistency",
     "Error": "evaluation",
     "ErrorFrames": "evaluation",
     "Errors": "coasting",
@@ -92,7 +91,7 @@ _PUBLIC = {
     "changes": "techniques",
     "coasting": "coasting",
     "compare": "compare",
-    "consistency": "evaluation",
+    "consistency": "consistency",
     "element_temperatures": "element_temperature",
     "error_frames": "evaluation",
     "error_of": "evaluation",

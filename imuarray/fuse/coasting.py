@@ -16,7 +16,8 @@ stood upright.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,9 @@ _STEP_S = 1.0
 """By how much a window is put off whose beginning is not still, or that holds a pause."""
 
 _PAUSE_S = 0.5
+
+_FIRST_FRAMES = 64
+"""Frames that tell the period."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +78,25 @@ class Errors:
         return Errors(*(getattr(self, name)[rows] for name in ("time", "rate_error", "force_error", "rate", "force")))
 
 
-def coasting(errors: Errors, still_s: float = STILL_S, coast_s: float = COAST_S) -> Coasting:
+def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_s: float = COAST_S) -> Coasting:
     """Every coast of `coast_s` that fits, one after the other, each after `still_s` in which the box truly stood still.
 
-    With `still_s` 0 nothing is taken out before, and no stillness is asked for.
+    With `still_s` 0 nothing is taken out before, and no stillness is asked for. Of errors in blocks, memory holds those
+    of a coast; the result does not depend on the blocks.
     """
-    if len(errors.time) < 2:
+    frames = _Reach([errors] if isinstance(errors, Errors) else errors)
+    if len(frames.seconds) < 2:
         return Coasting(np.zeros(0), np.zeros(0), np.zeros(0))
-    seconds = (errors.time - errors.time[0]) * 1e-9
     result, begin = [], 0.0
-    period_s = float(np.median(np.diff(seconds)))
-    while begin + still_s + coast_s <= seconds[-1] + 1.5 * period_s:
-        first, go, last = np.searchsorted(seconds, np.array([0, still_s, still_s + coast_s]) + begin - period_s / 2)
-        window, rest = errors[first : last + 1], errors[first:go]
+    length_s, period_s = still_s + coast_s, frames.period_s
+    while True:
+        frames.extend(begin + length_s + period_s)
+        if begin + length_s > frames.seconds[-1] + 1.5 * period_s:
+            break
+        frames.forget(begin - period_s)
+        seconds = frames.seconds
+        first, go, last = np.searchsorted(seconds, np.array([0, still_s, length_s]) + begin - period_s / 2)
+        window, rest = frames.errors[first : last + 1], frames.errors[first:go]
         if (still_s > 0 and not _is_still(rest)) or np.diff(seconds[first:last]).max(initial=0.0) > _PAUSE_S:
             begin += _STEP_S
             continue
@@ -95,10 +105,53 @@ def coasting(errors: Errors, still_s: float = STILL_S, coast_s: float = COAST_S)
         tilt, velocity = propagated(window[go - first :], *offsets)
         upwards /= np.linalg.norm(upwards)
         level = velocity - velocity @ upwards * upwards
-        result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + errors.time[0] * 1e-9))
-        begin += still_s + coast_s
+        result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + frames.start_ns * 1e-9))
+        begin += length_s
     heading, velocity, begins = np.array(result, float).reshape(-1, 3).T
     return Coasting(heading, velocity, begins)
+
+
+class _Reach:
+    """The frames of a stream of blocks that are in memory; the first of all was at `start_ns`, the next ones follow in
+    steps of `period_s`.
+    """
+
+    def __init__(self, blocks: Iterable[Errors]) -> None:
+        self._blocks = iter(blocks)
+        self.errors = Errors(np.zeros(0, np.int64), *(np.zeros((0, 3)) for _ in range(4)))
+        self._extend(lambda count, newest_ns: count >= _FIRST_FRAMES)
+        self.start_ns = int(self.errors.time[0]) if len(self.errors.time) else 0
+        steps = np.diff(self.seconds[:_FIRST_FRAMES])
+        self.period_s = float(np.median(steps)) if len(steps) else float("nan")
+
+    @property
+    def seconds(self) -> Floats:
+        """Return the times since the first frame of all."""
+        return np.asarray((self.errors.time - self.start_ns) * 1e-9)
+
+    def extend(self, until_s: float) -> None:
+        """Read blocks until a frame is after a time, if there is any."""
+        self._extend(lambda count, newest_ns: (newest_ns - self.start_ns) * 1e-9 > until_s)
+
+    def _extend(self, is_enough: Callable[[int, int], bool]) -> None:
+        """Read blocks until the number of frames and the time of the newest one are enough."""
+        parts = [self.errors]
+        count = len(self.errors.time)
+        while not (count and is_enough(count, int(parts[-1].time[-1]))):
+            block = next(self._blocks, None)
+            if block is None:
+                break
+            if len(block.time):
+                parts.append(block)
+                count += len(block.time)
+        if len(parts) > 1:
+            names = [item.name for item in fields(Errors)]
+            self.errors = Errors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def forget(self, before_s: float) -> None:
+        """Let go of the frames before a time."""
+        first = int(np.searchsorted(self.seconds, before_s))
+        self.errors = self.errors[first:]
 
 
 def propagated(

@@ -11,7 +11,8 @@ its frames in the meantime. Both processes do what one would do, so that the fig
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Collection, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -22,20 +23,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from imuarray.arrays import Floats, Indices, Times
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
-from imuarray.fuse.evaluation import (
-    Consistency,
-    Error,
-    ErrorFrames,
-    ErrorFramesOnDisk,
-    consistency,
-    error_of,
-)
+from imuarray.fuse.consistency import Consistency, consistency
+from imuarray.fuse.evaluation import Error, ErrorFrames, ErrorFramesOnDisk, ErrorFrameSpool, error_of
 from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
+from imuarray.fuse.row_spool import AT_ONCE, RowSpool
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, open_log
 
@@ -105,7 +100,7 @@ def compare(
         together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
         for blocks in together:
             errors.add(blocks)
-        average = {quantity: (frames.time, frames.errors) for quantity, frames in errors.of(AVERAGE).items()}
+        average = errors.of(AVERAGE)
         for technique in techniques or technique_names():
             if technique not in errors:
                 if technique in processes:
@@ -197,32 +192,40 @@ class _Parts:
         return lambda share: self._progress(begin + weight * share)
 
 
-def both(frames: Mapping[str, ErrorFrames]) -> Errors:
-    """The frames in which both quantities are known, as `coasting` takes them."""
-    rate, force = frames["angular_rate"], frames["specific_force"]
-    mine, other = _common(rate.time, force.time)
-    return Errors(rate.time[mine], rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
+ErrorFrameSource = ErrorFrames | ErrorFrameSpool
 
 
-def _common(first_times: Times, second_times: Times) -> tuple[Indices | slice, Indices | slice]:
-    """Return which frames of either are at times that both have, in order: mostly all of them."""
-    if np.array_equal(first_times, second_times):
-        return slice(None), slice(None)
-    _, mine, its = np.intersect1d(first_times, second_times, assume_unique=True, return_indices=True)
-    return mine, its
+def both(frames: Mapping[str, ErrorFrameSource]) -> Iterator[Errors]:
+    """Yield the frames in which both quantities are known, as `coasting` takes them, block by block."""
+    for rate, force in _common(frames["angular_rate"], frames["specific_force"]):
+        yield Errors(rate.time, rate.errors, force.errors, rate.truth, force.truth)
 
 
-def _score(technique: str, quantity: str, average: tuple[Times, Floats], estimate: ErrorFrames) -> Score:
-    """`average`: the times and errors of the simple average."""
-    mine, other = _common(average[0], estimate.time)
-    of_average, of_estimate = average[1][mine], estimate.errors[other]
-    count = min(BLOCKS, len(of_average) // 2)
-    if count < FEWEST_BLOCKS:
-        known = f"{len(of_average)} values of {quantity} with a truth"
-        raise FusionError(f"technique {technique}: {known}, too few to compare")
-    before, after = (block_squares(part, count) for part in (of_average, of_estimate))
-    ratio = {axis: ratio_of(before[:, k], after[:, k]) for k, axis in enumerate(AXES[:3])}
-    ratio[AXES[3]] = ratio_of(before.sum(axis=1), after.sum(axis=1))
+def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple[ErrorFrames, ErrorFrames]]:
+    """Yield the frames of either at times that both have, in order, block by block."""
+    end = 0
+    for start in range(0, len(first), AT_ONCE):
+        mine, begin = first[start : start + AT_ONCE], end
+        end = bisect_right(range(len(second)), mine.time[-1], lo=begin, key=lambda row: second[row : row + 1].time[0])
+        other = second[begin:end]
+        if not np.array_equal(mine.time, other.time):  # mostly they are the same
+            _, of_mine, of_other = np.intersect1d(mine.time, other.time, assume_unique=True, return_indices=True)
+            mine, other = mine[of_mine], other[of_other]
+        yield mine, other
+
+
+def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: ErrorFrameSource) -> Score:
+    """Compare an estimate with the simple average."""
+    with RowSpool(6) as errors:  # of both, at common times
+        for before, after in _common(average, estimate):
+            errors.append(np.concatenate([before.errors, after.errors], axis=1))
+        count = min(BLOCKS, len(errors) // 2)
+        if count < FEWEST_BLOCKS:
+            known = f"{len(errors)} values of {quantity} with a truth"
+            raise FusionError(f"technique {technique}: {known}, too few to compare")
+        squares = block_squares(errors, count)
+    ratio = {axis: ratio_of(squares[:, k], squares[:, k + 3]) for k, axis in enumerate(AXES[:3])}
+    ratio[AXES[3]] = ratio_of(squares[:, :3].sum(axis=1), squares[:, 3:].sum(axis=1))
     return Score(
         technique, quantity, error_of(estimate.errors), ratio, consistency(estimate.errors, estimate.covariances)
     )

@@ -1,14 +1,5 @@
 """Errors of a fused result against what the box really felt, where a log knows: emulated and simulated logs, or a
 reference.
-
-Whether errors are as large as their covariances say: the normalised error squared against its chi-square interval.
-
-``e' P^-1 e / 3`` has mean 1 if P is right (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
-Navigation, 2001, section 5.4). Its mean over n frames would be chi-square of 3 n degrees of freedom over 3 n if the
-errors forgot from frame to frame. They don't: biases stay. The variance of the mean of normal errors with lagged
-correlations C(k) (3, 3) is ``2 / n sum over k of (1 - |k| / n) |C(k)|^2``, |.| the Frobenius norm, so that the interval
-is taken for the degrees of freedom of a chi-square with that variance. C(k) is about zero, not about the mean: a
-constant error correlates with itself for ever, and a log of it counts little.
 """
 
 from __future__ import annotations
@@ -16,19 +7,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
-from io import SEEK_END
-from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import IO, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Booleans, Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock
+from imuarray.fuse.row_spool import RowSource, RowSpool, parts_of, row_blocks, row_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
@@ -38,12 +27,6 @@ SEGMENT = 256
 
 _SLOW_MEANS = 16
 """Of whose spread drift is told."""
-
-_AT_ONCE = 1 << 15
-"""Errors that are read at once."""
-
-_ROW_BYTES, _FRAME_BYTES = 24, 104
-"""Of an error, and of a frame: time, error, truth and covariance."""
 
 _MARGIN = 32
 """Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
@@ -90,20 +73,20 @@ class Evaluation:
         self._track = _track_of(log)
         self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
         self._stack = ExitStack()
-        self._kept: dict[str, dict[str, _ErrorSpool]] = {}
+        self._kept: dict[str, dict[str, RowSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """The next block of each result by its name, all of the same frames."""
         for name, quantity, frames in _errors_in(self._track, self._stretches, together):
             kept = self._kept.setdefault(name, {})
             if quantity not in kept:
-                kept[quantity] = self._stack.enter_context(_ErrorSpool())
-            kept[quantity].add(frames.errors)
+                kept[quantity] = self._stack.enter_context(RowSpool(3))
+            kept[quantity].append(frames.errors)
 
     def errors(self) -> dict[str, dict[str, Error]]:
         """Return the errors by name and quantity, for those with at least two frames."""
         return {
-            name: {quantity: kept[quantity].figures() for quantity in INERTIAL if _frames(kept, quantity) > 1}
+            name: {quantity: error_of(kept[quantity]) for quantity in INERTIAL if len(kept.get(quantity, ())) > 1}
             for name, kept in self._kept.items()
         }
 
@@ -169,6 +152,13 @@ class ErrorFrames:
     truth: Floats
     covariances: Floats
 
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, frames: slice | Indices) -> ErrorFrames:
+        """Return some of them."""
+        return ErrorFrames(self.time[frames], self.errors[frames], self.truth[frames], self.covariances[frames])
+
 
 def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
@@ -189,9 +179,7 @@ def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase]
 
 
 class ErrorFramesOnDisk:
-    """Frames with an error of several results, block by block as they are made, on the disk until they are asked for:
-    memory holds those of one result at a time. A context manager.
-    """
+    """Frames with an error of several results, block by block as they are made, on the disk. A context manager."""
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
         """Keep the frames' errors on disk; with a `folder`, in files there that stay. FusionError if the log knows no
@@ -199,7 +187,7 @@ class ErrorFramesOnDisk:
         """
         self._track, self._folder = _track_of(log), folder
         self._stack = ExitStack()
-        self._kept: dict[str, dict[str, _ErrorFramesSpool]] = {}
+        self._kept: dict[str, dict[str, ErrorFrameSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """The next block of each result by its name, all of the same frames."""
@@ -207,7 +195,7 @@ class ErrorFramesOnDisk:
             kept = self._kept.setdefault(name, {})
             if quantity not in kept:
                 path = None if self._folder is None else self._folder / f"{name}.{quantity}"
-                kept[quantity] = self._stack.enter_context(_ErrorFramesSpool(path))
+                kept[quantity] = self._stack.enter_context(ErrorFrameSpool(path))
             kept[quantity].add(frames)
 
     def files(self, name: str) -> dict[str, Path]:
@@ -220,14 +208,14 @@ class ErrorFramesOnDisk:
         """
         kept = self._kept.setdefault(name, {})
         for quantity, path in files.items():
-            kept[quantity] = self._stack.enter_context(_ErrorFramesSpool(path, "rb"))
+            kept[quantity] = self._stack.enter_context(ErrorFrameSpool(path, "rb"))
 
     def __contains__(self, name: str) -> bool:
         return name in self._kept
 
-    def of(self, name: str) -> dict[str, ErrorFrames]:
+    def of(self, name: str) -> dict[str, ErrorFrameSpool]:
         """Return the frames of one result by quantity."""
-        return {quantity: kept.frames() for quantity, kept in self._kept.get(name, {}).items()}
+        return dict(self._kept.get(name, {}))
 
     def __enter__(self) -> Self:
         return self
@@ -242,10 +230,6 @@ def _track_of(log: Log) -> Track:
     if track is None:
         raise FusionError(f"{log.path}: has neither /truth nor /reference to compare with")
     return track
-
-
-def _frames(kept: Mapping[str, _ErrorSpool], quantity: str) -> int:
-    return kept[quantity].frames if quantity in kept else 0
 
 
 def _errors_in(
@@ -271,110 +255,58 @@ def _errors_in(
             yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
 
 
-def error_of(rows: Floats) -> Error:
-    """The figures of errors (n, 3), n > 1.
+def error_of(rows: RowSource) -> Error:
+    """Return the figures of errors (n, 3), n > 1, which are read block by block.
 
     Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means.
     """
-    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(_SLOW_MEANS, len(rows)))])
+    frames = len(rows)
+    parts = parts_of(frames, min(_SLOW_MEANS, frames))
+    slow = np.array([row_sum(rows, begin, end) / (end - begin) for begin, end in parts])
+    steps = frames - 1
+    change = (rows[steps:frames][0] - rows[0:1][0]) / steps
+    changes = sum((((np.diff(block, axis=0) - change) ** 2).sum(axis=0) for block in row_blocks(rows, overlap=1)), 0.0)
     return Error(
-        mean=rows.mean(axis=0),
-        noise=np.std(np.diff(rows, axis=0), axis=0) / np.sqrt(2),
-        rms=np.sqrt(np.mean(rows**2, axis=0)),
+        mean=row_sum(rows) / frames,
+        noise=np.sqrt(changes / steps) / np.sqrt(2),
+        rms=np.sqrt(row_sum(rows, power=2) / frames),
         drift=np.ptp(slow, axis=0),
-        frames=len(rows),
+        frames=frames,
     )
 
 
-class _ErrorSpool:
-    """Errors of one quantity on the disk until it is known how many there are: memory does not grow with the log. A
+class ErrorFrameSpool:
+    """`ErrorFrames` of one quantity in a temporary file, or in one with a name, which are read as they are asked for. A
     context manager.
     """
 
-    def __init__(self) -> None:
-        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as this
-        self.frames = 0
-
-    def add(self, errors: Floats) -> None:
-        """Add more of them, (n, 3)."""
-        self._file.write(np.ascontiguousarray(errors, np.float64).tobytes())
-        self.frames += len(errors)
-
-    def figures(self) -> Error:
-        """Return `error_of` all errors; at least two frames."""
-        slow = np.array([self._sum(begin, end) / (end - begin) for begin, end in pairwise(self._sixteenths())])
-        steps = self.frames - 1
-        change = (self._rows(steps, steps + 1)[0] - self._rows(0, 1)[0]) / steps
-        squares = changes = np.zeros(3)
-        for begin in range(0, self.frames, _AT_ONCE):
-            rows = self._rows(begin, min(begin + _AT_ONCE + 1, self.frames))  # and the first of the next ones
-            changes = changes + ((np.diff(rows, axis=0) - change) ** 2).sum(axis=0)
-            squares = squares + (rows[:_AT_ONCE] ** 2).sum(axis=0)
-        return Error(
-            mean=self._sum(0, self.frames) / self.frames,
-            noise=np.sqrt(changes / steps) / np.sqrt(2),
-            rms=np.sqrt(squares / self.frames),
-            drift=np.ptp(slow, axis=0),
-            frames=self.frames,
-        )
-
-    def _sixteenths(self) -> list[int]:
-        """Return the first rows of the parts of `numpy.array_split`, and the end of the last one."""
-        parts = min(_SLOW_MEANS, self.frames)
-        size, longer = divmod(self.frames, parts)
-        return [part * size + min(part, longer) for part in range(parts + 1)]
-
-    def _sum(self, begin: int, end: int) -> Floats:
-        blocks = (self._rows(first, min(first + _AT_ONCE, end)) for first in range(begin, end, _AT_ONCE))
-        return np.asarray(sum((rows.sum(axis=0) for rows in blocks), np.zeros(3)))
-
-    def _rows(self, begin: int, end: int) -> Floats:
-        self._file.seek(begin * _ROW_BYTES)
-        return np.frombuffer(self._file.read((end - begin) * _ROW_BYTES)).reshape(-1, 3)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.close()
-
-
-class _ErrorFramesSpool:
-    """Frames of one quantity in a temporary file, or in one with a name. A context manager."""
-
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
-        self._path = path
-        self._file: IO[bytes] = TemporaryFile() if path is None else path.open(mode)  # noqa: SIM115, lives as long
+        self._rows = RowSpool(13, path, mode)
+        self.errors: RowSource = self._rows.columns(1, 4)
+        self.covariances: RowSource = self._rows.columns(7, 13)
 
     def add(self, frames: ErrorFrames) -> None:
         """Add more of them."""
         time = np.ascontiguousarray(frames.time, np.int64).view(np.float64)  # the same bits
-        rows = np.concatenate([time[:, None], frames.errors, frames.truth, frames.covariances], axis=1)
-        self._file.write(rows.tobytes())
+        self._rows.append(np.concatenate([time[:, None], frames.errors, frames.truth, frames.covariances], axis=1))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, frames: slice) -> ErrorFrames:
+        """Read some of them."""
+        time, errors, truth, covariances = np.split(self._rows[frames], (1, 4, 7), axis=1)
+        return ErrorFrames(time[:, 0].copy().view(np.int64), errors, truth, covariances)
 
     def complete(self) -> Path:
-        """Put everything into the file that has a name, and return it; ValueError for one without."""
-        if self._path is None:
-            raise ValueError("a temporary file has no name")
-        self._file.flush()
-        return self._path
-
-    def frames(self) -> ErrorFrames:
-        """Return all of them."""
-        count = self._file.seek(0, SEEK_END) // _FRAME_BYTES
-        time, errors, truth, covariances = (np.empty((count, width)) for width in (1, 3, 3, 6))
-        self._file.seek(0)
-        for start in range(0, count, _AT_ONCE):  # so that it is not in memory twice
-            part = slice(start, min(start + _AT_ONCE, count))
-            rows = np.frombuffer(self._file.read((part.stop - start) * _FRAME_BYTES)).reshape(-1, 13)
-            time[part], errors[part], truth[part], covariances[part] = np.split(rows, (1, 4, 7), axis=1)
-        return ErrorFrames(time[:, 0].view(np.int64), errors, truth, covariances)
+        """Write everything to the file that has a name, and return it; ValueError for one without."""
+        return self._rows.complete()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._file.close()
+        self._rows.close()
 
 
 def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
@@ -394,81 +326,3 @@ def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | 
     if len(known) < 2:
         return np.full((len(time), 3), np.nan)
     return between_gaps(known, rows, time, gap_ns=5 * float(np.median(np.diff(known))))
-
-
-_FEWEST = 20
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """Mean normalised error squared over its expectation; the 95 % interval in which it lies if covariances are right;
-    the degrees of freedom that the errors' correlation leaves.
-    """
-
-    normalised: float
-    low: float
-    high: float
-    freedom: float
-
-    @property
-    def holds(self) -> bool:
-        """Return whether it lies in its interval."""
-        return self.low <= self.normalised <= self.high
-
-
-def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
-    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`); None if fewer than twenty
-    have one.
-    """
-    from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
-
-    known = np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1)
-    white, definite = _whitened(errors[known], covariances[known])
-    if not definite.all():
-        white = white[definite]
-    if len(white) < _FEWEST:
-        return None
-    normalised = float(np.mean(white**2))
-    freedom = _freedom(white)
-    low, high = 2 * gammaincinv(freedom / 2, [0.025, 0.975]) / freedom
-    return Consistency(normalised, float(low), float(high), freedom)
-
-
-def _whitened(errors: Floats, covariances: Floats) -> tuple[Floats, Booleans]:
-    """Errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), and which of these are
-    positive definite (n,): written out, for all frames at a time, in a twentieth of the time of a routine for matrices.
-    """
-    xx, yy, zz, xy, xz, yz = covariances.T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        first = np.sqrt(xx)
-        second_first, third_first = xy / first, xz / first
-        second = np.sqrt(yy - second_first**2)
-        third_second = (yz - third_first * second_first) / second
-        third = np.sqrt(zz - third_first**2 - third_second**2)
-        x = errors[:, 0] / first
-        y = (errors[:, 1] - second_first * x) / second
-        z = (errors[:, 2] - third_first * x - third_second * y) / third
-    definite: Booleans = np.asarray((first > 0) & (second > 0) & (third > 0))
-    return np.stack([x, y, z], axis=1), definite
-
-
-def _freedom(white: Floats) -> float:
-    """18 over the variance of the mean of |x|^2, where x (n, 3) has unit variance: 3 n if nothing is remembered.
-
-    Lags up to half the length are added up one by one, less what chance makes of them; beyond they are as large as
-    from a quarter of the length to half of it.
-    """
-    from scipy.fft import next_fast_len
-
-    rows, half = len(white), len(white) // 2
-    size = next_fast_len(2 * rows, real=True)
-    spectra = np.fft.rfft((white / np.sqrt(np.mean(white**2))).T, size)
-    share = 1 - np.arange(1, half + 1) / rows
-    squares = -9 / (rows * share)
-    for item, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        lagged = np.fft.irfft(spectra[item].conj() * spectra[other], size) / rows
-        squares += (lagged[1 : half + 1] / share) ** 2
-        if item != other:  # the other way round
-            squares += (lagged[: -half - 1 : -1] / share) ** 2
-    remembered = share @ squares + rows / 8 * squares[half // 2 :].mean()
-    return float(np.clip(18 / (2 / rows * (3 + 2 * max(remembered, 0.0))), 1.0, 3 * rows))

@@ -13,6 +13,7 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.evaluation import errors_of
 from imuarray.fuse.fuse import fuse
+from imuarray.fuse.row_spool import RowSource, parts_of, row_sum
 from imuarray.log import Log
 from imuarray.log.format import Phase
 
@@ -60,8 +61,12 @@ def gains(
         if slow:
             before, after = (ten_second_means(time, part) for part in (before, after))
         for axis in range(3):
-            rows.append(_gain(technique, quantity, "XYZ"[axis], before[:, axis], after[:, axis]))
-        rows.append(_gain(technique, quantity, "XYZ", *(np.linalg.norm(part, axis=1) for part in (before, after))))
+            rows.append(_gain(technique, quantity, "XYZ"[axis], before[:, axis : axis + 1], after[:, axis : axis + 1]))
+        rows.append(
+            _gain(
+                technique, quantity, "XYZ", *(np.linalg.norm(part, axis=1, keepdims=True) for part in (before, after))
+            )
+        )
     return rows
 
 
@@ -77,7 +82,7 @@ def _gain(technique: str, quantity: str, box_axis: str, before: Floats, after: F
     count = min(BLOCKS, len(before) // 2)
     if count < FEWEST_BLOCKS:
         raise FusionError(f"technique {technique}: {len(before)} values with a truth, too few to compare")
-    result = ratio_of(block_squares(before, count), block_squares(after, count))
+    result = ratio_of(block_squares(before, count)[:, 0], block_squares(after, count)[:, 0])
     average, error = (float(np.sqrt(np.mean(rows**2))) for rows in (before, after))
     return Gain(technique, quantity, box_axis, average, error, result.ratio, result.ratio_se)
 
@@ -112,6 +117,6 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
     return Ratio(ratio, spread, ratio / reach, ratio * reach)
 
 
-def block_squares(rows: Floats, count: int = BLOCKS) -> Floats:
-    """(count, ...) sums of squares of `count` consecutive stretches of rows (n, ...)."""
-    return np.array([np.sum(part**2, axis=0) for part in np.array_split(rows, count)])
+def block_squares(rows: RowSource, count: int = BLOCKS) -> Floats:
+    """Return the sums of squares (count, k) of `count` consecutive stretches of rows (n, k)."""
+    return np.array([row_sum(rows, begin, end, power=2) for begin, end in parts_of(len(rows), count)])

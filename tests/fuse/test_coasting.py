@@ -138,3 +138,18 @@ def test_a_coast_begins_where_the_box_stood_still() -> None:
     assert found.begins_s == pytest.approx([15, 85], abs=0.05)
     assert len(coasting(errors(seconds=60)).begins_s) == 0
     assert np.isnan(coasting(errors(seconds=60)).heading_rms_deg)
+
+
+@pytest.mark.parametrize("cut", [1, 63, 500, 4001])
+def test_errors_in_blocks_coast_as_those_in_one(cut: int) -> None:
+    """Turning in between, which puts a window off, and a pause."""
+    rng = np.random.default_rng(6)
+    rate = np.zeros((300 * RATE_HZ + 1, 3))
+    rate[100 * RATE_HZ : 105 * RATE_HZ, 2] = 0.5
+    whole = errors(rng.normal(0, 1e-3, rate.shape), rng.normal(0, 1e-2, rate.shape), seconds=300, rate=rate)
+    whole.time[170 * RATE_HZ :] += 700_000_000
+    wanted = coasting(whole)
+    assert len(wanted.begins_s) > 1
+    found = coasting(whole[first : first + cut] for first in range(0, len(whole.time), cut))
+    for name in ("heading_deg", "velocity_mps", "begins_s"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))

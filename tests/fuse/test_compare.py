@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,8 @@ import pytest
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
 from imuarray.commands.fuse_evaluate import print_report
-from imuarray.fuse import FusedBlock, compare, fuse, technique_names
+from imuarray.fuse import ErrorFrames, FusedBlock, compare, fuse, technique_names
+from imuarray.fuse.compare import both
 from imuarray.fuse.fuse import fuse_together
 from imuarray.fuse.gains import ratio_of
 from imuarray.fuse.techniques import TECHNIQUES
@@ -75,6 +78,36 @@ def test_another_process_makes_the_same_figures(run: Path) -> None:
     for heard in (shares, told):
         assert heard == sorted(heard) and heard[-1] <= 1.0
     assert shares[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("block", [777, 5000])
+def test_what_is_told_does_not_depend_on_blocks(run: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_log(run) as log:
+        wanted = compare(log, calibration(parts()), ("ranges",))
+        monkeypatch.setattr("imuarray.fuse.row_spool.AT_ONCE", block)
+        monkeypatch.setattr(sys.modules[compare.__module__], "AT_ONCE", block)  # the function hides its module
+        found = compare(log, calibration(parts()), ("ranges",))
+    for score, other in zip(found.scores, wanted.scores, strict=True):
+        for axis, ratio in score.ratio.items():
+            assert astuple(ratio) == pytest.approx(astuple(other.ratio[axis]), rel=1e-12)
+        np.testing.assert_allclose(score.error.rms, other.error.rms, rtol=1e-12)
+        assert score.consistency is not None and other.consistency is not None
+        assert astuple(score.consistency) == pytest.approx(astuple(other.consistency), rel=1e-12)
+    assert found.coasting["ranges"].heading_deg.tolist() == wanted.coasting["ranges"].heading_deg.tolist()
+
+
+def test_frames_at_common_times_are_compared() -> None:
+    """Each of two has frames that the other lacks, at the beginning, in between and at the end."""
+    frames = [np.setdiff1d(np.arange(5, 90_005), missing) for missing in ([5, 40_000, 90_004], [7, 8, 39_999])]
+    made = {
+        quantity: ErrorFrames(time, *(np.repeat(time[:, None] * factor, k, axis=1) for k in (3, 3, 6)))
+        for quantity, time, factor in zip(("angular_rate", "specific_force"), frames, (1.0, 2.0), strict=True)
+    }
+    blocks = list(both(made))
+    time = np.concatenate([block.time for block in blocks])
+    assert len(blocks) > 1 and time.tolist() == sorted(set(frames[0].tolist()) & set(frames[1].tolist()))
+    assert np.concatenate([block.rate_error for block in blocks])[:, 2].tolist() == time.tolist()
+    assert np.concatenate([block.force for block in blocks])[:, 2].tolist() == (2 * time).tolist()
 
 
 def test_the_interval_covers_a_ratio() -> None:

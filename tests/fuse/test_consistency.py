@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from imuarray.fuse.evaluation import Consistency, consistency
+from imuarray.fuse.consistency import Consistency, consistency
 from imuarray.fuse.frames import entries
 from tests.fuse.conftest import Floats
 from tests.selection import some
@@ -96,3 +97,20 @@ def test_every_covariance_whitens_its_own_error() -> None:
     found = consistency(np.concatenate([errors, np.ones((3, 3))]), np.concatenate([entries(covariances), none]))
     assert found is not None
     assert found.normalised == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize(("segment", "block"), [(1 << 17, 1 << 15), (401, 100), (64, 399), (37, 1)])
+def test_the_freedom_is_that_of_all_lags_wherever_blocks_are_cut(
+    segment: int, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sum of the module's docstring, lag by lag; lags beyond half of 401 are as those of its upper half."""
+    monkeypatch.setattr("imuarray.fuse.row_spool.AT_ONCE", block)
+    monkeypatch.setattr(sys.modules[consistency.__module__], "_SEGMENT", segment)  # the function hides its module
+    unit = slow(np.random.default_rng(9))[:401]
+    unit /= np.sqrt(np.mean(unit**2))
+    rows = len(unit)
+    squares = np.array([np.sum((unit[:-k].T @ unit[k:] / (rows - k)) ** 2) - 9 / (rows - k) for k in range(1, 201)])
+    lagged = sum((1 - k / rows) * squares[k - 1] for k in range(1, 201)) + rows / 8 * squares[100:].mean()
+    found = consistency(unit, np.tile([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], (rows, 1)))
+    assert found is not None
+    assert found.freedom == pytest.approx(9 * rows / (3 + 2 * lagged), rel=1e-12)

@@ -1,0 +1,106 @@
+"""Rows of numbers on the disk: what is worked out of a whole log need not be in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import SEEK_END
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Protocol, Self
+
+import numpy as np
+
+from imuarray.arrays import Floats
+
+AT_ONCE = 1 << 15
+"""Rows that are worked on at once."""
+
+
+class RowSource(Protocol):
+    """Rows (n, k): an array, or what reads a slice of them when it is asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: slice, /) -> Floats: ...
+
+
+class RowSpool:
+    """Rows (n, `columns`) of float64 in a temporary file, or in one with a name. A `RowSource`, a context manager."""
+
+    def __init__(self, columns: int, path: Path | None = None, mode: str = "w+b") -> None:
+        self._columns, self._path = columns, path
+        self._file: IO[bytes] = TemporaryFile() if path is None else path.open(mode)  # noqa: SIM115, lives as long
+        self._length = self._file.seek(0, SEEK_END) // (8 * columns)
+
+    def append(self, rows: Floats) -> None:
+        """Add rows (m, columns) at the end."""
+        self._file.seek(0, SEEK_END)
+        self._file.write(np.ascontiguousarray(rows, np.float64).data)
+        self._length += len(rows)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, rows: slice, /) -> Floats:
+        """Read rows; the slice has no step."""
+        begin, end, _ = rows.indices(self._length)
+        result = np.empty((max(0, end - begin), self._columns))
+        self._file.seek(begin * 8 * self._columns)
+        self._file.readinto(result.data)  # type: ignore[attr-defined]  # a file on the disk has it
+        return result
+
+    def columns(self, first: int, last: int) -> RowSource:
+        """Return a source of the columns from `first` up to `last`, without that."""
+        return _Columns(self, slice(first, last))
+
+    def complete(self) -> Path:
+        """Write everything to the file that has a name, and return it; ValueError for one without."""
+        if self._path is None:
+            raise ValueError("a temporary file has no name")
+        self._file.flush()
+        return self._path
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class _Columns:
+    """Some columns of a spool."""
+
+    def __init__(self, spool: RowSpool, columns: slice) -> None:
+        self._spool, self._columns = spool, columns
+
+    def __len__(self) -> int:
+        return len(self._spool)
+
+    def __getitem__(self, rows: slice, /) -> Floats:
+        return self._spool[rows][:, self._columns]
+
+
+def row_blocks(rows: RowSource, begin: int = 0, end: int | None = None, *, overlap: int = 0) -> Iterator[Floats]:
+    """Yield the rows from `begin` to `end` (None: all) in blocks of `AT_ONCE`, each with the first `overlap` rows of
+    the next.
+    """
+    end = len(rows) if end is None else end
+    for first in range(begin, end, AT_ONCE):
+        yield rows[first : min(first + AT_ONCE + overlap, end)]
+
+
+def row_sum(rows: RowSource, begin: int = 0, end: int | None = None, *, power: int = 1) -> Floats:
+    """Return the sum (k,) of the rows from `begin` to `end` (None: all), or of their squares (`power` 2)."""
+    blocks = row_blocks(rows, begin, end)
+    return np.asarray(sum((np.sum(block**power, axis=0) for block in blocks), np.zeros(rows[:1].shape[1])))
+
+
+def parts_of(rows: int, parts: int) -> Iterator[tuple[int, int]]:
+    """Yield the first row of each part of `numpy.array_split`, and that of the next."""
+    size, longer = divmod(rows, parts)
+    return pairwise(part * size + min(part, longer) for part in range(parts + 1))
