@@ -17,21 +17,21 @@ from imuarray.spelling import guess
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
         "demo": "record the emulated array, calibrate, fuse, diagnose, write report.html",
-        "detect": "check that the configured sensors answer; write a configuration of those that do",
+        "detect": "check that the configured sensors answer, or write a configuration of the chips that answer",
         "log": "record an array into a log",
-        "monitor": "watch a log while it is written: a page, or text",
+        "monitor": "show a log live while it is being written, as a page or as text",
         "info": "show the contents of a log",
         "verify": "check every block of a log",
         "recover": "finish an interrupted log",
-        "import": "turn a foreign recording into a log",
+        "import": "convert a recording made by other software into a log",
         "export": "write a log or fused result as CSV, npz, MCAP, MATLAB or Kalibr file",
-        "simulate": "write a log as an array would record it, from a model of its sensors",
-        "characterise": "Allan deviation, spectrum, codes and noise table of a log at rest",
+        "simulate": "simulate an array, and write a log as the array would record it",
+        "characterise": "determine Allan deviation, spectrum, codes and noise of a log at rest",
         "calibrate": "determine sensor parameters from logs: axes, tumble, noise, thermal, turn-on",
         "fuse": "fuse all sensors into one specific force and one angular rate",
-        "study": "compare techniques on simulated experiments, with the average and with the lower bound",
-        "gap": "find where recordings and simulations differ, why, and how much a repair closes: diagnose",
-        "report": "write one HTML page from any mix of logs, calibrations, fused results and diagnoses",
+        "study": "compare fusion techniques with the simple average and with the lower bound, on simulated experiments",
+        "gap": "find where recordings and simulations differ, why, and how much of the difference a repair removes",
+        "report": "write one HTML page about any logs, calibrations, fused results and diagnoses",
         "paper": "recompute the paper's tables and conclusions from its published data",
         "completion": "print a script that lets a shell complete commands, options and file names",
     }
@@ -39,9 +39,10 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
 """Every command and the line that `--help` shows; the module `imuarray.commands.<name>` holds it as `command`."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""How many threads the usual libraries of linear algebra start: one is faster for the matrices here, which have a
-hundred rows and fewer (several wait for each other longer than they work), and the same bits come out on every machine.
-They read it when numpy is imported; whoever has set it knows better.
+"""Environment variables that set the number of threads of linear algebra libraries.
+
+`main` sets them to 1 unless the user has set them. One thread is faster for matrices of at most a hundred rows, and
+gives the same bits on every machine. The libraries read the variables when NumPy is imported.
 """
 
 _MODULES = {"import": "imuarray.commands.import_"}
@@ -95,7 +96,7 @@ def _versions(context: click.Context, parameter: click.Parameter, wanted: bool) 
     is_eager=True,
     expose_value=False,
     callback=_versions,
-    help="versions of what results depend on",
+    help="show the versions of imuarray and of the libraries that affect results",
 )
 @click.pass_context
 def program(context: click.Context) -> None:

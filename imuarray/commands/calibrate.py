@@ -45,13 +45,13 @@ def command(context: click.Context) -> None:
 @force_option
 @json_option
 def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
-    """Bias and response of accelerometers; bias, g-sensitivity and response of gyroscopes.
+    """Determine bias and response of accelerometers, and bias, g-sensitivity and response of gyroscopes.
 
-    With phases that name the six faces (z_up, x_down, ...) or say what was up (`imuarray log --up`), in one log or in a
-    log each, by the paper's Appendix B; without, from at least nine static poses that are found in the logs; of a box
-    that was turned slowly to all sides without resting, accelerometers from the magnitude of gravity along the path.
-    Gyroscopes get their scale factors and axes from at least six turns between poses of one log. Faces and poses that
-    were disturbed are left out and listed.
+    If phases name the six faces (z_up, x_down, ...) or the axis that was up (`imuarray log --up`), in one log or in one
+    log per face, they are evaluated as in Appendix B of the paper. Otherwise at least nine static poses are detected in
+    the logs. If the box was turned slowly to all sides without resting, accelerometers are calibrated by the magnitude
+    of gravity along the path. The scale factors and axes of gyroscopes need at least six turns between poses of one
+    log. Faces and poses that were disturbed are left out and listed.
 
     \b
     imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml
@@ -98,8 +98,8 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
 def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
     """Determine how biases change with temperature, from logs in which the box was at rest while heated or cooled.
 
-    One orientation does not separate bias from scale factor on the axis that carries gravity; logs of opposite faces
-    do. Opposing axes of one design are compared: by how much less their mean drifts than each axis.
+    On the axis that carries gravity, one orientation cannot separate bias from scale factor; logs of opposite faces
+    can. For opposing axes of one design, it prints how much less their mean drifts than each axis.
 
     \b
     imuarray calibrate thermal heat_up.h5 heat_down.h5 -o cal.toml --update
@@ -118,7 +118,9 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 @_update
 @force_option
 @json_option
-@click.option("--seed", default=1, show_default=True, help="seed of the test whether two states are due to chance")
+@click.option(
+    "--seed", default=1, show_default=True, help="seed of the test that decides whether two states are due to chance"
+)
 def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool, seed: int) -> None:
     """Determine how much biases change from one switch-on to the next.
 
@@ -151,7 +153,7 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     "--poses",
     default="",
     metavar="+Z,+X,+Y",
-    help="which box axis was up in each pose, in the order in which they were held (default: what the log's phases say,"
+    help="the box axis that was up in each pose, in the order of the poses (default: as the log's phases say,"
     " else +Z,+X,+Y)",
 )
 @force_option

@@ -34,22 +34,24 @@ RESULT = "characterise.json"
 @click.option(
     "--estimator",
     type=click.Choice(("overlapping", "decimated")),
-    help="of the Allan deviation (default: overlapping, decimated beyond 4 million rows: as sure, less memory)",
+    help="estimator of the Allan deviation (default: overlapping; beyond 4 million rows decimated, which is as"
+    " precise and needs less memory)",
 )
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="scale factors to turn counts into units (default: the data sheet's)",
+    help="scale factors for converting counts to units (default: those of the data sheet)",
 )
 @json_option
 @force_option
 def command(**options: Any) -> None:
-    """Allan deviation, spectrum, correlation, codes and noise table of the sensors in a log at rest.
+    """Determine Allan deviation, spectrum, correlation, codes and noise of the sensors in a log at rest.
 
-    Prints mean and spread of every axis, the white noise, bias instability and random walk of its Allan deviation with
-    intervals and how well they fit, what stands out (lines, missing codes, gaps, ...), and which stretch of the log it
-    is from. DIR also gets a Kalibr file (imu_NAME.yaml) for each accelerometer and gyroscope.
+    Prints for every axis the mean, the spread, and the white noise, bias instability and random walk that fit its Allan
+    deviation, with intervals and goodness of fit. Also prints anomalies (lines, missing codes, gaps, ...) and the
+    stretch of the log that was evaluated. DIR also gets a Kalibr file (imu_NAME.yaml) for each accelerometer and
+    gyroscope.
 
     \b
     imuarray characterise run.h5 --phase z_up -o noise

@@ -21,7 +21,7 @@ PAPERS_ARRAY = "martin2013"
     default="demo",
     show_default=True,
     type=click.Path(path_type=Path, file_okay=False),
-    help="folder for logs and page",
+    help="folder for the logs and the page",
 )
 @click.option(
     "--seconds",
@@ -29,15 +29,15 @@ PAPERS_ARRAY = "martin2013"
     show_default=True,
     type=Duration(minimum_s=300),
     metavar="30min",
-    help="array time to record, all runs together; at least 5min",
+    help="total duration of the recordings, in array time; at least 5min",
 )
 @click.option(
     "--array",
     default=PAPERS_ARRAY,
     show_default=True,
-    help="array that comes with the program (icm42688x8, lsm6dso_pair, mpu9250x4, ...), or a configuration",
+    help="array that comes with the package (icm42688x8, lsm6dso_pair, mpu9250x4, ...), or a configuration",
 )
-@click.option("--seed", default=1, show_default=True, help="draws the emulated noise")
+@click.option("--seed", default=1, show_default=True, help="seed of the emulated noise")
 @workers_option
 @force_option
 @json_option

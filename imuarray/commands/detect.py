@@ -27,7 +27,7 @@ _SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the chan
 @click.command("detect")
 @click.argument("config", required=False, type=click.Path(path_type=Path))
 @bus_option
-@click.option("--self-test", is_flag=True, help="run the self-test of each chip; its settings are lost")
+@click.option("--self-test", is_flag=True, help="run the self-test of each chip, which resets its settings")
 @click.option(
     "--doctor", is_flag=True, help="diagnose a bus that does not work, with advice: permissions, drivers, disk"
 )
@@ -35,7 +35,7 @@ _SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the chan
     "--logs",
     type=click.Path(path_type=Path),
     metavar="FOLDER",
-    help="folder for the logs, which --doctor checks (default: this one)",
+    help="folder for the logs, which --doctor checks (default: the current folder)",
 )
 @click.option(
     "-o",

@@ -31,18 +31,19 @@ _STEPS = 1000
     "calibration_file",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="calibrated values, in SI along the axes of the box",
+    help="write calibrated values, in SI along the axes of the box",
 )
 @click.option(
     "--units",
     type=click.Choice(UNITS),
-    help="counts; si (m/s2, rad/s) or sensor (g, dps), by the calibration or else the data sheets"
+    help="counts; si (m/s2, rad/s) or sensor (g, dps), converted by the calibration or else the data sheets"
     " (default: counts, or si with a calibration and in .mcap)",
 )
 @click.option(
     "--tool",
     type=click.Choice([tool for tools in TOOLS.values() for tool in tools]),
-    help=f"for which tool ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
+    help="the tool that will read the file"
+    f" ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
     " default: the first)",
 )
 @force_option
@@ -51,16 +52,16 @@ def command(**options: Any) -> None:
     """Write a log or a fused result as a file that other tools open.
 
     \b
-    .csv   a table for each sensor: spreadsheets, pandas; run.csv says which,
-           run.json the rest
-    .npz   numpy, an array a column
-    .parquet  a typed table for each sensor: pandas, Polars, DuckDB
-    .mcap  Foxglove; with --tool ros2 a bag of sensor_msgs
-    .mat   MATLAB (which also reads RUN.h5 itself: h5read)
-    .yaml  noise for Kalibr, OpenVINS, VINS-Fusion, from rest (log, fused result)
-    .sdf   noise for Gazebo, PX4
+    .csv   spreadsheets, pandas: a table for each sensor; run.csv lists them,
+           run.json holds the rest
+    .npz   NumPy: an array for each column
+    .parquet  pandas, Polars, DuckDB: a typed table for each sensor
+    .mcap  Foxglove; with --tool ros2 a ROS 2 bag of sensor_msgs
+    .mat   MATLAB (which can also read RUN.h5 with h5read)
+    .yaml  Kalibr, OpenVINS, VINS-Fusion: noise at rest, from a log or fused result
+    .sdf   Gazebo, PX4: noise at rest
 
-    .csv, .npz and .parquet of raw counts come back by `imuarray import`, equal.
+    `imuarray import` restores .csv, .npz and .parquet files of raw counts without loss.
 
     \b
     imuarray export run.h5 --calibration cal.toml -o run.mcap

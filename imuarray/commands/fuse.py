@@ -55,7 +55,7 @@ _WORDS = {
     "calibration_file",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="default: the data sheets",
+    help="the calibration to apply (default: data-sheet values)",
 )
 @click.option(
     "--technique", default="mean", show_default=True, metavar="NAME", help="mean, opposed, planes, ranges or optimal"
@@ -68,27 +68,27 @@ _WORDS = {
     help="the result to write (optional with --evaluate)",
 )
 @click.option("--only", default="", metavar="SENSOR,...", help="fuse only these sensors")
-@click.option("--causal", is_flag=True, help="use only what was known at each frame, as `log --fuse` does")
+@click.option("--causal", is_flag=True, help="use only readings up to each frame, as `log --fuse` does")
 @click.option(
     "--watch/--no-watch",
     default=None,
     help="detect and report failing sensors, and leave them out (default: only with optimal)",
 )
-@click.option("--evaluate", is_flag=True, help="compare every technique with the log's truth, and with the mean")
+@click.option("--evaluate", is_flag=True, help="compare every technique with the truth in the log, and with the mean")
 @force_option
 @json_option
 def command(**options: Any) -> None:
     """Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
 
     \b
-    mean     every axis weighs the same
-    opposed  anti-parallel axes of one design balance each other: common-mode drift cancels
-    planes   in-plane against out-of-plane axes by their measured noise and stability
-    ranges   low and high measuring ranges blended, the low one fading out before it clips
-    optimal  readings weighted by all known errors; slow errors are tracked, failing sensors left out
+    mean     gives every axis the same weight
+    opposed  cancels the drift that anti-parallel axes of one design share
+    planes   weights in-plane and out-of-plane axes by their measured noise and stability
+    ranges   blends low and high measuring ranges; the low one fades out before it clips
+    optimal  weights readings by a full error model, tracks slow errors, excludes failing sensors
 
-    --evaluate compares all of them on a log that contains the truth: errors, ratios to the mean with their 95 %
-    intervals, whether covariances hold, and heading and velocity after coasting.
+    --evaluate compares all techniques on a log that contains the truth: errors, ratios to the mean with their 95 %
+    intervals, consistency of the covariances, and errors of heading and velocity after coasting.
 
     \b
     imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5

@@ -66,7 +66,7 @@ command.add_command(validate)
     type=click.IntRange(40, 10_000),
     default=64,
     show_default=True,
-    help="simulations that separate chance from a gap; 40 are enough if all is normal",
+    help="number of simulated replicates, which separate a gap from chance; 40 are usually enough",
 )
 @workers_option
 @click.option(
@@ -81,10 +81,10 @@ command.add_command(validate)
 def diagnose(**options: Any) -> None:
     """Compare recorded logs with simulated replicates of them, and name the causes of the differences.
 
-    The logs are of one array and of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to
-    one part of them; causes are judged on the rest. Without --model the simulator uses the data sheets of the chips in
-    the log's configuration, with fitted noise, bias and temperature slope. --against asks what has changed since an
-    earlier log: parameters are fitted to that log, and what it shows already is no difference.
+    The logs come from one array and from any experiments: static, tumble, heating, turn-on, motion. Parameters are
+    fitted to one part of the logs, and causes are verified on the rest. Without --model the simulator uses the data
+    sheets of the chips in the log's configuration, with fitted noise, bias and temperature slope. With --against,
+    parameters are fitted to an earlier log, and only differences from that log are reported.
 
     \b
     imuarray gap diagnose static.h5 tumble.h5 -o gap

@@ -28,14 +28,15 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="outcomes, sealed truth and results; the same command again goes on where it stopped",
+    help="folder for outcomes, sealed truth and results; repeating the command continues an interrupted run",
 )
 @click.option(
     "--size",
     type=click.Choice(_SIZES),
     default="reduced",
     show_default=True,
-    help="how many cases: of random worlds from short on, before that on fixed plans; none: those of --cases alone",
+    help="number of cases: short, medium and full use random worlds; glance, reduced and bench use fixed"
+    " plans; none uses only --cases",
 )
 @click.option(
     "--cases",
@@ -43,35 +44,41 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
     multiple=True,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="cases of other makers, with figures of their own (python -m pydoc imuarray.validation.case_folder)",
+    help="cases from other generators, scored separately (python -m pydoc imuarray.validation.case_folder)",
 )
 @click.option(
     "--half",
     type=click.Choice(["development", "sealed"]),
     default="development",
     show_default=True,
-    help="seeds for trying things out, or those that are looked at once, when all is settled",
+    help="development seeds are for trying changes; sealed seeds are used once, for final figures",
 )
-@click.option("--seed", type=click.IntRange(0, 99), default=0, show_default=True, help="another set of the same half")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 99),
+    default=0,
+    show_default=True,
+    help="number of the set of cases within the half",
+)
 @click.option(
     "--executor",
     "where",
     default="processes",
     show_default=True,
     metavar="processes|tcp://HOST:PORT",
-    help="workers: processes of this machine, or the Dask cluster of that scheduler",
+    help="where to run: processes on this machine, or the Dask cluster of a scheduler",
 )
 @workers_option
-@click.option("--again", is_flag=True, help="try cases that failed once more")
+@click.option("--again", is_flag=True, help="retry the cases that failed")
 @click.option("--score-only", is_flag=True, help="score the existing outcomes; run nothing")
 @json_option
 def validate(**options: Any) -> None:
-    """Diagnose cases in which something is wrong that the diagnosis is not told, and score what it says.
+    """Diagnose cases whose cause is withheld, and score the answers.
 
-    The logs come from emulated arrays with physical mechanisms at work in them, which share no code with the
-    simulator that the diagnosis believes in; each case is another array, plan and room. FOLDERs hold cases of other
-    makers, of other generators or of real recordings. Each case's truth goes into DIR/sealed, which is opened when all
-    cases are done. Exit code 1 if a figure misses its bar by more than chance.
+    The logs come from emulated arrays in which physical mechanisms act; the emulator shares no code with the simulator
+    that the diagnosis uses. Each case has a different array, plan and environment. FOLDERs hold cases from other
+    generators or from real recordings. The truth of each case is written to DIR/sealed, which is opened only after all
+    cases are done. Exits 1 if a figure misses its target by more than chance.
 
     \b
     imuarray gap validate --size glance -o checked

@@ -28,20 +28,25 @@ _WIDTH = 110
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="which column is what, of a text, .npz, .mat, .parquet or a ROS bag; a file, or a map of the package",
+    help="map that says what each column means, for text, .npz, .mat, .parquet or a ROS bag: a file, or a map"
+    " that comes with the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
-@click.option("--guess", is_flag=True, help="propose a map to be edited, with what is uncertain; -o MAP.toml writes it")
-@click.option("--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up throughout")
+@click.option(
+    "--guess", is_flag=True, help="propose a map for editing and list what is uncertain; -o MAP.toml writes it"
+)
+@click.option(
+    "--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up during the whole recording"
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write")
 @force_option
 @json_option
 def command(**options: Any) -> None:
-    """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
+    """Convert a recording made by other software into a log: a known format, or any table of numbers with a map.
 
-    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was. After every
-    import a short report says what the recording is like (~) and what of it is doubtful (?): units, range, rate,
-    clipping, stalls, times in bursts. `--guess` looks at a recording and proposes a map.
+    Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are restored without loss.
+    After every import a short report describes the recording (~) and lists what is doubtful (?): units, range, rate,
+    clipping, stalls, times in bursts. `--guess` examines a recording and proposes a map.
 
     \b
     imuarray import data.csv --guess -o map.toml

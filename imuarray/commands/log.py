@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     "--up",
     type=click.Choice(UP_AXES),
     default=None,
-    help="the box axis that points up (default: by the name of the phase, as z_up)",
+    help="the box axis that points up (default: from the name of the phase, such as z_up)",
 )
 @click.option(
     "--transcript",
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     help="from `calibrate turn-on`: detect from the first seconds at rest which sensor started in a wrong state, flag"
     " its readings and configure it again; with --fuse: the calibration for the fusion",
 )
-@click.option("--fuse", is_flag=True, help="also fuse the readings while recording, a second or two behind")
+@click.option("--fuse", is_flag=True, help="also fuse the readings while recording, with a delay of one or two seconds")
 @click.option(
     "--technique", metavar="NAME", help="for --fuse: mean, opposed, planes, ranges or optimal  [default: mean]"
 )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @click.command("monitor")
 @click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
-@click.option("--text", "as_text", is_flag=True, help="show it in this terminal instead of serving a page")
+@click.option("--text", "as_text", is_flag=True, help="show the log in this terminal instead of serving a page")
 @click.option(
     "--json", "as_json", is_flag=True, help="print one JSON object per line and update, instead of serving a page"
 )

@@ -40,7 +40,7 @@ workers_option = click.option(
     type=click.IntRange(1, 256),
     default=lambda: os.cpu_count() or 1,
     show_default="the machine's processors",
-    help="processes; the result is the same",
+    help="number of processes; it does not change the result",
 )
 
 

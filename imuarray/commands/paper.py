@@ -29,16 +29,20 @@ output_option = click.option(
 
 @click.command("paper")
 @output_option
-@click.option("--replica", is_flag=True, help="simulate its experiments and compare every statistic, with z scores")
-@click.option("--gap", is_flag=True, help="list what in its tables the data sheets do not predict, with likely causes")
-@click.option("--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica")
+@click.option(
+    "--replica", is_flag=True, help="simulate the experiments of the paper and compare every statistic, with z scores"
+)
+@click.option(
+    "--gap", is_flag=True, help="list what the data sheets do not predict in its tables, with probable causes"
+)
+@click.option("--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="seed of the replica")
 @json_option
 @force_option
 def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: bool, force: bool) -> None:
     """Recompute the paper's tables and conclusions from its published data.
 
-    Everything follows from the tables of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), which come with this
-    program: what agrees to the printed digits, what does not, and which conclusions hold.
+    Uses the tables of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), which come with the package. Prints which
+    figures agree to the printed digits, which do not, and which conclusions hold.
 
     \b
     imuarray paper --replica -o replica

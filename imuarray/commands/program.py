@@ -14,7 +14,7 @@ from imuarray.printable import printable
 
 EXIT_CODES = (
     "0 success; 1 a check failed (detect --doctor, a self-test that could not be determined, gap validate,"
-    " a log that ended when no sensor answered any more); 2 bad input, or a chip other than expected: one line names"
+    " a recording at whose end no sensor answered); 2 bad input, or a chip other than expected: one line names"
     " the place and what is allowed; 3 the disk is full, and the log that was being written is complete up to that"
     " moment; 130 interrupted"
 )

@@ -16,14 +16,14 @@ from imuarray.commands.options import json_option, log_argument, print_json, pro
     "--output",
     type=click.Path(path_type=Path),
     metavar="FILE.h5",
-    help="write the finished log here and leave RUN.h5 unchanged (if its disk is full)",
+    help="write the finished log here and leave RUN.h5 unchanged (useful if its disk is full)",
 )
-@click.option("--force", is_flag=True, help="overwrite the output; finish a log without its journal")
+@click.option("--force", is_flag=True, help="overwrite the output if it exists; finish a log even without its journal")
 @json_option
 def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
-    """Finish an interrupted log in place: every acknowledged row, compressed and checked.
+    """Finish an interrupted log in place; every acknowledged row is kept, compressed and checked.
 
-    Every command reads such a log without this; recovering makes one small file of it and its journal.
+    Other commands can read an interrupted log directly. Recovering turns the log and its journal into one small file.
 
     \b
     imuarray recover run.h5

@@ -20,10 +20,10 @@ _STEPS = 1000
 @force_option
 @json_option
 def command(files: tuple[Path, ...], output: Path, title: str, workers: int, force: bool, as_json: bool) -> None:
-    """Write one HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
+    """Write one HTML page about any logs, calibrations, fused results, gap diagnoses and validation runs.
 
-    A folder stands for the files in it. The page is self-contained and can be printed. Noise and residuals
-    are in the units of the calibrations among the files.
+    A folder means all the files in it. The page is self-contained and can be printed. If there is a calibration among
+    the files, noise and residuals are in its units.
 
     \b
     imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html

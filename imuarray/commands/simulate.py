@@ -33,7 +33,7 @@ EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 
 
 def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print what a model may hold, and leave."""
+    """Print the effects that a model may contain, and exit."""
     if not asked or context.resilient_parsing:
         return
     import sys
@@ -46,7 +46,8 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
         about = cleandoc(sys.modules[kind.__module__].__doc__ or "").splitlines()[0].partition(": ")[2]
         click.echo(f"{name:17} {about}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
     click.echo(
-        "UNIT is the sensor's: g, dps or gauss. Each effect's class gives its equation, source and look in data."
+        "UNIT is the unit of the sensor: g, dps or gauss. The class of each effect documents its equation,"
+        " source and appearance in data."
     )
     context.exit()
 
@@ -65,7 +66,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     required=True,
     type=click.Path(path_type=Path),
     metavar="SIM.h5",
-    help="the log to write; runs of a turn-on series get a number",
+    help="the log to write; a turn-on series adds the number of each run",
 )
 @click.option("--experiment", type=click.Choice(EXPERIMENTS), default="static", show_default=True)
 @click.option(
@@ -74,16 +75,20 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     metavar="hand|vehicle|T.csv",
     default="hand",
     show_default=True,
-    help="what moves the box in --experiment motion; a file of a trajectory or of force and rate",
+    help="motion of the box in --experiment motion; T.csv holds a trajectory, or force and rate",
 )
 @click.option(
     "--seconds",
     type=Duration(),
     metavar="60s",
-    help="length of the log: 90, 90s, 10min, 8h (default: the experiment's own)",
+    help="length of the log: 90, 90s, 10min, 8h (default: depends on the experiment)",
 )
 @click.option(
-    "--runs", type=click.IntRange(1, 999), default=15, show_default=True, help="boots of a turn-on series, a log each"
+    "--runs",
+    type=click.IntRange(1, 999),
+    default=15,
+    show_default=True,
+    help="number of boots in a turn-on series, one log each",
 )
 @rate_option
 @click.option(
@@ -99,7 +104,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     type=click.FloatRange(-40, 85),
     default=25.0,
     show_default=True,
-    help="degC, where the experiment has no profile of its own",
+    help="temperature in degC, if the experiment has no temperature profile",
 )
 @click.option(
     "--model",
@@ -113,16 +118,30 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="parameters of units from this calibration, the rest from the model",
+    help="take the parameters of the units from this calibration and the rest from the model",
 )
-@click.option("--population", is_flag=True, help="draw every unit from its design, known ones too")
-@click.option("--without", metavar="EFFECT,...", default="", help="leave these effects out; no other draw changes")
+@click.option(
+    "--population", is_flag=True, help="draw all units at random from their designs, even units that the model knows"
+)
+@click.option(
+    "--without", metavar="EFFECT,...", default="", help="leave these effects out; other random draws do not change"
+)
 @click.option("--only", metavar="SENSOR,...", help="simulate only these sensors")
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
-@click.option("--boot", type=click.IntRange(0), default=0, show_default=True, help="another run of the same units")
-@click.option("--single", is_flag=True, help="single precision: faster, 24 bits")
 @click.option(
-    "--workers", type=click.IntRange(1, 64), default=1, show_default=True, help="threads; the result is the same"
+    "--boot",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="number of the boot: another run of the same units",
+)
+@click.option("--single", is_flag=True, help="compute in single precision (24 bits), which is faster")
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="number of threads; it does not change the result",
 )
 @click.option(
     "--effects",
@@ -135,10 +154,10 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
 @force_option
 @json_option
 def command(**options: Any) -> None:
-    """Write a log as the array of CONFIG would record it, or like the recorded RUN.h5, from a model of its sensors.
+    """Simulate the array of CONFIG, or the recording RUN.h5, with a model of the sensors, and write a log.
 
-    Effects between truth and counts are those of the model, unit by unit; /truth holds what the box felt. The same seed
-    gives the same log.
+    The model defines the effects between truth and counts for every unit. /truth in the log holds the true motion. The
+    same seed gives the same log.
 
     \b
     imuarray simulate martin2013 --experiment tumble -o simulated.h5
@@ -222,7 +241,7 @@ _FOR = {
     "up": ("--up", ("static", "heating")),
     "temperature_degc": ("--temperature", ("static", "tumble", "turn-on", "motion")),
 }
-"""Options that only some experiments listen to."""
+"""Options that apply to some experiments only."""
 
 
 def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> None:
@@ -256,8 +275,9 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
     for sensor in array.sensors:
         if sensor.on_iio and not sensor.sensitivity:
             raise ConfigError(
-                f"{options.config}: sensor {sensor.name}: what its counts mean is known to the kernel; record it, and"
-                " use --like RUN.h5, or give a chip with a data sheet and a range of it"
+                f"{options.config}: sensor {sensor.name}: only the kernel knows the scale of its counts; record"
+                " it and use"
+                " --like RUN.h5, or configure a chip with a data sheet, and its range"
             )
     wanted = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
     if options.experiment == "turn-on":

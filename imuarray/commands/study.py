@@ -36,24 +36,29 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
     metavar="DIR",
     help="write study.json and, with matplotlib, figures and the page study.html into DIR",
 )
-@click.option("--seeds", type=click.IntRange(1, 1000), help="simulated arrays of each experiment (default: 6)")
+@click.option(
+    "--seeds", type=click.IntRange(1, 1000), help="number of simulated arrays for each experiment (default: 6)"
+)
 @click.option(
     "--experiments",
     metavar="NAME,...",
     default=",".join(EXPERIMENTS),
     show_default=True,
-    help="which ones; motion is a drive, shaking by hand",
+    help="the experiments to run; motion is a drive, shaking is done by hand",
 )
-@click.option("--quick", is_flag=True, help="two seeds of short logs: to see what it does, not to learn from")
+@click.option(
+    "--quick", is_flag=True, help="two seeds of short logs: enough to see what it does, but not for conclusions"
+)
 @workers_option
 @force_option
 @json_option
 def command(**options: Any) -> None:
     """Determine what each fusion technique gains on simulated experiments of the paper's array.
 
-    Errors over those of the simple average of the same sensors, with calibrations made from simulated logs; and, with
-    the true parameters and a model that is right, over the Cramer-Rao bound: the least that any estimator can err.
-    Heading and velocity after coasting for a minute. Two minutes on two cores.
+    Compares errors with those of the simple average of the same sensors, using calibrations made from simulated logs.
+    Also compares them with the Cramer-Rao bound, the smallest error of any unbiased estimator, using the true
+    parameters and the correct model. Evaluates heading and velocity after coasting for a minute. Takes two minutes on
+    two cores.
 
     \b
     imuarray study --experiments static,heating -o study

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 @log_argument
 @json_option
 def command(run: Path, as_json: bool) -> None:
-    """Read all of a log and check every block of it: exit code 0 if all is well, 2 if rows are damaged.
+    """Read a whole log and check every block: exit code 0 if it is intact, 2 if rows are damaged.
 
-    Nothing is changed. A log that is being written, or whose writing was cut short, can be checked too.
+    The log is not changed. A log that is being written, or that was interrupted, can be checked, too.
 
     \b
     imuarray verify run.h5
