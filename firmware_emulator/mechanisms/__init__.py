@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from firmware_emulator.mechanisms.adaptive_range import AdaptiveRange
 from firmware_emulator.mechanisms.bias_current_dac import BiasCurrentDac
 from firmware_emulator.mechanisms.board_to_die import BoardToDie
 from firmware_emulator.mechanisms.brown_out import BrownOut
@@ -104,6 +105,7 @@ MECHANISMS: Mapping[str, type[Mechanism]] = MappingProxyType(
         "lever_arm": LeverArm,
         "crossed_wiring": CrossedWiring,
         "mux_hang": MuxHang,
+        "adaptive_range": AdaptiveRange,
         # What follows resembles no effect that has a name.
         "log_creep": LogCreep,
         "one_sided_noise": OneSidedNoise,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from firmware_emulator.board import MUXES, Board, named
 from firmware_emulator.chip import Chip, Target
+from firmware_emulator.chips import HALVES
 from firmware_emulator.clock import Clock
 from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit, stream
 from firmware_emulator.mechanisms.element import MountedElement
@@ -219,7 +220,7 @@ class FittedBoard(Board):
         orientation = IDENTITY if there.orientation is None else there.orientation
         site = self._sites.get(sensor.name)
         key = f"{there.name}, run {self.run}" if self.run else there.name
-        if site is None or there.chip not in INERTIAL:
+        if site is None or there.chip not in (*INERTIAL, *HALVES):
             return SensingElement(self.world, there.chip, key, orientation, self.unit(there), self.seed)
         unit, start_ns = self.unit(there), self.powered_on_ns
         mounted = MountedElement(self.world, there.chip, key, orientation, unit, self.seed)

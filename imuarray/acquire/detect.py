@@ -16,7 +16,7 @@ from imuarray.array import ArrayConfig
 from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.chips import CHIPS, die_of
-from imuarray.drivers import SelfTest
+from imuarray.drivers import RemarkingDriver, SelfTest
 from imuarray.drivers.iio import rates_of
 from imuarray.errors import SensorError
 from imuarray.facts import pca9544a
@@ -63,6 +63,8 @@ class Detection:
     """The self-test could not say whether the chip is good."""
     owner: str = ""
     """Which driver of the kernel has the address, if one has; it was not asked then."""
+    remark: str = ""
+    """What is worth knowing of how the chip is set now."""
     rates_hz: Mapping[str, float] = field(default_factory=dict)
     """Of a device that the kernel serves: the data rate of each triad, by quantity."""
 
@@ -134,6 +136,7 @@ def _ask(route: SensorRoute, self_test: bool) -> Detection:
         return Detection(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     try:
         route.driver.identify()
+        remark = route.driver.remark() if isinstance(route.driver, RemarkingDriver) else ""
         result = route.driver.self_test() if self_test else SelfTest(True, "")
     except SensorError as error:
         return Detection(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
@@ -142,7 +145,9 @@ def _ask(route: SensorRoute, self_test: bool) -> Detection:
     verdict = f"self-test {_VERDICTS[result.passed]}: {result.text}" if self_test else ""
     unknown = result.passed is None
     well = result.passed is not False
-    return Detection(sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown)
+    return Detection(
+        sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown, remark=remark
+    )
 
 
 def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:

@@ -40,6 +40,12 @@ def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
         return
     name = sensor["name"]
     yield from (f"{name} {text}".replace(" : ", ": ") for text in _times(sensor["timing"], sensor["rate_hz"]))
+    stalls = sensor.get("stalls")
+    if stalls and stalls["adaptive_range"]:
+        yield (
+            f"{name} stands still at {stalls['stalled']} of {stalls['passages']} passages of 100 dps in the log: its"
+            " adaptive range is on, which imuarray log switches off (bits 7:6 of register 0x4D are 01)"
+        )
     axes: dict[str, list[str]] = {}
     for text, axis in (*_rails(sensor), *_of_axes(sensor)):
         axes.setdefault(text, []).append(axis)

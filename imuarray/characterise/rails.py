@@ -1,7 +1,7 @@
 """Clipping of readings: the codes beyond which a sensor gives none, by its range and by what it gave.
 
-A rail is an end of the 16 bits; the code of range times sensitivity, where readings reach it and none goes beyond; or a
-pile of readings at the largest code, for a range, a filter or a driver may end elsewhere. A density falls towards its
+A rail is an end of the codes' bits; the code of range times sensitivity, where readings reach it and none is beyond; or
+a pile of readings at the largest code, for a range, a filter or a driver may end elsewhere. A density falls towards its
 ends, so that the last code comes no more often than any of those before it; a pile that this law excludes is a rail
 if it stands near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles
 up its readings, too: then nothing else moves.)
@@ -22,7 +22,7 @@ from imuarray.log import SensorLog
 Counts = npt.NDArray[np.int64]
 
 SPAN = (-32768, 32767)
-"""Ends of the codes that a log's triads have."""
+"""Ends of codes of 16 bits."""
 
 LEAST_PILE = 5
 """Fewer readings are no pile: a pair of equal peaks is no chance of one in a million."""
@@ -72,11 +72,12 @@ def find_rails(sensor: SensorLog) -> Rails:
     if not len(sensor):
         return Rails(low, high, np.zeros(3, np.int64))
     nominal = round(sensor.range * sensor.sensitivity)
+    span = -(1 << sensor.count_bits - 1), (1 << sensor.count_bits - 1) - 1
     doubtful: list[tuple[int, int]] = []
     for axis, codes in enumerate(seen):
         for side in (-1, 1):
             code = int(codes.codes[-1 if side > 0 else 0])
-            verdict = _at_end(codes, side, nominal)
+            verdict = code == span[side > 0] or _at_end(codes, side, nominal)
             if verdict:
                 (high if side > 0 else low)[axis] = code
             elif verdict is None:
@@ -96,8 +97,6 @@ def find_rails(sensor: SensorLog) -> Rails:
 def _at_end(seen: Histogram, side: int, nominal: int) -> bool | None:
     """Return whether the last code on a side is a rail; None if that depends on whether the box moved."""
     code = int(seen.codes[-1 if side > 0 else 0])
-    if code == SPAN[side > 0]:
-        return True
     away = side * code
     if 0 < nominal - NOMINAL <= away <= nominal:
         return True

@@ -21,6 +21,7 @@ from imuarray.characterise.coefficients import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.rails import find_rails
+from imuarray.characterise.stalls import find_stalls
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, survey
 from imuarray.errors import LogError
@@ -115,6 +116,7 @@ def _sensor(
     count = statistics.rows or math.nan
     per_count = _per_count(sensor, scale)
     rails = find_rails(sensor) if sensor.is_triad else None
+    stalls = find_stalls(sensor)
     return {
         **_identity(sensor, per_count),
         "rows": statistics.rows,
@@ -131,6 +133,7 @@ def _sensor(
         and timing_of(surveyed, 1 / run["interval_s"]) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
+        "stalls": stalls and asdict(stalls) | {"adaptive_range": stalls.is_adaptive},
         "axes": _axes(sensor, per_count, surveyed, statistics, progress),
     }
 

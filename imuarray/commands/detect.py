@@ -206,7 +206,11 @@ def _print_head(name: str, url: str, source: str) -> None:
 
 
 def _print_row(mark: str, wanted: str, detection: Detection) -> None:
-    parts = [text for text in (detection.found, detection.self_test) if text not in ("", detection.expected)]
+    parts = [
+        text
+        for text in (detection.found, detection.self_test, detection.remark)
+        if text not in ("", detection.expected)
+    ]
     click.echo(f"  {mark} {detection.place:24} {wanted:28} {'; '.join(parts)}".rstrip())
 
 

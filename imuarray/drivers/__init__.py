@@ -12,7 +12,7 @@ from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
 from imuarray.drivers.bmp280 import Bmp280
 from imuarray.drivers.bmp388 import Bmp388
-from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, SelfTest
+from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, RemarkingDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import (
     Icm42688Accelerometer,
@@ -56,6 +56,7 @@ __all__ = [
     "Driver",
     "FifoDriver",
     "OnDemandDriver",
+    "RemarkingDriver",
     "SelfTest",
     "driver_of",
 ]

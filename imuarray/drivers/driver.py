@@ -212,6 +212,16 @@ class FifoDriver(Protocol):
 
 
 @runtime_checkable
+class RemarkingDriver(Protocol):
+    """A driver that knows a setting of its chip with which readings are wrong."""
+
+    def remark(self) -> str:
+        """Read how the chip is set now, before it is configured, and say what is worth knowing; empty if nothing is.
+        OSError as the bus gives it.
+        """
+
+
+@runtime_checkable
 class OnDemandDriver(Protocol):
     """A driver whose chip converts when it is asked to: `fetch` looks for the result and starts what is next.
 

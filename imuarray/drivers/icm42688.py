@@ -199,6 +199,14 @@ class Icm42688Gyroscope(_Half):
     limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
     allowed: ClassVar[str] = "0.5 and more allowed"
 
+    def remark(self) -> str:
+        """Say that the adaptive range is on, with which readings stand still near 100 dps (TDK-18)."""
+        if facts.BANK.of(self.registers.peek(facts.REG_BANK_SEL)[0]):
+            return ""
+        if facts.ADAPTIVE_RANGE.of(self.registers.peek(facts.INTF_CONFIG1)[0]) == _ADAPTIVE_RANGE_OFF:
+            return ""
+        return "its adaptive range is on, as after power-on, and stalls it near 100 dps; imuarray log switches it off"
+
 
 class _QueuedHalf(QueuedHalf, _Half):
     """One half read by the queue: a row is a packet with a temperature of 8 bits, 2.07 counts a degC (TDK-82)."""

@@ -31,6 +31,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "tone": "a sine in the signal",
         "white_noise": "every reading is off by an independent normal number",
         "bandwidth": "readings that remember the one before",
+        "adaptive_range": "the reading stands still for a moment when the rate passes a threshold",
         "odr_error": "the chip runs at another data rate, or through another filter, than it was told to",
         "range_reset": "the chip measures in another range than it was set to",
         "quantisation": "codes come in coarser steps than one",

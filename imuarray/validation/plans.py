@@ -182,7 +182,11 @@ def shuffle(planned: Sequence[Case], seed: int) -> list[Case]:
 
 
 def _all(size: Size) -> Iterator[_DrawnCase]:
-    facts = {name: fact for name, fact in mechanisms().items() if (not size.mechanisms or name in size.mechanisms)}
+    facts = {
+        name: fact
+        for name, fact in mechanisms().items()
+        if (not size.mechanisms or name in size.mechanisms) and not set(CHIPS.values()).isdisjoint(fact["touches"])
+    }
     named = [name for name, fact in facts.items() if fact["resembles"]]
     for plan in (RANDOM,) if size.worlds else size.plans:
         yield from [_DrawnCase("none", plan)] * size.controls

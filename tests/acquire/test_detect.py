@@ -13,6 +13,7 @@ from firmware_emulator.array import open_array
 from firmware_emulator.device_file import device_files
 from firmware_emulator.wire import Wire
 from imuarray.acquire import Detection, detect, explore
+from imuarray.acquire.sensor_routes import connect
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus
@@ -201,3 +202,18 @@ def test_an_undetermined_self_test_is_neither_good_nor_bad(
     assert "  ?   channel 1 address 0x40   B (bma180)" in said
     assert "self-test undetermined" in said
     assert said.splitlines()[-1] == "2 as configured, 0 not, 1 undetermined"
+
+
+def test_an_adaptive_range_that_is_on_is_said_and_not_wrong() -> None:
+    """TDK-18: on after power-on, off once the driver has set the chip up."""
+    array = load_array(SHIPPED.with_name("icm42688x8.toml")).only(("IMU1_acc", "IMU1_gyro"))
+    bus = open_array(array)
+    acc, gyro = detect(array, bus)
+    assert (acc.ok, gyro.ok) == (True, True)
+    assert acc.remark == ""
+    assert gyro.remark.startswith("its adaptive range is on, as after power-on")
+    connect(array, bus)
+    assert [line.remark for line in detect(array, bus)] == ["", ""]
+    spi = bus.spi_port("/dev/spidev0.0", 3, 24_000_000)
+    spi.exchange(bytes([0x76, 0x01]))  # what 0x4D says now belongs to bank 1
+    assert [line.remark for line in detect(array, bus)] == ["", ""]

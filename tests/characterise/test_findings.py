@@ -15,7 +15,7 @@ from imuarray.characterise.findings import findings
 from imuarray.characterise.imu_noise import imu_files
 from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
-from imuarray.simulate.motion import Still
+from imuarray.simulate.motion import HandShake, Still
 
 ARRAY = parse_array(
     '[array]\nname = "a"\n[[sensor]]\nname = "G"\nchip = "l3g4200d"\naddress = 0x68\nrange = 250\nrate_hz = 800\n'
@@ -102,3 +102,30 @@ def test_kalibrs_file_has_the_planted_figures_in_si(characterised: Characterise)
     assert values["gyroscope_random_walk"] == pytest.approx(0.002 * 3.14159265 / 180, rel=0.5)
     assert values["update_rate"] == pytest.approx(350, rel=1e-3)
     assert set(values) == {"gyroscope_noise_density", "gyroscope_random_walk", "update_rate"}
+
+
+SIX_AXIS = parse_array(
+    '[array]\nname = "a"\n[[sensor]]\nname = "G"\nchip = "icm42688"\naddress = 0x68\nrange = 500\nrate_hz = 1000\n'
+)
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 0.0015])
+def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
+    """A gyroscope that is turned by hand, up to 286 dps, in a log of every sample."""
+    effects = [
+        EFFECTS["white_noise"](rms=0.03),
+        EFFECTS["adaptive_range"](threshold=100.0, hold_s=hold_s),
+    ]
+    path = tmp_path / "run.h5"
+    plan = plan_of(SIX_AXIS, 1000.0, 10.0)
+    write_log(Simulation(plan, HandShake(still_s=2.0, motion_s=6.0, peak_dps=300.0), {"G": effects}, seed=2), path)
+    with open_log(path) as log:
+        result = characterise_log(log)
+    stalls = result["sensors"][0]["stalls"]
+    assert stalls["passages"] >= 10
+    told = [sentence for sentence in findings(result) if "adaptive range" in sentence]
+    assert bool(told) == bool(hold_s)
+    if hold_s:
+        assert re.search(
+            r"G stands still at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
+        )

@@ -58,6 +58,7 @@ HARMFUL: Mapping[str, Mapping[str, Any]] = {
     "quantisation": {"step_lsb": 4},
     "saturation": {"limit": 0.5},
     "thermometer": {"offset_degc": 2.0, "rms_degc": 0.3},
+    "adaptive_range": {"threshold": 2.0, "hold_s": 0.03},
     "stale_samples": {"probability": 0.3},
     "glitches": {"probability": 0.2, "kind": "torn"},
     "stuck": {"onset_s": 0.5, "duration_s": 400.0},
@@ -94,6 +95,7 @@ CHANGED: Mapping[str, set[str]] = {
     "quantisation": {"Analog.step", "Analog.highest"},  # -8192 is a multiple of four, 8191 isn't
     "saturation": {"Analog.value", "Analog.noise"},
     "thermometer": {"Analog.thermometer_degc"},
+    "adaptive_range": {"Codes.counts"},
     "stale_samples": {"Codes.counts", "Codes.temperature_counts", "Codes.fresh"},
     "glitches": {"Codes.counts"},
     "stuck": {"Codes.counts", "Codes.temperature_counts", "Codes.fresh"},

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.adaptive_range import AdaptiveRange
 from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import Bias
@@ -76,6 +77,7 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
         "quantisation": Quantisation,
         "saturation": Saturation,
         "thermometer": Thermometer,
+        "adaptive_range": AdaptiveRange,
         # what the bus delivers
         "stale_samples": StaleSamples,
         "glitches": Glitches,

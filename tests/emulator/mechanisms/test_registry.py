@@ -25,7 +25,7 @@ EFFECTS = {
     *("misalignment", "axis_error", "nonlinearity", "g_sensitivity", "thermal_bias", "thermal_scale", "thermal_lag"),
     *("quantisation", "saturation", "stale_samples", "glitches", "stuck", "turn_on_bias", "bistable_bias"),
     *("range_reset", "clock_error", "jitter", "dropped_samples", "skew", "odr_error", "common_mode", "size_effect"),
-    *("channel_swap", "thermometer"),
+    *("channel_swap", "thermometer", "adaptive_range"),
 }
 """The names of effects, as the documentation lists them."""
 EITHER_OR = ("rotated_package", "crossed_wiring", "range_switch")
@@ -52,7 +52,7 @@ def test_a_mechanism_is_a_frozen_record_with_its_physics_told(name):
     assert len(kind.__doc__ or "") > 80
     assert kind.__module__ == f"firmware_emulator.mechanisms.{name}"
     assert set(kind.resembles) <= EFFECTS
-    assert set(kind.touches) <= {"adxl345", "bma180", "l3g4200d"}
+    assert set(kind.touches) <= {"adxl345", "bma180", "l3g4200d", "icm42688_gyro"}
     for field in fields(mechanism):
         with pytest.raises(FrozenInstanceError):
             setattr(mechanism, field.name, 0)

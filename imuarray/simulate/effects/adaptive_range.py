@@ -1,0 +1,99 @@
+"""`adaptive_range`: the reading stands still for a moment when the rate passes a threshold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.arrays import Booleans, Floats
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Codes, Counts, Place
+
+LONGEST = 256
+"""Rows that one reading lasts at most, while the threshold is passed again and again."""
+_DENSE = 1.5
+
+
+@dataclass(frozen=True)
+class AdaptiveRange(Effect):
+    """From the reading at which an axis is on the other side of `threshold` than before, in size, all three axes keep
+    the reading before for `hold_s` seconds; the chip says that they are new.
+
+    The gyroscope of an ICM-42688-P changes its full-scale range by itself unless bits 7:6 of INTF_CONFIG1 are 01, and
+    gives nothing new for 1 to 2 ms at each change, near 100 dps (TDK-18). In data: two or three identical triads at 1
+    kHz, then a jump to where the rate has gone; nothing at rest. Rows that come more seldom than readings show the
+    reading of the passage, by linear interpolation, if they fall within the hold; temperature goes on.
+    """
+
+    name: ClassVar[str] = "adaptive_range"
+    threshold: float = scalar(math.inf, suffix="_{u}")
+    hold_s: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a negative parameter, or a hold of more than a second."""
+        super().__post_init__()
+        require("threshold", self.threshold, 0.0)
+        require("hold_s", self.hold_s, 0.0, 1.0)
+
+    def lookback(self, at: Place) -> int:
+        """The longest run of held rows, what may begin it, and the row before it."""
+        if not self._acts:
+            return 0
+        return LONGEST + math.ceil(self.hold_s * at.rows_per_s) + 2
+
+    @property
+    def _acts(self) -> bool:
+        return math.isfinite(self.threshold) and self.hold_s > 0
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        """Puts the reading before a passage in the place of those that it outlasts."""
+        if not self._acts or len(codes.counts) < 2:
+            return codes
+        inside = np.abs(codes.counts) < self.threshold * at.sensor.sensitivity
+        passed = np.flatnonzero((inside[1:] != inside[:-1]).any(axis=1)) + 1
+        if not len(passed):
+            return codes
+        period_ns = 1e9 / at.sensor.rate_hz if at.sensor.rate_hz else 0.0
+        noticed_ns = self._noticed_ns(codes, passed, period_ns, at.sensor.sensitivity)
+        is_held = _held(codes, passed, noticed_ns, self.hold_s * 1e9)
+        starts = np.flatnonzero(is_held & ~np.concatenate([[False], is_held[:-1]]))
+        if not len(starts):
+            return codes
+        shown = _shown_at(codes, starts, noticed_ns[np.searchsorted(passed, starts)] - period_ns, period_ns)
+        rows = np.arange(len(is_held))
+        run = np.searchsorted(starts, rows, side="right") - 1
+        is_held &= rows - starts[run] < LONGEST
+        return replace(codes, counts=np.where(is_held[:, None], shown[run], codes.counts))
+
+    def _noticed_ns(self, codes: Codes, passed: np.ndarray, period_ns: float, sensitivity: float) -> Floats:
+        """When the chip notices each passage, of which it first has a reading in a row of `passed`: at its first
+        reading after it.
+        """
+        before, after = (np.abs(codes.counts[rows]).astype(float) for rows in (passed - 1, passed))
+        limit = self.threshold * sensitivity
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where((before < limit) != (after < limit), (limit - before) / (after - before), np.inf)
+        begin_ns, end_ns = (codes.instant_ns[rows].astype(float) for rows in (passed - 1, passed))
+        at_ns = begin_ns + np.clip(share.min(axis=1), 0, 1) * (end_ns - begin_ns)
+        return np.asarray(np.minimum(end_ns, at_ns + period_ns))
+
+
+def _held(codes: Codes, passed: np.ndarray, noticed_ns: Floats, hold_ns: float) -> Booleans:
+    """(n,) whether a row falls within the hold of the latest passage before it."""
+    latest = np.searchsorted(passed, np.arange(len(codes.counts)), side="right") - 1
+    since_ns = codes.instant_ns - noticed_ns[latest]
+    return np.asarray((latest >= 0) & (since_ns < hold_ns))
+
+
+def _shown_at(codes: Codes, starts: np.ndarray, at_ns: Floats, period_ns: float) -> Counts:
+    """The readings (m, 3) that are kept from rows `starts` on: those of the rows before where rows hold every reading,
+    between the two rows, as of `at_ns`, where they do not.
+    """
+    begin_ns, end_ns = (codes.instant_ns[rows].astype(float) for rows in (starts - 1, starts))
+    share = np.clip((at_ns - begin_ns) / np.maximum(end_ns - begin_ns, 1), 0, 1)
+    share[end_ns - begin_ns < _DENSE * period_ns] = 0
+    before, after = codes.counts[starts - 1], codes.counts[starts]
+    return np.asarray(np.rint(before + share[:, None] * (after - before)), codes.counts.dtype)
