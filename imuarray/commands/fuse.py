@@ -223,7 +223,7 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
     report = {
         "fused": str(output),
         "frames": frames,
-        "faults": [event.as_json() for event in events],
+        "faults": [event.as_json() for event in sorted(events, key=lambda event: event.time_ns)],
         "learned": notes[0].as_json(),
         "error": results[technique] if known else {},
         "results": results,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -259,7 +259,12 @@ def _smoothed(
         yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
         passes.append(stream.pipeline)
 
-    yield from smoothed(blocks, axes, model, period_s, notes)
+    def with_remarks(learnt: FusionNotes) -> None:
+        first = passes[0]
+        remarks = first.remarks() if isinstance(first, MonitoredPipeline) else []
+        notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
+
+    yield from smoothed(blocks, axes, model, period_s, with_remarks)
 
 
 def _period_s(array: _Array[SensorLog]) -> float:

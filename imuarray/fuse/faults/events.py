@@ -12,6 +12,19 @@ from imuarray.units import READABLE_SI
 UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate": "dps"})
 """In which measuring ranges are given."""
 
+_PLURAL: Mapping[str, str] = MappingProxyType(
+    {
+        "agrees": "agree",
+        "gives": "give",
+        "gave": "gave",
+        "is": "are",
+        "has": "have",
+        "reads": "read",
+        "scatters": "scatter",
+    }
+)
+"""The verbs of the sentences, of one axis and of two."""
+
 State = Literal["isolated", "not isolated", "readmitted", "silent", "back", "no redundancy"]
 
 
@@ -43,10 +56,14 @@ class FaultEvent:
     def sentence(self) -> str:
         """The same for a person."""
         axes = "" if len(self.axes) == 3 else " " + " and ".join(self.axes)
-        return f"{self.time_ns * 1e-9:.2f} s: {self.sensor}{axes} {self._words()}"
+        words = self._words()
+        if len(self.axes) == 2:  # two axes are a plural; a whole sensor is not
+            verb, rest = words.split(" ", 1)
+            words = f"{_PLURAL[verb]} {rest}"
+        return f"{self.time_ns * 1e-9:.2f} s: {self.sensor}{axes} {words}"
 
     def _words(self) -> str:
-        """Return the sentence that names the fault and what is done about it."""
+        """Return the sentence that names the fault and what is done about it, of one axis."""
         if self.state == "readmitted":
             return "agrees with the others again: back in use"
         if self.state == "back":
@@ -55,13 +72,14 @@ class FaultEvent:
             return f"gave no valid reading for {self.size_si:.1f} s; fused from the others"
         if self.state == "no redundancy":
             return "is left out; the remaining axes can't check each other: no further fault can be detected"
+        significance = f"{self.significance:.0f} sigma"
         if self.state == "not isolated":
             others = " or ".join(self.others)
-            return f"{self._fault()} ({self.significance:.0f} sigma), or {others} is: can't tell which; all stay in use"
-        return f"{self._fault()} ({self.significance:.0f} sigma): left out"
+            return f"{self._fault()} ({significance}), or the fault is in {others}: not isolated, all stay in use"
+        return f"{self._fault()} ({significance}): left out"
 
     def _fault(self) -> str:
-        """Return the words that name the fault."""
+        """Return the words that name the fault, of one axis."""
         factor, unit = READABLE_SI[self.quantity]
         size = f"{factor * self.size_si:.3g} {unit}"
         span = f"{self.range or 0:g} {UNIT[self.quantity]}"

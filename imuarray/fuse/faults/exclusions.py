@@ -79,6 +79,8 @@ class FaultReport:
 
     def __init__(self, names: Sequence[str], quantity: str) -> None:
         self.events: list[FaultEvent] = []
+        self.disagreements = 0
+        """Windows in which all sensors disagree, so that none is suspected."""
         self._names, self._quantity = names, quantity
 
     def isolated(self, exclusion: Exclusion, kind: Kind | None) -> None:
@@ -110,6 +112,10 @@ class FaultReport:
             significance=float(np.sqrt(gain)),
             others=others,
         )
+
+    def disagreed(self) -> None:
+        """Count a window in which all sensors disagree."""
+        self.disagreements += 1
 
     def silent(self, sensor: int, seconds: float, time_ns: int) -> None:
         """A sensor has had nothing valid to say for some time."""

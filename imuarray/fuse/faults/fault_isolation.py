@@ -16,7 +16,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, separate_rivals, strongest
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, disagreement, separate_rivals, strongest
 from imuarray.fuse.faults.kinds import QUIET, Kind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
@@ -84,7 +84,8 @@ class Stillness:
 
     def __call__(self, window: Window, normal: Normal) -> Booleans:
         """(s,) the sensors that stood still in this window and in the one before."""
-        share = (window.changes / normal.change).reshape(-1, 3).mean(axis=1)
+        usual = np.minimum(normal.change, 2 * normal.variance)  # after a shake `change` is too large for a rest
+        share = (window.changes / usual).reshape(-1, 3).mean(axis=1)
         whole: Booleans = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         stale: Booleans = np.zeros(len(share), bool)
         if window.stale is not None:
@@ -172,6 +173,11 @@ class FaultIsolation:
         self._doubts: dict[int, tuple[int, int]] = {}
         self._blind = False
         self._count = 0
+
+    @property
+    def disagreement_s(self) -> float:
+        """Time in which all sensors disagree, so that none is suspected."""
+        return self.report.disagreements * self._window_s
 
     @property
     def out(self) -> Booleans:
@@ -305,6 +311,11 @@ class FaultIsolation:
             if seen is None:
                 return None, nobody
             suspect, drifted = strongest(seen, self._normal), 0.0
+            if suspect is not None and (shared := disagreement(seen, self._normal)) > 0:
+                suspect = strongest(seen, self._normal, shared)
+                if suspect is None:
+                    self.report.disagreed()
+                    return seen, ~nobody
             if suspect is None and departed is not None:
                 (suspect, drifted), departed = departed, None
             elif suspect is None and self._count % _BASELINE_WINDOWS == 0:

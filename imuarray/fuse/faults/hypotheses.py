@@ -59,10 +59,17 @@ class Suspect:
     rivals: tuple[int, ...] = ()
 
 
-def strongest(seen: WindowResiduals, normal: Normal) -> Suspect | None:
-    """The most likely fault of a window, None if it shows none."""
+def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) -> Suspect | None:
+    """The most likely fault of a window, None if it shows none.
+
+    `disagreement`: the variance that the function of this name returns.
+    """
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
+    if disagreement > 0:
+        known = seen.doubt / (seen.doubt + disagreement)
+        axis, sensor = axis * known, sensor * known.reshape(-1, 3).max(axis=1)
+        energy = energy * normal.variance / (normal.variance + disagreement)
     limit = energy_limit(len(seen.triad), normal.colour, lasting)
     by_mean = max(float(axis.max()) / AXIS_GAIN, float(sensor.max()) / SENSOR_GAIN)
     by_energy = float((energy / limit).max())
@@ -71,6 +78,43 @@ def strongest(seen: WindowResiduals, normal: Normal) -> Suspect | None:
     if by_energy > by_mean:
         return _by_energy(energy, limit)
     return _by_mean(axis, sensor, seen)
+
+
+_FEWEST_SENSORS = 4
+"""So many sensors are needed to tell what they have in common from what one of them does."""
+
+_FEWEST_READINGS = 3
+
+_UNEVEN = 9.0
+"""Sensors take part in a disagreement as differently as this, in variance: those at the ends of a board more than those
+in its middle."""
+
+_USUAL_SCATTER = 3.0
+"""Mean square of a few normal readings, over their variance, that is not unusual."""
+
+
+def disagreement(seen: WindowResiduals, normal: Normal) -> float:
+    """Variance (SI) of single readings by which at least half of the sensors differ from the others in this window,
+    beyond noise; 0 where fewer do, infinite where too few have three complete readings, as when most clip.
+
+    A knock, or motion that is too fast for the rate of the rows, is felt at other moments by every chip, so that all of
+    them disagree at once. One faulty sensor of four or more has no part in it: each is compared with the median.
+    """
+    shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
+    used: Booleans = np.asarray(seen.included.reshape(-1, 3).any(axis=1))
+    if used.sum() < _FEWEST_SENSORS:
+        return 0.0
+    frames = shown[used].sum(axis=0) >= _FEWEST_SENSORS
+    whole = used & (shown[:, frames].sum(axis=1) >= _FEWEST_READINGS)
+    if whole.sum() < _FEWEST_SENSORS or not shown[whole][:, frames].any(axis=0).all():
+        return np.inf
+    residual = seen.residual[frames].T.reshape(len(used), 3, -1)[whole]
+    off = np.linalg.solve(seen.rows.reshape(-1, 3, 3)[whole], residual)  # (s, 3, n), along the box
+    off[np.repeat(~shown[whole][:, None, frames], 3, axis=1)] = np.nan
+    squares = np.nanmean((off - np.nanmedian(off, axis=0)) ** 2, axis=2)
+    usual = _USUAL_SCATTER * normal.variance.reshape(-1, 3)[whole].max(axis=1)
+    excess = np.sort(squares.max(axis=1) - usual)
+    return _UNEVEN * max(0.0, float(excess[(len(excess) - 1) // 2]))
 
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:

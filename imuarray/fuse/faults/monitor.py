@@ -10,6 +10,7 @@ A pipeline that is given frames without the axes that failed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import Generic, TypeVar
@@ -96,6 +97,11 @@ class FaultMonitor:
     def events(self) -> tuple[FaultEvent, ...]:
         """The events so far, in order."""
         return tuple(self._isolation.report.events)
+
+    @property
+    def disagreement_s(self) -> float:
+        """Time in which all sensors disagree (`disagreement`), so that none is suspected."""
+        return self._isolation.disagreement_s
 
     def __call__(self, frames: Frames, rate_box: Floats | None = None) -> Frames:
         """The frames that are done with, in order: none at all while the first window fills.
@@ -259,8 +265,18 @@ class MonitoredPipeline(Generic[Out]):
         yield from self._inner.finish()
 
     def notes(self) -> FusionNotes:
-        """Return the notes of the inner pipeline."""
-        return notes_of(self._inner)
+        """Return the notes of the inner pipeline, and how long sensors could not be told apart."""
+        notes = notes_of(self._inner)
+        return replace(notes, remarks=(*notes.remarks, *self.remarks()))
+
+    def remarks(self) -> list[str]:
+        """Return a sentence for each quantity whose sensors all disagreed at times."""
+        return [
+            f"{quantity}: for {monitor.disagreement_s:.1f} s all sensors disagree (knocks, clipping, or motion that is "
+            "too fast for the rate of the rows); no sensor is suspected there"
+            for quantity, monitor in self._monitors.items()
+            if monitor.disagreement_s > 0
+        ]
 
     def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
         """Frames that are done with, and their temperatures."""

@@ -87,7 +87,8 @@ class Parity:
         shown = (self.matrix @ errors).reshape(sensors, 3, 1)
         scale = np.maximum(np.einsum("sii->s", blocks), 1e-300)
         firm = blocks + (1e-9 * scale)[:, None, None] * np.eye(3)
-        return np.asarray((shown * np.linalg.solve(firm, shown)).sum(axis=(1, 2)))
+        shows = self.observable.reshape(sensors, 3).any(axis=1)
+        return np.asarray(np.where(shows, (shown * np.linalg.solve(firm, shown)).sum(axis=(1, 2)), 0.0))
 
 
 def parity(rows: Floats, weights: Floats) -> Parity | None:

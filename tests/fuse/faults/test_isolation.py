@@ -15,6 +15,7 @@ import pytest
 from imuarray.fuse import Frames
 from imuarray.fuse.axes import directions
 from imuarray.fuse.faults import FaultEvent, FaultMonitor
+from imuarray.fuse.faults.events import State
 from imuarray.fuse.least_squares import weighted
 from tests.fuse.faults.conftest import (
     ACCELEROMETERS,
@@ -220,3 +221,25 @@ def test_the_sentence_says_how_much() -> None:
     assert events[0].sentence.startswith("16.00 s: Gyro2 z is off by ")
     assert " dps (" in events[0].sentence
     assert events[0].sentence.endswith(" sigma): left out")
+
+
+@pytest.mark.parametrize(
+    ("axes", "state", "sentence"),
+    [
+        ("y", "isolated", "2.00 s: A y scatters 3 times as much as before (9 sigma): left out"),
+        ("xz", "isolated", "2.00 s: A x and z scatter 3 times as much as before (9 sigma): left out"),
+        ("xyz", "isolated", "2.00 s: A scatters 3 times as much as before (9 sigma): left out"),
+        ("xz", "readmitted", "2.00 s: A x and z agree with the others again: back in use"),
+        (
+            "xz",
+            "not isolated",
+            "2.00 s: A x and z scatter 3 times as much as before (9 sigma), or the fault is in B or C: "
+            "not isolated, all stay in use",
+        ),
+    ],
+)
+def test_sentences_of_one_axis_of_two_and_of_a_sensor(axes: str, state: State, sentence: str) -> None:
+    event = FaultEvent(
+        2_000_000_000, "specific_force", "A", tuple(axes), "white_noise", state, 3.0, 9.0, others=("B", "C")
+    )
+    assert event.sentence == sentence
