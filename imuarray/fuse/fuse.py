@@ -34,7 +34,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
 from imuarray.units import INERTIAL
 
-BLOCK = 1 << 12
+BLOCK = 1 << 14
 """Rows of each sensor that are read at once; the result does not depend on it."""
 
 AVERAGE, OPTIMAL = "mean", "optimal"
