@@ -1,7 +1,7 @@
-"""From a log to numbers with uncertainties, by the library alone.
+"""Get numbers with uncertainties from a log, with the library alone.
 
-`python configs/examples/night_to_numbers.py [FOLDER]` records the emulated array (put your own log in its place),
-calibrates it, fuses it and says how good the result is.
+`python configs/examples/night_to_numbers.py [FOLDER]` records the emulated array (use your own log instead),
+calibrates it, fuses it and prints the accuracy of the result.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from imuarray.fuse import evaluate, fuse
 
 
 def main(folder: Path = Path()) -> dict[str, float]:
-    """What was found, by name; SI but where the name says otherwise."""
+    """Return the results by name; in SI unless the name gives a unit."""
     array = ia.load_array(Path(__file__).parents[1] / "martin2013.toml")
     run = folder / "tumble.h5"
     with ia.open_bus("emulated:?world=tumble&face_s=5", array) as bus:  # or "i2c:/dev/i2c-1"

@@ -1,6 +1,6 @@
 """From logs to a diagnosis in thirty lines: `python configs/examples/sim_to_real.py [FOLDER]`.
 
-The logs are simulated, so that it runs anywhere; put paths of your own in their place. Figures need the extra "report",
+The logs are simulated, so the example runs anywhere; replace them by your own. Figures need the extra "report",
 tables the extra "analysis".
 """
 
@@ -13,7 +13,7 @@ from imuarray.simulate import EFFECTS
 
 def main(folder: Path = Path()) -> dict[str, object]:
     """The results, by name."""
-    hum = EFFECTS["tone"](amplitude=0.6, frequency_hz=11.0)  # dps: what the simulator below does not know of
+    hum = EFFECTS["tone"](amplitude=0.6, frequency_hz=11.0)  # dps: unknown to the simulator below
     tumble = ia.simulate("martin2013", folder / "tumble.h5", experiment="tumble", seconds=70, seed=1, force=True)
     night = ia.simulate("martin2013", folder / "night.h5", seconds=120, effects={"Gyro2": [hum]}, seed=1, force=True)
     print(night["Gyro1"].to_pandas().filter(like="angular_rate").std())  # rad/s, in the box frame
