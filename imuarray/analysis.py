@@ -329,7 +329,7 @@ def _model(
     known, sensors = _calibration(calibration), run.plan.sensors
     if not set(known.sensors) & set(sensors):
         name = ", ".join(known.sensors) or "no sensor"
-        raise CalibrationError(f"the calibration knows {name}, but none of {', '.join(sensors)}")
+        raise CalibrationError(f"the calibration contains {name}, but none of {', '.join(sensors)}")
     return calibrated(chosen, known, [header for header, _ in sensors.values()])
 
 

@@ -137,7 +137,7 @@ class SensorConfig(BaseModel):
             chips = ", ".join(name for name, other in CHIPS.items() if other.spi is not None)
             raise ValueError(f"bus {self.bus!r}: the {self.chip} has no SPI that is supported; allowed for {chips}")
         if self.spi_clock_hz is not None and self.spi_clock_hz > spec.spi.clock_hz:
-            raise ValueError(f"spi_clock_hz {self.spi_clock_hz}: the {self.chip} bears up to {spec.spi.clock_hz}")
+            raise ValueError(f"spi_clock_hz {self.spi_clock_hz}: the {self.chip} supports up to {spec.spi.clock_hz}")
 
     def _check_iio(self) -> None:
         """Refuse what only a device that the kernel serves has, and for such a one what the kernel sets itself."""
@@ -360,7 +360,7 @@ def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: st
 
 
 def _check_places(array: ArrayConfig, where: str) -> None:
-    """Refuse two sensors of one name or in one place, channels without a mux, and whatever the mux's own address
+    """Refuse two sensors with one name or in one place, channels without a mux, and whatever the mux's own address
     hides.
     """
     for name, count in Counter(sensor.name for sensor in array.sensors).items():
@@ -402,7 +402,7 @@ def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: l
     """
     pair = f"{where}: sensors {first.name!r} and {second.name!r}"
     if die_of(first.chip) != die_of(second.chip) or second.chip in here:
-        raise ConfigError(f"{pair} both sit at {second.place}")
+        raise ConfigError(f"{pair} are both at {second.place}")
     here.append(second.chip)
     die = die_of(first.chip)
     for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "high_resolution", "spi_clock_hz"):

@@ -31,9 +31,9 @@ def orientation_of(axes: str) -> Matrix:
     signs = [1.0 if sign == "+" else -1.0 for sign in match.groups()[0::2]]
     rows = ["XYZ".index(axis) for axis in match.groups()[1::2]]
     if len(set(rows)) < 3:
-        raise ValueError(f"axes {axes!r}: each of X, Y and Z comes once")
+        raise ValueError(f"axes {axes!r}: use each of X, Y and Z once")
     if _parity(rows) * signs[0] * signs[1] * signs[2] < 0:
-        raise ValueError(f"axes {axes!r}: this triad is left-handed, no chip is; one sign is wrong")
+        raise ValueError(f"axes {axes!r}: this triad is left-handed, but all chips are right-handed; one sign is wrong")
     columns = [[sign if row == axis else 0.0 for axis in range(3)] for row, sign in zip(rows, signs, strict=True)]
     first, second, third = zip(*columns, strict=True)
     return (first, second, third)

@@ -120,7 +120,7 @@ def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
     assert fused.sensors == {"specific_force": ["BMA1", "BMA2"], "angular_rate": ["Gyro1"]}
     assert any(remark.startswith("no noise in the calibration") for remark in fused.remarks)
     other = Calibration({"Other": ia.calibrate_noise(folder / "rest.h5").sensors["Gyro1"]})
-    with pytest.raises(FusionError, match="the calibration: knows Other, but none of"):
+    with pytest.raises(FusionError, match="the calibration: contains Other, but none of"):
         ia.fuse(folder / "rest.h5", other)
 
 

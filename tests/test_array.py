@@ -143,7 +143,7 @@ def test_a_part_of_an_array() -> None:
         (changed('name = "Gyro"', 'name = "Acc"'), r"2 sensors are called 'Acc'"),
         (
             GOOD + '[[sensor]]\nname="Two"\nchip="bma180"\nrange=2\nchannel=0\naddress=0x40\n',
-            r"sensors 'Acc' and 'Two' both sit at channel 0 address 0x40",
+            r"sensors 'Acc' and 'Two' are both at channel 0 address 0x40",
         ),
         (
             GOOD + '[[sensor]]\nname="Two"\nchip="bma180"\nrange=2\naddress=0x40\n',
@@ -214,7 +214,7 @@ def test_same_address_on_two_channels_or_two_kernel_buses_is_fine() -> None:
     )
     kernel = '[array]\nname="x"\n' + sensor.format("A", 'bus="/dev/i2c-11"') + sensor.format("B", 'bus="/dev/i2c-12"')
     assert [len(parse_array(text).sensors) for text in (behind_mux, kernel)] == [2, 2]
-    with pytest.raises(ConfigError, match="both sit at /dev/i2c-11 address 0x40"):
+    with pytest.raises(ConfigError, match="are both at /dev/i2c-11 address 0x40"):
         parse_array(kernel.replace("i2c-12", "i2c-11"))
 
 

@@ -1,7 +1,7 @@
 """A whole new chip on one page: an LIS3DH accelerometer (ST data sheet Doc ID 17530, application note AN3308).
 
-It has six parts; a comment names the file where each part belongs. `python configs/examples/new_chip.py` checks the driver
-against the golden conversation.
+It has six parts; a comment names the file where each part belongs. `python configs/examples/new_chip.py` checks the
+driver against the golden conversation.
 """
 
 from __future__ import annotations

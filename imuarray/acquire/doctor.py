@@ -86,7 +86,7 @@ def permission(machine: Machine, device: str) -> Check:
     try:
         about = machine.path(device).stat()
     except OSError as error:
-        return Check("permission", False, f"{device}: {error.strerror}", "look at the folders above it")
+        return Check("permission", False, f"{device}: {error.strerror}", "check the folders above it")
     shift = 6 if about.st_uid == machine.user else 3 if about.st_gid in machine.groups else 0
     group = _group(machine, about.st_gid)
     state = f"{device}: group {group}, mode {about.st_mode & 0o777:04o}"
@@ -114,8 +114,8 @@ DEFAULT_HZ = 100_000
 """Of i2c-bcm2835, and of most others (LNX-17)."""
 _FUNC_I2C = 1
 _QUIRKS = {
-    "bcm2835": "can't wait for a chip that holds the clock (LNX-11), takes one read a transaction (LNX-10)",
-    "i2c-gpio": "is moved by software: times are less certain",
+    "bcm2835": "has no clock stretching (LNX-11), allows one read per transaction (LNX-10)",
+    "i2c-gpio": "is driven by software: times are less accurate",
 }
 _FASTER = (
     "on a Raspberry Pi dtparam=i2c_arm_baudrate=400000 in config.txt; elsewhere clock-frequency in the device tree"
@@ -162,9 +162,7 @@ def there(machine: Machine, device: str) -> Check:
         advice = "sudo modprobe i2c-dev; for good: echo i2c-dev | sudo tee /etc/modules-load.d/i2c-dev.conf"
         return Check("module i2c-dev", False, f"not loaded: no {device or 'device file'} for {adapters[0]}", advice)
     files = sorted(f"/dev/{path.name}" for path in machine.path("/dev").glob("i2c-[0-9]*"))
-    return Check(
-        "adapter", False, f"{device or 'no bus named'}; there are {', '.join(files)}", "name one that is there"
-    )
+    return Check("adapter", False, f"{device or 'no bus named'}; there are {', '.join(files)}", "name one that exists")
 
 
 def abilities(machine: Machine, device: str) -> Iterator[Check]:
@@ -275,7 +273,7 @@ def iio_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
     """Does the kernel serve every device that the array names, and may this user capture from it?"""
     if array is None:
         listed = ", ".join(str(device) for device in devices(machine.root))
-        return [Check("device", bool(listed), listed or "the kernel serves none", _NO_DRIVER)]
+        return [Check("device", bool(listed), listed or "the kernel exposes none", _NO_DRIVER)]
     checks: list[Check] = []
     for bus, is_captured in {str(sensor.bus): sensor.fifo for sensor in array.sensors if sensor.on_iio}.items():
         device = IioDevice(bus.removeprefix(IIO), machine.root)
@@ -313,7 +311,7 @@ _LIVE = 2.0
 def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> list[Check]:
     """All of them."""
     if not folder.is_dir():
-        return [Check("folder", False, f"{folder}: there is none", f"mkdir -p {folder}")]
+        return [Check("folder", False, f"{folder}: it does not exist", f"mkdir -p {folder}")]
     writable = os.access(folder, os.W_OK | os.X_OK)
     checks = [Check("folder", writable, f"{folder}", "choose another, or change its owner")]
     return [*checks, room(machine, array, folder, rate_hz), *left_over(machine, folder)]
@@ -322,7 +320,7 @@ def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_h
 def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
     """Check how long this array can be logged before the disk is full; without an array, whether there is any space."""
     free = machine.free_bytes(folder)
-    advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
+    advice = f"free some space: a log ends when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
     if array is None:
         return Check("disk", free > WATERMARK + RESERVE, f"{free / 2**20:.0f} MiB free", advice)
     rows = ((sensor, min(rate_hz, sensor.chip_rate_hz)) for sensor in array.sensors)
@@ -354,7 +352,7 @@ def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
         process = part.name.split(".")[-2]
         if process.isdigit() and not machine.path(f"/proc/{process}").exists():
             clean = False
-            yield Check("draft", False, f"{part.name} was left by a program that is gone", f"rm {part}")
+            yield Check("draft", False, f"{part.name} was left by a program that has ended", f"rm {part}")
     if clean:
         yield Check("left-overs", True, "none")
 
@@ -405,7 +403,7 @@ def _heard(talk: Callable[[], list[Check]]) -> list[Check]:
         return [Check("opening", False, str(error), "end the other program, or see the lines above")]
     except OSError as error:
         held = error.errno in (errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY)
-        advice = "a device holds a wire low: unplug sensors one by one" if held else "look at wires and supply"
+        advice = "a device holds a wire low: unplug sensors one by one" if held else "check wires and supply"
         return [Check("talking", False, f"{error.strerror or error} (errno {error.errno})", advice)]
 
 

@@ -94,7 +94,12 @@ class FaultEpisode:
     def close(self, now_ns: int) -> None:
         """End the episode with the log."""
         if self._lasts:
-            self._lasts, self.last_ns, self._end, self._reported = False, now_ns, "still so when the log ended", False
+            self._lasts, self.last_ns, self._end, self._reported = (
+                False,
+                now_ns,
+                "still present when the log ended",
+                False,
+            )
         if self.on:
             self._close()
 

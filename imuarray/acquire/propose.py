@@ -29,8 +29,8 @@ _REMARKS = {
 """By what was found: what stands beside it in the file."""
 
 _HEAD = """\
-# What answered on {bus}. Settings can be changed: each chip's are named when one is refused.
-# Axes: `imuarray calibrate axes` finds them from three poses held by hand; without a line of axes they are "+X+Y+Z".
+# The chips that answered on {bus}. Settings can be changed; an error lists the allowed ones.
+# `imuarray calibrate axes` determines the axes from three poses held by hand; without it, axes are "+X+Y+Z".
 
 [array]
 """
@@ -92,9 +92,8 @@ _SUFFIXES = MappingProxyType({"specific_force": "acc", "angular_rate": "gyro", "
 _POLLED_HZ = 50.0
 """Data rate that is proposed for a device whose driver has none: that of the frames."""
 _DEVICES_HEAD = """\
-# What the kernel serves on {bus}. Scales are as they are: `range` chooses another. With `fifo = true` every sample
-# comes from the kernel's buffer, where the device has one. Without a line of axes they are those of its mounting
-# matrix.
+# The devices that the kernel exposes on {bus}. `range` selects another scale. With `fifo = true` every sample comes
+# from the kernel's buffer, if the device has one. Without `axes`, those of the device's mounting matrix are used.
 
 [array]
 """

@@ -74,7 +74,7 @@ class StartUp:
         readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
         verdicts = dict(self._judge(readings)) if readings else {}
         for name in heard.keys() - readings.keys():
-            verdicts[name] = Verdict(False, f"not judged: {len(heard[name])} readings of at least {FEWEST_READINGS}")
+            verdicts[name] = Verdict(False, f"not checked: {len(heard[name])} readings of at least {FEWEST_READINGS}")
         judged = [(item, verdicts.get(item.route.sensor.name, Verdict(False))) for item in ripe]
         for item, verdict in judged:
             del self._since_ns[id(item)]

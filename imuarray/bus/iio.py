@@ -73,7 +73,7 @@ class IioDevice:
             return fits[0]
         names = ", ".join(_name(folder) for folder in fits or devices)
         if fits:
-            raise SensorError(f"{self}: {len(fits)} devices are called so; allowed are {names}")
+            raise SensorError(f"{self}: {len(fits)} devices have this name; allowed are {names}")
         if not devices:
             raise SensorError(
                 f"{self}: there is no device in /{DEVICES}; load the module of the sensor's driver, and let it bind"

@@ -143,7 +143,9 @@ class ReplayBus:
     def _checked(self, asked: str) -> dict[str, Any]:
         recorded = self._next
         if recorded is None or (recorded and "words" not in recorded):
-            raise SensorError(f"{self.path}: the transcript ends after {self._played} transactions, more was asked")
+            raise SensorError(
+                f"{self.path}: the transcript ends after {self._played} transactions, but more were requested"
+            )
         self._played += 1
         if not recorded:
             raise BusUrlError(f"{self.path}, line {self._at_line}: not a transaction of a transcript")

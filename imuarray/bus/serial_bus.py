@@ -128,12 +128,12 @@ class SerialBus:
         """Open the port anew; OSError with ENODEV if nobody who speaks the link is there."""
         now_ns = self.clock.now_ns()
         if now_ns < self._search_ns:
-            raise OSError(errno.ENODEV, "the microcontroller is gone")
+            raise OSError(errno.ENODEV, "the microcontroller was disconnected")
         try:
             self.reconnect()
         except LinkError as error:
             self._search_ns = self.clock.now_ns() + SEARCH_NS
-            raise OSError(errno.ENODEV, f"the microcontroller is gone: {error.strerror}") from error
+            raise OSError(errno.ENODEV, f"the microcontroller was disconnected: {error.strerror}") from error
 
     def channel_bus(self, path: str) -> Bus:
         """Raise an error: OSError, as for a device file that isn't there."""

@@ -98,7 +98,7 @@ def port_of(rest: str) -> tuple[str, int]:
     if not path:
         raise BusUrlError("bus 'serial:': name the port, as in serial:/dev/ttyACM0")
     if asked or not (baud.isascii() and baud.isdigit() and int(baud)):
-        raise BusUrlError(f"bus 'serial:{rest}': allowed behind the port is ?baud= and a whole number")
+        raise BusUrlError(f"bus 'serial:{rest}': after the port only ?baud= and a whole number are allowed")
     return path, int(baud)
 
 

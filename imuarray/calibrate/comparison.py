@@ -135,7 +135,8 @@ def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibr
             mine, its = getattr(item, what), getattr(other, what)
             if None not in (mine, its) and mine != its:
                 raise CalibrationError(
-                    f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors of one name"
+                    f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors"
+                    " with one name"
                 )
 
 

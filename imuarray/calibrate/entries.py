@@ -124,7 +124,7 @@ def covariance(size: int) -> Reader:
         matrix = np.asarray(numbers(size, size)(value, where))
         slack = _ASYMMETRY * float(np.abs(matrix).max())
         if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
-            raise CalibrationError(f"{where} is no covariance: not symmetric, or a variance is negative")
+            raise CalibrationError(f"{where} is not a covariance matrix: not symmetric, or a variance is negative")
         return matrix
 
     return read
@@ -135,7 +135,7 @@ def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
 
     def read(value: object, where: str) -> object:
         if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]
-            raise CalibrationError(f"{where} is no number that a sensor could have")
+            raise CalibrationError(f"{where} is not a plausible number for a sensor")
         return value
 
     return read

@@ -194,7 +194,7 @@ class Calibration:
         """
         if self.sensors and sensor.name not in self.sensors:
             raise CalibrationError(
-                f"{sensor.where}: not calibrated; the calibration knows {', '.join(self.sensors)}"
+                f"{sensor.where}: not calibrated; the calibration contains {', '.join(self.sensors)}"
                 f"{guess(sensor.name, self.sensors)}"
             )
         return self.or_nominal(sensor)
@@ -280,7 +280,8 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
     """`newer` with the groups of figures that only `older` measured."""
     if (older.quantity, older.unit) != (newer.quantity, newer.unit):
         raise CalibrationError(
-            f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two of one name"
+            f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two sensors"
+            " with one name"
         )
     if None not in (older.range, newer.range) and older.range != newer.range:
         raise CalibrationError(

@@ -83,7 +83,7 @@ class Pose:
             sensor.sensitivity,
             sensor.axes,
         ):
-            raise CalibrationError(f"{here.where}: another range or other axes than in {sensor.where}")
+            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
         return here, here.between(self.phase.start_ns, self.phase.end_ns)
 
     @property

@@ -66,7 +66,7 @@ class BootFault:
     def __str__(self) -> str:
         if self.range is None:
             return f"run {self.run}: apart from all others, unexplained"
-        return f"run {self.run}: {self.ratio:.2f} times the usual reading: came up at {self.range:g} {self.unit}"
+        return f"run {self.run}: {self.ratio:.2f} times the usual reading: started at {self.range:g} {self.unit}"
 
 
 def explained_range(
@@ -257,10 +257,10 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
     for place, log in enumerate(logs, start=1):
         here = log[sensor.name]
         if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
-            raise CalibrationError(f"{here.where}: another range or other axes than in {sensor.where}")
+            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
         for number, rows, up in _runs_in(log, here, place):
             if number in numbers:
-                raise CalibrationError(f"{log.path}: run {number} a second time")
+                raise CalibrationError(f"{log.path}: run {number} occurs twice")
             part = _segments(here, rows)
             numbers.append(number)
             segments.append(part)

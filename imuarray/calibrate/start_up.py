@@ -40,12 +40,12 @@ class StartUp:
         """Describe the start of sensor `name`; empty if it was as usual."""
         known = calibration.sensors[name].turn_on
         if self.fault:
-            return f"{name} came up wrong ({self.explanation}): don't use it, switch it off and on again"
+            return f"{name} started in a wrong state ({self.explanation}): do not use it; switch it off and on again"
         states = 0 if known is None else len(known.states)
         if states < 2:
             return ""
         holds = ": its bias is used" if calibration.sensors[name].quantity == "angular_rate" else ""
-        return f"{name} came up in state {self.state + 1} of {states}{holds}"
+        return f"{name} started in state {self.state + 1} of {states}{holds}"
 
 
 def state_of(
@@ -84,7 +84,7 @@ def _start_up(
     distance = float(distances[state])
     if result is not None:
         return StartUp(
-            state, distance, True, f"{ratio:.2f} times the usual reading: came up at {result:g} {sensor.unit}"
+            state, distance, True, f"{ratio:.2f} times the usual reading: started at {result:g} {sensor.unit}"
         )
     far = not distance <= limit
     return StartUp(state, distance, far, f"{distance:.1f} spreads from every state" if far else "")

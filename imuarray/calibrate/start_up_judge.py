@@ -62,7 +62,7 @@ class StartUpJudge:
         self._starts.update(starts)
         verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
         if not any(verdict.text for verdict in verdicts.values()):
-            usual = f"{len(starts)} sensors came up as usual"
+            usual = f"{len(starts)} sensors started as usual"
             self._tell(usual if states else "the calibration holds no turn-on states")
         return verdicts
 

@@ -289,7 +289,7 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
     named = {phase.up for phase in log.phases if phase.up}
     if len(named) > 1 or not named <= set(UP_AXES):
         raise CalibrationError(
-            f"{log.path}: its phases say up {', '.join(sorted(named))}; one orientation a log is required"
+            f"{log.path}: its phases say up {', '.join(sorted(named))}; each log must have one orientation"
         )
     if named:
         return np.array(up_vector(named.pop()))
@@ -310,12 +310,12 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
     for log, up in zip(logs, ups, strict=True):
         here = log[sensor.name]
         if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
-            raise CalibrationError(f"{here.where}: another range or other axes than in {sensor.where}")
+            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
         thermometer = thermometer_of(log, here, segment_s)
         if thermometer is None:
             raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
         if results and thermometer.kind != results[0].thermometer:
-            raise CalibrationError(f"{here.where}: another thermometer than in {sensor.where}")
+            raise CalibrationError(f"{here.where}: the thermometer differs from {sensor.where}")
         reference = (
             results[0].fit.reference_degc
             if results

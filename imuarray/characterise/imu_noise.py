@@ -175,7 +175,7 @@ def vins_fusion_text(imu: ImuNoise) -> str:
             keys.append(
                 _yaml_key(f"{_VINS[quantity]}_{part}", scaled[0], scaled[1], f"{unit}, at {imu.rate_hz:.6g} Hz")
             )
-    keys.append(f"g_norm: {STANDARD_GRAVITY}  # m/s^2, the standard one; that of the place is better")
+    keys.append(f"g_norm: {STANDARD_GRAVITY}  # m/s^2, standard gravity; local gravity is better")
     return _lines(["%YAML:1.0", *_comments(imu), "# Put these keys into the configuration of VINS-Fusion.", *keys])
 
 
@@ -265,7 +265,7 @@ def _comments(imu: ImuNoise) -> Iterator[str]:
         if triad.verdict:
             yield f"# The fit of the {PREFIX[quantity]} is poor, do not trust its figures: {triad.verdict}"
     if not imu.topic:
-        yield "# rostopic: force and rate of two chips are on two topics; name the one on which yours are together."
+        yield "# rostopic: force and rate come from two chips on two topics; enter the topic that has both."
 
 
 def _topic(imu: ImuNoise) -> str:
@@ -284,7 +284,7 @@ def _yaml_key(key: str, value: float | None, bound: float | None, unit: str) -> 
     if value is not None:
         return f"{key}: {_yaml_number(value)}  # {unit}"
     if bound is not None:
-        return f"# {key}: none was seen, at most {bound:.6g} {unit}; enter a figure of your own, or record for longer"
+        return f"# {key}: none was seen, at most {bound:.6g} {unit}; enter your own figure, or record for longer"
     return f"# {key}: no such sensor was measured"
 
 

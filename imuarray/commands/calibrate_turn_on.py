@@ -73,7 +73,7 @@ def print_report(report: dict[str, Any]) -> None:
 def _print_states(row: dict[str, Any]) -> None:
     """The biases of a sensor that has two."""
     if len(row["states"]) > 1:
-        click.echo(f"{row['name']}: comes up in one of {len(row['states'])} states (p {row['p_states']:.2g} by chance)")
+        click.echo(f"{row['name']}: starts in one of {len(row['states'])} states (p {row['p_states']:.2g} by chance)")
         for state in row["states"]:
             bias = ", ".join(f"{value:.2f}" for value in state["bias_lsb"])
             runs = ", ".join(map(str, state["runs"]))

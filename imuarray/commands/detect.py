@@ -180,9 +180,10 @@ def _print_firmware(firmware: dict[str, Any] | None) -> None:
         return
     boot = ", reset by its watchdog" if counts["watchdog_reset"] else ""
     click.echo(
-        f"  up for {counts['up_us'] / 1e6:.0f} s{boot}: {counts['sent']} frames sent, {counts['late']} left out for"
-        f" want of time, {counts['dropped']} without room on the line, {counts['overwritten']} lost unacknowledged;"
-        f" {counts['failures']} requests failed, {counts['skipped']} bytes made no sense"
+        f"  up for {counts['up_us'] / 1e6:.0f} s{boot}: {counts['sent']} frames sent, {counts['late']} skipped for"
+        f" lack of time, {counts['dropped']} dropped because the line was full, {counts['overwritten']} lost"
+        " unacknowledged;"
+        f" {counts['failures']} requests failed, {counts['skipped']} bytes not understood"
     )
 
 

@@ -110,7 +110,7 @@ def _validate(options: ValidateOptions) -> None:
     planned = cases(cast("Half", options.half), SIZES[options.size], options.seed)
     planned = shuffle([*planned, *cases_in(options.folders, cast("Half", options.half), len(planned))], options.seed)
     if not planned:
-        raise click.UsageError("--size none: --cases FOLDER is required with it")
+        raise click.UsageError("--size none requires --cases FOLDER")
     names = [folder.name for folder in options.folders]
     if not options.score_only:
         plan = {"half": options.half, "size": options.size, "seed": options.seed, "cases": len(planned)}
@@ -142,7 +142,7 @@ def _begin(folder: Path, plan: dict[str, Any]) -> None:
     noted = json.loads(path.read_text(encoding="utf-8"))
     for key, value in wanted.items():
         if noted.get(key) != value:
-            raise ConfigError(f"{path}: begun with another {key}; allowed is the same, or another folder")
+            raise ConfigError(f"{path}: begun with another {key}; use the same {key}, or another folder")
 
 
 def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool) -> None:

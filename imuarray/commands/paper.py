@@ -48,7 +48,7 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
     imuarray paper --replica -o replica
     """
     if replica and gap:
-        raise click.UsageError("--replica and --gap: one at a time")
+        raise click.UsageError("give either --replica or --gap")
     if replica:
         _replica(seed, output, as_json, force)
         return

@@ -36,15 +36,11 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
     """Print the effects that a model may contain, and exit."""
     if not asked or context.resilient_parsing:
         return
-    import sys
-    from inspect import cleandoc
-
-    from imuarray.simulate import EFFECTS
+    from imuarray.simulate.effects import EFFECTS, meaning
     from imuarray.simulate.parameters import spelled
 
     for name, kind in EFFECTS.items():
-        about = cleandoc(sys.modules[kind.__module__].__doc__ or "").splitlines()[0].partition(": ")[2]
-        click.echo(f"{name:17} {about}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
+        click.echo(f"{name:17} {meaning(name)}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
     click.echo(
         "UNIT is the unit of the sensor: g, dps or gauss. The class of each effect documents its equation,"
         " source and appearance in data."
@@ -298,7 +294,7 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
     known = load_calibration(calibration)
     if not set(known.sensors) & set(plan.sensors):
         raise click.UsageError(
-            f"{calibration}: knows {', '.join(known.sensors) or 'no sensor'}, but none of {', '.join(plan.sensors)}"
+            f"{calibration}: contains {', '.join(known.sensors) or 'no sensor'}, but none of {', '.join(plan.sensors)}"
         )
     return calibrated(model, known, [header for header, _ in plan.sensors.values()])
 

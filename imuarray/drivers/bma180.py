@@ -117,7 +117,7 @@ class Bma180:
         noise = _SELF_TEST_SIGMAS * before.std(axis=0)
         passed = bool((deflection > np.maximum(noise, _SELF_TEST_LSB)).all())
         if not passed and noise.max() > _SELF_TEST_LSB:
-            return SelfTest(None, f"{text}; it moved meanwhile: let it rest, and try again")
+            return SelfTest(None, f"{text}; it moved during the test: keep it at rest and try again")
         if not passed and longest_ns > _SELF_TEST_GAP_NS:
             slow = f"the bus allowed {counted(looks, 'look')} in {(looked_ns - begun_ns) * 1e-6:.0f} ms"
             return SelfTest(None, f"{text}; {slow}, and the deflection lasts 10 ms at most")

@@ -100,8 +100,8 @@ class Bmp180:
             burst, tries = self.fetch(), tries + 1
             longest_ns = max(longest_ns, self.clock.now_ns() - asked_ns)
         if not burst and longest_ns > _LASTING_NS // 2:
-            slow = f"the bus takes {longest_ns * 1e-6:.0f} ms a question"
-            return SelfTest(None, f"no self-test in the chip; {slow}, too long for a conversion to be waited for")
+            slow = f"the bus takes {longest_ns * 1e-6:.0f} ms per transaction"
+            return SelfTest(None, f"no self-test in the chip; {slow}, too slow to wait for a conversion")
         if not burst:
             return SelfTest(False, "no conversion within half a second")
         values = self.decode(np.frombuffer(burst, np.uint8).reshape(1, self.burst)).compensated

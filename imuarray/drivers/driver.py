@@ -127,7 +127,7 @@ def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still
     change = during.mean(axis=0) - before.mean(axis=0)
     said = text.format(change=", ".join(f"{value:+.3g}" for value in change))
     if max(before.std(axis=0).max(), during.std(axis=0).max()) > still:
-        return SelfTest(None, f"{said}; it moved meanwhile: let it rest, and try again")
+        return SelfTest(None, f"{said}; it moved during the test: keep it at rest and try again")
     return SelfTest(within(change, limits), said)
 
 

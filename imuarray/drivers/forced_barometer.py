@@ -96,8 +96,8 @@ class ForcedBarometer:
             burst, tries = self.fetch(), tries + 1
             longest_ns = max(longest_ns, self.clock.now_ns() - asked_ns)
         if not burst and longest_ns > self.lasting_ns // 2:
-            slow = f"the bus takes {longest_ns * 1e-6:.0f} ms a question"
-            return SelfTest(None, f"no self-test in the chip; {slow}, too long for a measurement to be waited for")
+            slow = f"the bus takes {longest_ns * 1e-6:.0f} ms per transaction"
+            return SelfTest(None, f"no self-test in the chip; {slow}, too slow to wait for a measurement")
         if not burst:
             return SelfTest(False, "no measurement within half a second")
         values = self.decode(np.frombuffer(burst, np.uint8).reshape(1, self.burst)).compensated

@@ -519,7 +519,7 @@ def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
 
 def _choice(triggers: Iterable[str]) -> str:
     """The triggers that there are, for a message."""
-    return ", ".join(printable(name) for name in triggers) or "none yet: the module iio-trig-hrtimer makes them"
+    return ", ".join(printable(name) for name in triggers) or "none yet: the module iio-trig-hrtimer creates them"
 
 
 def _plain(number: float) -> str:
@@ -563,7 +563,7 @@ def _advice(error: OSError) -> str:
     """Return a sentence on what failed at which file, and what can be done about it."""
     where = error.filename or "the device"
     advice = {
-        errno.EACCES: "; let your group write to it by a udev rule, or be root",
+        errno.EACCES: "; give your group write access by a udev rule, or run as root",
         errno.EBUSY: "; another program captures from it: end that program",
     }.get(error.errno or 0, "")
     return f"{where}: {error.strerror or error}{advice}"

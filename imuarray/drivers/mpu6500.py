@@ -80,7 +80,7 @@ class _Half(SixAxisHalf):
         self.configure()
         trim = factory_change(self.registers.peek(self.trim, 3))
         if not trim.all():
-            return SelfTest(None, "the factory's trim is not in this chip: there is nothing to compare with")
+            return SelfTest(None, "this chip holds no factory trim to compare with")
         self.registers.change(self.full_scale(0) | self.deflected(0))
         before = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.registers.change(self.full_scale(0) | self.deflected(0b111))

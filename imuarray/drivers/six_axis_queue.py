@@ -170,7 +170,7 @@ class DieQueue:
 
 def impossible(count: int, capacity: int) -> OSError:
     """The error of a count that no queue of this capacity can have: a dead bus reads so."""
-    return OSError(errno.EIO, f"its queue says {count} and holds {capacity}")
+    return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
 
 
 class Icm42688Queue(DieQueue):

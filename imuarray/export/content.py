@@ -73,7 +73,7 @@ def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) 
     unknown = tuple(name for name in triads if name not in calibration.sensors)
     if triads and len(unknown) == len(triads):
         known = ", ".join(calibration.sensors) or "no sensor"
-        raise ExportError(f"{log.path}: has {', '.join(triads)}; the calibration knows {known}")
+        raise ExportError(f"{log.path}: has {', '.join(triads)}; the calibration contains {known}")
     return unknown
 
 

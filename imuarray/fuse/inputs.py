@@ -78,7 +78,7 @@ def prepare_inputs(
         which = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
         from imuarray.calibrate.noise import with_noise_of  # its weight is for those who lack it
 
-        remarks.append(f"no noise{which} in the calibration; measured where this log stands still")
+        remarks.append(f"no noise{which} in the calibration; it was measured in this log at rest")
         calibration = with_noise_of(log, calibration, lacking, progress)
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
@@ -103,7 +103,7 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
     fused = [sensor.name for sensor in _inertial(log, only)]
     if fused and not calibration.sensors.keys() & set(fused):
         raise FusionError(
-            f"{calibration_file}: knows {', '.join(calibration.sensors) or 'no sensor'},"
+            f"{calibration_file}: contains {', '.join(calibration.sensors) or 'no sensor'},"
             f" but none of {log.path}: {', '.join(fused)}"
         )
 

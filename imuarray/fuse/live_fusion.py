@@ -231,7 +231,7 @@ class LiveFusion:
                 return
             except queue.Full:
                 self._overrun = True
-                self.tell("fusion can't keep up: its file skips frames, the log has them")
+                self.tell("fusion can't keep up: its file skips frames, but the log has them")
         self._dropped[sensor] = self._dropped.get(sensor, 0) + len(block.time)
         self.skipped = max(self._dropped.values())
 

@@ -88,7 +88,7 @@ def health_of(seen: Observations) -> Health:
 
 def _urgent(seen: Observations) -> Iterator[_Reason]:
     if seen.stopped:
-        yield _Reason(seen.stopped, "see whether the logger runs")
+        yield _Reason(seen.stopped, "check whether the logger is running")
     if seen.silent:
         longest = max(seen.silent.values())
         yield _Reason(f"{_names(seen.silent)} silent for {_duration(longest)}", "check cable, power and address")

@@ -144,7 +144,7 @@ def open_interrupted(
             return None
         if known is not None and journal is not None and journal.preamble.identity != known.identity:
             journal.close()
-            journal, why = None, "is another log's"
+            journal, why = None, "belongs to another log"
         view = _view(path, file, known, journal, why, thorough) if file is not None and is_live else None
         if view is not None:
             opened.pop_all()  # the view closes them

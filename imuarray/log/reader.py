@@ -110,7 +110,7 @@ class Log:
             return self._file.losses
         if self._damaged:
             return tuple(f"{path} is damaged and left out" for path in self._damaged)
-        return tuple(f"its {part} are not as they were written: damaged, or changed since" for part in self._changed)
+        return tuple(f"its {part} differ from what was written: damaged, or changed since" for part in self._changed)
 
     @property
     def has_journal(self) -> bool:

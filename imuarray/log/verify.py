@@ -116,4 +116,4 @@ def _remarks(log: Log) -> Iterator[str]:
     if log.damaged_commits:
         yield f"{counted(log.damaged_commits, 'commit')} of its HDF5 file damaged: those rows are read from its journal"
     if log.is_rebuilt:
-        yield f"its HDF5 file is {'damaged' if log.path.exists() else 'gone'}: all of it is had from its journal"
+        yield f"its HDF5 file is {'damaged' if log.path.exists() else 'gone'}: all rows are read from its journal"

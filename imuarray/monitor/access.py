@@ -48,12 +48,12 @@ def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> st
     here.
     """
     if headers.get("Sec-Fetch-Site", "") not in _OWN_SITE:
-        return "asked for by another page"
+        return "requested by another page"
     origin = headers.get("Origin")
     if origin is not None and origin.split("://")[-1] != host:
-        return "asked for by another page"
+        return "requested by another page"
     if token:
         given_right = hmac.compare_digest(given.encode(), token.encode())
         return None if given_right else "the token is missing or wrong: use the address that imuarray printed"
     name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-    return None if is_own(name) else "asked for under a foreign name: use http://127.0.0.1"
+    return None if is_own(name) else "requested under another host name: use http://127.0.0.1"

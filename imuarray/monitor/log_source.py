@@ -290,12 +290,12 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
             refuse_hostile(file, inspected, str(path))
         known = stored_preamble(path)
         if known is not None and known.identity != preamble.identity:
-            raise LogError(f"{path}: its journal is another log's")
+            raise LogError(f"{path}: its journal belongs to another log")
         return file
     except BaseException as error:
         file.close()
         if isinstance(error, DAMAGE):
-            raise LogError(f"{path}: is no log that is being written") from None
+            raise LogError(f"{path}: is not a log that is being written") from None
         raise
 
 

@@ -88,7 +88,7 @@ def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
     lines = [f"{head} {'range':>5} {'degC':>6} {'missed':>6}"]
     lines += [f"  {name:{width}} {_sensor(view)}".rstrip() for name, view in zip(names, views, strict=True)]
     if any(view.relative and view.temperature_degc is not None for view in views):
-        lines.append("  * changes count, the level is not known")
+        lines.append("  * only changes are meaningful; the level is unknown")
     return [*lines, *_flags(zip(names, views, strict=True), columns)]
 
 

@@ -23,7 +23,7 @@ _FEWEST = 4
 
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
     """A line: what it knows, from what."""
-    sources = ", ".join(dict.fromkeys(Path(source).name for source in calibration.sources)) or "nothing that it names"
+    sources = ", ".join(dict.fromkeys(Path(source).name for source in calibration.sources)) or "unnamed logs"
     measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
     yield f"{path.name}: {', '.join(measured) or 'nothing'} of {len(calibration.sensors)} sensors, from {sources}."
 
@@ -31,8 +31,8 @@ def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
     """Return the figures of a calibration, with their uncertainties."""
     axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor)]
-    words = "Figures have their standard error if they were measured; figures without are the data sheet's. "
-    words += "A bias is the reading without input; the direction is where the axis really points in the box."
+    words = "Measured figures have a standard error; figures without one come from the data sheet. "
+    words += "A bias is the reading at zero input; the direction is the true direction of the axis in the box."
     heading = ["axis", "unit", "bias", "± s.e.", "counts per unit", "± s.e.", "azimuth °", "elevation °", "noise"]
     parts = [
         Table(heading, axes, "Biases, responses and the scatter of single readings, along each sensor's axes.", (1,))
@@ -40,9 +40,7 @@ def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Secti
     if slopes := [row for sensor in calibration.sensors.values() for row in _slopes(sensor)]:
         heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "is"]
         parts.append(
-            Table(
-                heading, slopes, "Change per degree; “bias or scale”: one attitude does not separate them.", (1, 5, 6)
-            )
+            Table(heading, slopes, "Change per degree. “bias or scale”: one attitude cannot separate them.", (1, 5, 6))
         )
     if states := [row for sensor in calibration.sensors.values() for row in _turn_on(sensor)]:
         heading = ["axis", "unit", "run to run", "± s.e.", "p of none", "runs", "states"]
@@ -135,13 +133,14 @@ def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Sect
         [name, *(f"{value:.2f}" for value in row), f"{own:.2f}"]
         for name, row, own in zip(names, residual_mg, rms, strict=True)
     ]
-    words = "In a pose at rest the specific force is one g long, whatever the attitude: what is left of it, in mg."
+    words = "At rest the specific force has a length of 1 g in any attitude. The figure shows the deviation, in mg."
     caption = (
-        "Near zero everywhere is right; one pose off in all sensors was disturbed, one sensor off has another error."
+        "All values should be near zero. A pose that is off in all sensors was disturbed; a sensor that"
+        " is off has an error."
     )
     parts: list[Table | Figure] = []
     if drawn:
         drawing = residual_figure(names, labels, residual_mg)
         parts.append(Figure(drawing, caption, f"Residuals of {len(names)} accelerometers in {len(labels)} poses"))
-    parts.append(Table(["sensor", *labels, "rms"], rows, caption if not drawn else "The same as numbers, mg."))
+    parts.append(Table(["sensor", *labels, "rms"], rows, caption if not drawn else "The same values in numbers, mg."))
     return Section(f"{log.path.name}: residuals of the calibration", words, parts)

@@ -190,7 +190,7 @@ def members(path: Path) -> list[Path]:
         return [path]
     contents = [member for member in sorted(path.iterdir()) if any(recognised(member) for _, recognised in _RECOGNISED)]
     if not contents:
-        raise LogError(f"{path}: holds nothing that a report is made of; {_ALLOWED}")
+        raise LogError(f"{path}: contains no file that a report can show; {_ALLOWED}")
     return contents
 
 
@@ -199,7 +199,7 @@ def kind_of(path: Path) -> str:
     for kind, recognised in _RECOGNISED:
         if recognised(path):
             return kind
-    missing = f"no such file or folder{guess_file(path)}" if not path.exists() else "nothing that a report is made of"
+    missing = f"no such file or folder{guess_file(path)}" if not path.exists() else "not a file that a report can show"
     raise LogError(f"{path}: {missing}; {_ALLOWED}")
 
 

@@ -40,7 +40,7 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
     calibration = Path(head.calibration).name or "the data sheets"
     yield f"{path.name}: {head.frames} frames of {Path(head.log).name} by {head.technique}, by {calibration}."
     if failed := _failed(path):
-        yield f"{path.name}: left out for a time, because they failed: {', '.join(failed)}."
+        yield f"{path.name}: left out for part of the time because they failed: {', '.join(failed)}."
 
 
 def _failed(path: Path) -> list[str]:
@@ -65,7 +65,7 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict
     caption = "Scatter from frame to frame in the quietest part, and the standard error that the estimate states."
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
     if use := _use_rows(head, course):
-        words = "Share of frames in which an axis of the sensor was used; below one, it was left out of some."
+        words = "Share of frames in which an axis of the sensor was used; below 1, it was left out of some frames."
         parts.append(Table(["sensor", "x", "y", "z"], use, words))
     if events := _events(path):
         parts.append(events)
@@ -80,7 +80,7 @@ def _events(path: Path) -> Table | None:
     events = read_fused_events(path)
     rows = [[event.sensor, event.kind.replace("_", " "), event.message] for event in events[:_EVENTS]]
     more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
-    caption = f"Sensors that failed, by what their readings showed, and what was done about it.{more}"
+    caption = f"Sensors that failed, the evidence in their readings, and the action taken.{more}"
     return Table(["sensor", "fault", "in words"], rows, caption, (1, 2)) if rows else None
 
 
@@ -88,7 +88,7 @@ def _drawn(quantity: str, course: _Course) -> Figure:
     factor, unit = READABLE_SI[quantity]
     name = quantity.replace("_", " ")
     drawing = course_figure(course.time_s, factor * course.triads[quantity], f"{name} ({unit})")
-    caption = f"The fused {name} over time: steps without motion indicate a sensor that was left out or taken back."
+    caption = f"The fused {name} over time: steps without motion indicate that a sensor was left out or used again."
     return Figure(drawing, caption, f"Fused {name} along the three box axes against time")
 
 

@@ -18,7 +18,8 @@ MOST_OVERLAYS = 12
 _KINDS = MappingProxyType(
     {
         "spectrum": "Spectrum: a peak that only the recording has is a line; a bend is a filter.",
-        "allan": "Allan deviation: white noise falls by the root; a floor is flicker; a rise is a walk or a drift.",
+        "alla"
+        "n": "Allan deviation: white noise falls with the square root; a floor is flicker noise; a rise is a drift.",
         "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a lag.",
         "codes": "Codes: combs and gaps are coarse or missing codes; a pile at an end is saturation.",
     }
@@ -30,11 +31,13 @@ def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
     """The `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
     title = "Curves: real, before and after"
     if not overlays:
-        return Section(title, "The diagnosis kept no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")
+        return Section(title, "The diagnosis stored no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")
     worst = sorted(overlays, key=lambda overlay: -farthest(overlay, overlay.before)[1])
     chosen = sorted(worst[:MOST_OVERLAYS], key=lambda overlay: list(_KINDS).index(overlay.kind))
     words = " ".join(text for kind, text in _KINDS.items() if any(overlay.kind == kind for overlay in chosen))
-    words = f"Black is the recording; bands hold 95 % of simulations, orange before, blue after. {words}"
+    words = (
+        f"The black curve is the recording. The bands hold 95 % of the simulations, orange before, blue after. {words}"
+    )
     if not drawn:
         return Section(title, words, [overlays_table(overlays)])
     if len(overlays) > len(chosen):

@@ -37,7 +37,7 @@ def log_summary(log: Log) -> Iterator[str]:
     source = "the emulated array, no hardware" if log.source == "emulated" else log.source
     yield f"{log.path.name}: {_duration(log)} of {counted(len(log.sensors), 'sensor')}, {rows} readings ({source})."
     if log.state != "finished":
-        yield f"{log.path.name} is {log.state}: what was acknowledged is shown."
+        yield f"{log.path.name} is {log.state}: the page shows the acknowledged rows."
 
 
 def log_sections(
@@ -59,7 +59,7 @@ def log_sections(
     try:
         result = characterise_log(log, progress=lambda: progress(next(columns) / total), scales=scales)
     except ImuArrayError as error:
-        yield Section(f"{log.path.name}: noise", f"Nothing can be said of noise: {error}.")
+        yield Section(f"{log.path.name}: noise", f"The noise could not be determined: {error}.")
         return
     yield _noise(log, result, drawn=drawn)
 
@@ -78,17 +78,18 @@ def _recorded(log: Log) -> Section:
         rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, listed or "none"])
     lost = flagged.get("lost_before", 0)
     words = f"Epoch {log.epoch}, written by {log.software}. "
+    words += "No reading is flagged as lost. " if not lost else f"{lost} readings follow missing ones. "
     words += (
-        "No reading is flagged as lost. " if not lost else f"{lost} readings have others missing just before them. "
-    )
-    words += (
-        "Flags are the log's own: stale means that the chip had nothing new, saturated that an axis stood at its end."
+        "The flags come from the log: stale means that the chip had no new reading, saturated that an axis was at its"
+        " limit."
     )
     heading = ["sensor", "chip", "range", "axes", "readings", "Hz", "longest pause ms", "flags"]
-    parts = [Table(heading, rows, "Every sensor: look for a rate that is not the others', and for flags.", (1, 3, 7))]
+    parts = [
+        Table(heading, rows, "All sensors. Look for a rate that differs from the others, and for flags.", (1, 3, 7))
+    ]
     if log.phases:
         stretches = [[p.name, p.up or "–", f"{p.start_ns * 1e-9:.1f}", f"{p.end_ns * 1e-9:.1f}"] for p in log.phases]
-        parts.append(Table(["phase", "up", "from s", "to s"], stretches, "What the phases say was done.", (1,)))
+        parts.append(Table(["phase", "up", "from s", "to s"], stretches, "The phases of the log.", (1,)))
     if log.events:
         parts.append(_events(log))
     return Section(f"{log.path.name}: what was recorded", words, parts)
@@ -105,17 +106,21 @@ def _events(log: Log) -> Table:
     ]
     hidden = len(repeats) - len(rows)
     more = f" {hidden} more are in the log, see imuarray info." if hidden else ""
-    caption = f"What happened; an event that repeats stands in one row.{more}"
+    caption = f"The events of the log; repeated events share a row.{more}"
     return Table(["at s", "last at s", "times", "sensor", "kind", "what"], rows, caption, (3, 4, 5))
 
 
 def _shown(log: Log, recording: Recording) -> Section:
     noted = [trace.name for trace in recording.traces if trace.note]
-    words = f"Out of bounds at some time: {', '.join(noted)}. " if noted else "No sensor is ever out of bounds. "
+    words = (
+        f"With clipped, missing or silent stretches: {', '.join(noted)}. "
+        if noted
+        else "No sensor has clipped, missing or silent stretches. "
+    )
     words += (
-        "Each band reaches from the least to the greatest value of a stretch of readings, so that a single spike is"
-        " seen. Clipped readings stand at the end of the range; readings are missing in a pause of more than"
-        f" {PERIODS:g} periods or where the log flags a loss; a sensor is silent from its last reading to the end."
+        "Each band spans the smallest to the largest value of a stretch of readings, so that even a single spike is"
+        " visible. Clipped readings are at the end of the range. Readings are missing in a pause of more than"
+        f" {PERIODS:g} periods, or where the log flags a loss. A sensor is silent from its last reading to the end."
     )
     words += "" if scripts() else " The figures can be zoomed once Bokeh is installed: pip install 'imuarray[monitor]'."
     return Section(f"{log.path.name}: the recording", words, [recording])
@@ -160,9 +165,7 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
     words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where}). "
     sentences = findings(result)
     words += (
-        f"What stands out: {'; '.join(sentences)}."
-        if sentences
-        else "Nothing stands out: no line, no clipping, no odd codes."
+        f"Unusual: {'; '.join(sentences)}." if sentences else "Nothing unusual: no line, no clipping, no missing codes."
     )
     seconds = stretch["end_s"] - stretch["start_s"]
     parts: list[Table | Figure] = [_noise_table(result)]
@@ -178,7 +181,10 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
         )
         parts.append(Figure(allan_figure(result), caption, "Allan deviation of every axis against averaging time"))
     if drawn and (drawing := spectrum_figure(result)).axes:  # none of too few rows
-        caption = "A flat spectrum is white noise, a fall at high frequency a filter, a peak a line for fusion to know."
+        caption = (
+            "A flat spectrum is white noise, a fall at high frequency is a filter, a peak is a line that"
+            " fusion should model."
+        )
         parts.append(Figure(drawing, caption, "Spectral density of every axis against frequency"))
     return Section(f"{log.path.name}: noise", words, parts)
 
@@ -197,7 +203,7 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
     heading = ["axis", "unit", "scatter", "N, unit/√Hz", "B, unit", "K, unit/√s"]
     caption = (
         "Scatter of single readings; white noise N, bias instability B and rate random walk K fitted to the Allan"
-        " deviation (IEEE Std 952), in brackets 95 % intervals; “<”: not seen, and no more than so much."
+        " deviation (IEEE Std 952), in brackets 95 % intervals; “<”: not detected; the figure is the upper limit."
     )
     return Table(heading, rows, caption, (1,))
 

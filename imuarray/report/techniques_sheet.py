@@ -49,10 +49,11 @@ def techniques_section(
             log, known, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
         )
     except ImuArrayError as error:
-        return TechniqueGains(Section(title, f"Nothing can be said of it: {error}."))
+        return TechniqueGains(Section(title, f"It could not be evaluated: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
-        "Rms error against the log's truth over that of the simple average of the same sensors. Left of one is better."
+        "Rms error against the log's truth, divided by that of the simple average of the same sensors."
+        " Below one is better."
     )
     parts: list[Table | Figure] = []
     if drawn:
@@ -85,8 +86,8 @@ def _table(comparison: Comparison) -> Table:
         rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])
     heading = ["technique", "unit", "rms X", "rms Y", "rms Z", "over the average (95 %)", "squared error over its own"]
     caption = (
-        "The last column is the squared error over the one that the result claims, with the interval in which it should"
-        " lie: beyond it the result is worse than it says."
+        "The last column is the squared error divided by the one that the result claims, with the interval in which it"
+        " should lie. Above it, the errors are larger than claimed."
     )
     return Table(heading, rows, caption, (1,))
 

@@ -54,7 +54,7 @@ def recording_verdict(log: Log) -> Verdict:
     if not rows:
         return Verdict(f"{log.path.name} holds no reading.", "bad", ((f"{len(sensors)}", "sensors"), ("0", "readings")))
     health = health_of(seen)
-    words = {"green": "is healthy", "amber": "is usable, with losses", "red": "is not as it should be"}[health.level]
+    words = {"green": "is healthy", "amber": "is usable, with losses", "red": "has serious losses"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
     advice = advice if ended else "; imuarray recover finishes it"
     gaps = sum(seen.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
@@ -99,7 +99,7 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     level: Level = "good"
     if not biased and any(sensor.thermal is not None for sensor in inertial):
         level = "doubtful"
-        sentence = "has how biases follow temperature, but no bias, which a log at rest or a tumble gives"
+        sentence = "has the temperature slopes of biases, but no biases; a log at rest or a tumble gives them"
     elif not biased:
         level, sentence = "bad", "measured no bias: fusion with it uses the data sheets' values"
     elif lacking:
@@ -163,7 +163,7 @@ def fused_verdict(
         figures.append((f"{max(ratios):.2g}", "scatter over the error that it claims"))
     level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good" if texts else "neutral"
     quiet = f"scatters by {' and '.join(texts)} at rest" if texts else "has no frames at rest"
-    honest = ", more than it says; give fuse a calibration with measured noise" if level == "doubtful" else ""
+    honest = ", more than it claims; give fuse a calibration with measured noise" if level == "doubtful" else ""
     if failed:
         level = "doubtful"
         honest += f"; {len(failed)} of {counted(count, 'sensor')} were left out for a time: see the faults below"
@@ -185,7 +185,7 @@ def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
         for score in best.values()
         if _is_sure(score)
     ]
-    sentence = f"leaves {' and '.join(gains)}" if gains else "gains nothing over the simple average beyond chance"
+    sentence = f"leaves {' and '.join(gains)}" if gains else "has no significant gain over the simple average"
     figures = tuple(
         (f"{score.ratio['XYZ'].ratio:.2f} ×", f"{score.technique}, error of {_words(score)} over the average's")
         for score in best.values()

@@ -115,7 +115,7 @@ def _item(value: Any, where: str) -> float | str | Spread:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is required")
     if not isinstance(value, str) and HUGE < abs(value) < math.inf:
-        raise ConfigError(f"{where}: a number beyond {HUGE:g}; no sensor has it")
+        raise ConfigError(f"{where}: a number beyond {HUGE:g}, which no sensor has")
     return math.nan if value != value else value  # the one nan: recipes that have it are equal
 
 

@@ -115,7 +115,7 @@ class Cluster:
         try:
             return sum(self._client.nthreads().values())
         except OSError as error:
-            raise ImuArrayError(f"the scheduler is gone: {error}; the same again goes on") from None
+            raise ImuArrayError(f"the scheduler has ended: {error}; run the same command again to continue") from None
 
     def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Submit a call to the worker that the scheduler chooses."""

@@ -83,7 +83,7 @@ def run_cases(
                 progress(before + len(states))
     except KeyboardInterrupt:
         done = f"{before + len(states)} of {len(cases)} cases are done"
-        raise KeyboardInterrupt(f"{done}; the same again goes on with the rest") from None
+        raise KeyboardInterrupt(f"{done}; run the same command again to continue") from None
     with suppress(OSError):
         _mark(folder).rmdir()
     failed, lost = (tuple(sorted(name for name in states if states[name] == state)) for state in ("failed", "lost"))
@@ -145,7 +145,9 @@ def _state_of_future(
     try:
         return future.result()
     except CancelledError:
-        raise ImuArrayError(f"{case.name}: taken away: is the scheduler gone? The same again goes on") from None
+        raise ImuArrayError(
+            f"{case.name}: cancelled: has the scheduler ended? Run the same command again to continue"
+        ) from None
     except workers.deaths as error:
         deaths[case.name] += 1
         starts = _starts(case, folder)

@@ -55,7 +55,7 @@ def test_what_lasts_until_the_log_ends() -> None:
     heard = Heard()
     heard.episode.begin(5 * SECOND, "hangs")
     heard.episode.close(65 * SECOND)
-    assert heard.events[1:] == [(65 * SECOND, "still so when the log ended, after 60.0 s")]
+    assert heard.events[1:] == [(65 * SECOND, "still present when the log ended, after 60.0 s")]
     heard.episode.close(66 * SECOND)
     assert len(heard.events) == 2
 

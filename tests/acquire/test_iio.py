@@ -397,7 +397,7 @@ def test_axes_of_different_scales_are_refused(machine: KernelMachine) -> None:
 def test_two_devices_of_one_name_are_told_apart_by_their_place(machine: KernelMachine) -> None:
     for address in ("1-001e", "1-001f"):
         machine.add("kx023", f"i2c-1/{address}", ACCEL)
-    with pytest.raises(SensorError, match="2 devices are called so; allowed are iio:kx023@1-001e, iio:kx023@1-001f"):
+    with pytest.raises(SensorError, match="2 devices have this name; allowed are iio:kx023@1-001e, iio:kx023@1-001f"):
         connected(machine, array_of(sensor("A", ACC)))
     connected(machine, array_of(sensor("A", ACC.replace("iio:kx023", "iio:kx023@1-001f"))))
     connected(machine, array_of(sensor("A", ACC.replace("iio:kx023", "iio:device1"))))

@@ -270,7 +270,7 @@ def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
         fusion.observe(header.name, rows(1000))
     fusion.close()
     assert fusion.skipped == 600
-    assert said[0] == "fusion can't keep up: its file skips frames, the log has them"
+    assert said[0] == "fusion can't keep up: its file skips frames, but the log has them"
     assert said[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
     assert len(time_ns) == fusion.frames == 1100 - fusion.skipped

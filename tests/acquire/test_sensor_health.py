@@ -125,7 +125,7 @@ def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night
     ("frames", "messages"),
     [
         (198, ["the same reading until the end"]),
-        (201, ["the same reading for 1.10 s", "still so when the log ended, after 0.0 s"]),
+        (201, ["the same reading for 1.10 s", "still present when the log ended, after 0.0 s"]),
     ],
 )
 def test_what_stands_still_at_the_end_is_reported_once(

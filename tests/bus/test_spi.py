@@ -156,7 +156,7 @@ def test_i2c_is_switched_off_on_spi_alone(chip: str, register: int, bits: int, v
     ("chip", "keys", "said"),
     [
         ("adxl345", "address = 0x53\n", "a chip on SPI has none, leave it out"),
-        ("adxl345", "spi_clock_hz = 6000000\n", "spi_clock_hz 6000000: the adxl345 bears up to 5000000"),
+        ("adxl345", "spi_clock_hz = 6000000\n", "spi_clock_hz 6000000: the adxl345 supports up to 5000000"),
         ("mpu6050_acc", "", "the mpu6050_acc has no SPI that is supported; allowed for adxl345"),
         ("icm42688_acc", "spi_clock_hz = 0\n", "greater than or equal to 1"),
     ],
@@ -176,7 +176,7 @@ def test_a_clock_belongs_to_spi_and_an_address_to_i2c() -> None:
 
 def test_two_chips_on_one_chip_select_are_refused() -> None:
     second = text("lsm6dso_acc").partition("[[sensor]]")[2].replace('"A"', '"B"')
-    with pytest.raises(ConfigError, match=r"'A' and 'B' both sit at /dev/spidev0.0"):
+    with pytest.raises(ConfigError, match=r"'A' and 'B' are both at /dev/spidev0.0"):
         parse_array(text("icm42688_acc") + "[[sensor]]" + second)
 
 

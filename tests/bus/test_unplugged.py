@@ -238,7 +238,7 @@ def test_one_that_stays_away_is_told_until_the_end(bench: Callable[..., Bench], 
     assert done.silent == ["A", "B"]
     assert len(told) <= 6
     adapter = [event for event in told if event[2] == "adapter"]
-    assert adapter[1][3] == "still so when the log ended, after 3598.0 s"
+    assert adapter[1][3] == "still present when the log ended, after 3598.0 s"
     assert sum(done.lost.values()) == pytest.approx(2 * 3598 * 50, abs=10)
 
 

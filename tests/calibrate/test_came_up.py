@@ -95,7 +95,7 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
     turn_on = chosen.sensors["G"].turn_on
     assert turn_on is not None and len(turn_on.states) == 1  # the other one is not to be feared any more
     assert not any(start.fault for start in starts.values())
-    assert "came up in state" in starts["G"].sentence("G", known)
+    assert "started in state" in starts["G"].sentence("G", known)
     assert starts["B"].sentence("B", known) == ""
 
 
@@ -121,7 +121,7 @@ def test_a_sensor_in_the_wrong_range_is_named_and_left_out(
     assert main(arguments) == 0
     report = json.loads(capsys.readouterr().out)
     (said,) = [text for text in report["start_up"] if text.startswith("B ")]
-    assert "came up at 2 g" in said
+    assert "started at 2 g" in said
     # B alone would pull the mean of two by half its 0.2 g
     assert abs(report["results"]["mean"]["specific_force"]["mean"][0]) < 0.02 * 9.80665
 
@@ -149,6 +149,6 @@ def test_log_says_it_while_it_records(
     assert main([*arguments, "--calibration", str(calibration_file), "--json"]) == 0
     captured = capsys.readouterr()
     report = json.loads(captured.out)
-    assert any(text.startswith("G came up wrong") for text in report["start_up"])
+    assert any(text.startswith("G started in a wrong state") for text in report["start_up"])
     for text in report["start_up"]:
         assert f"imuarray: {text}" in captured.err

@@ -504,7 +504,7 @@ def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
     part = Part(accelerometer("BMA1", "+X+Y+Z"), ideal("+X+Y+Z", 2048), np.zeros(3))
     with open_log(write_log([part], np.eye(3))) as log:
         with pytest.raises(
-            CalibrationError, match="sensor BMA1: not calibrated; the calibration knows BMA2; did you mean"
+            CalibrationError, match="sensor BMA1: not calibrated; the calibration contains BMA2; did you mean"
         ):
             Calibration({"BMA2": known(name="BMA2")}).of(log["BMA1"])
         with pytest.raises(CalibrationError, match="sensor BMA1: calibrated as chip mpu6050, logged as bma180"):
@@ -512,7 +512,7 @@ def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
         own = Calibration({"BMA1": known(name="BMA1", chip=log["BMA1"].chip, bias_lsb=np.ones(3))})
         assert own.of(log["BMA1"]).bias_lsb.tolist() == [1, 1, 1]
         assert Calibration({"BMA2": known(name="BMA2")}).or_nominal(log["BMA1"]).bias_lsb.tolist() == [0, 0, 0]
-        with pytest.raises(FusionError, match="the calibration knows BMA2, and none of those to be fused: BMA1"):
+        with pytest.raises(FusionError, match="the calibration contains BMA2, and none of those to be fused: BMA1"):
             next(fuse(log, Calibration({"BMA2": known(name="BMA2")}), "mean"))
 
 

@@ -438,7 +438,7 @@ def test_what_cannot_be_fitted_is_refused(write: Write, options: dict[str, objec
 def test_logs_of_differently_set_sensors_do_not_go_together(write: Write) -> None:
     one = write([(gyroscope("G"), (0.1, 0.1, 0.1))], name="one.h5")
     other = write([(gyroscope("G", "-X-Y+Z"), (0.1, 0.1, 0.1))], name="other.h5")
-    with pytest.raises(CalibrationError, match=r"other\.h5, sensor G: another range or other axes than in .*one\.h5"):
+    with pytest.raises(CalibrationError, match=r"other\.h5, sensor G: range or axes differ from .*one\.h5"):
         run(one, other)
 
 

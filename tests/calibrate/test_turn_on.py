@@ -45,7 +45,7 @@ def test_run_10_of_table_6_came_up_at_two_g() -> None:
     result = compare_runs(printed_runs(6, (24.0, 0.5)), BMA180)
     assert [(fault.run, fault.range) for fault in result.apart] == [(10, 2.0)]
     assert result.apart[0].ratio == pytest.approx(4308.719 / 536.5055)  # the median run of the fifteen
-    assert str(result.apart[0]) == "run 10: 8.03 times the usual reading: came up at 2 g"
+    assert str(result.apart[0]) == "run 10: 8.03 times the usual reading: started at 2 g"
     assert len(result.states) == 1
     assert result.states[0].runs == (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14, 15)
 
@@ -328,7 +328,7 @@ def test_faults_and_states_from_logs_to_file_and_back(write: Write, tmp_path: Pa
     today = {"Gyro3": states[1] + 0.4, "BMA1": np.array([-100.0, -134.0, 25.0 + 4096.0])}
     found = state_of(today, known, ranges={"BMA1": BMA180})
     assert (found["Gyro3"].state, found["Gyro3"].fault) == (1, False)
-    assert found["BMA1"].fault and "came up at 2 g" in found["BMA1"].explanation
+    assert found["BMA1"].fault and "started at 2 g" in found["BMA1"].explanation
 
 
 def started(**values: object) -> Calibration:
@@ -372,7 +372,7 @@ def test_runs_that_do_not_go_together_are_refused(write: Write) -> None:
     with pytest.raises(CalibrationError, match="no log"):
         calibrate_turn_on([])
     together = write([(gyroscope("G"), np.zeros((4, 3)))], together=True)
-    with pytest.raises(CalibrationError, match="run 1 a second time"):
+    with pytest.raises(CalibrationError, match="run 1 occurs twice"):
         run([*together, *together])
 
 

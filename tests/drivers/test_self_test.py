@@ -136,4 +136,4 @@ def test_how_often_it_must_be_looked_at() -> None:
 def test_a_moving_box_is_not_judged(chip: str, dead: bool) -> None:
     verdict = outcome(chip, steady(0.0, 0.0), dead=dead, world=Shaking())
     assert verdict.passed is None, verdict.text
-    assert verdict.text.endswith("it moved meanwhile: let it rest, and try again")
+    assert verdict.text.endswith("it moved during the test: keep it at rest and try again")

@@ -189,7 +189,7 @@ def test_a_dead_bus_is_an_error_and_no_reading(die: str) -> None:
     bench.wait(20)
     inner = bench.bus.transfer
     bench.routes[0].driver.registers.bus.transfer = lambda address, write=b"", read=0: b"\xff" * read  # type: ignore[method-assign]
-    with pytest.raises(OSError, match=r"its queue says .* and holds"):
+    with pytest.raises(OSError, match=r"its queue reports .* and holds"):
         bench.fetch(0)
     bench.routes[0].driver.registers.bus.transfer = lambda address, write=b"", read=0: bytes(read)  # type: ignore[method-assign]
     for _ in range(3):

@@ -169,7 +169,7 @@ def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
         export(fused, to, sensors=["Acc"])
     with pytest.raises(LogError, match="no sensor 'Nobody'; it has Acc, Baro, Gyro"):
         export(run, to, sensors=["Nobody"])
-    with pytest.raises(ExportError, match="has Acc, Gyro; the calibration knows no sensor"):
+    with pytest.raises(ExportError, match="has Acc, Gyro; the calibration contains no sensor"):
         export(run, to, calibration=known)
     misfit = SensorCalibration("Acc", "specific_force", "g", np.zeros(3), np.eye(3) * 4096.0)
     with pytest.raises(CalibrationError, match="another range"):

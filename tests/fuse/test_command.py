@@ -59,7 +59,7 @@ def test_fuse_writes_a_file_and_reports_errors(
     rms = np.array(report["error"]["specific_force"]["rms"]) / G
     assert rms == pytest.approx([0.01 / np.sqrt(2)] * 3, rel=5 / np.sqrt(2000))
     assert np.degrees(report["error"]["angular_rate"]["noise"]) == pytest.approx([0.2] * 3, rel=6 / np.sqrt(2000))
-    assert ("measured where this log stands still" in err) == (technique in ("planes", "ranges"))
+    assert ("measured in this log at rest" in err) == (technique in ("planes", "ranges"))
     with h5py.File(output) as file:
         assert file["fused/specific_force"].shape == (1000, 3)
         assert file.attrs["technique"] == technique
@@ -207,7 +207,7 @@ def test_a_calibration_of_another_array_is_refused(
     foreign.write_text("[calibration]\nformat_version = 1\n")
     arguments = ["fuse", str(run), "--calibration", str(foreign), "-o", str(tmp_path / "f.h5")]
     assert main(arguments) == 2
-    assert "knows no sensor, but none of" in capsys.readouterr().err
+    assert "contains no sensor, but none of" in capsys.readouterr().err
 
 
 def test_it_says_what_the_technique_changed_and_what_is_not_calibrated(

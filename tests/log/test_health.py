@@ -63,7 +63,7 @@ def test_what_is_counted_otherwise_is_no_further_fault() -> None:
         ("hang", "SDA is held low", True),
         ("hang", "works again, after 3.0 s", False),
         ("adapter", "the adapter is back at /dev/i2c-3, its sensors are configured again", False),
-        ("hang", "still so when the log ended, in all 2 times in 3.0 s", True),
+        ("hang", "still present when the log ended, in all 2 times in 3.0 s", True),
         ("back", "answers again with its configuration intact, after 0.50 s", False),
         ("recovered", "the log was cut short", False),
     ],

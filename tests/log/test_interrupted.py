@@ -268,7 +268,7 @@ def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -
         log.flush()
         shutil.copy(journal_of(tmp_path / "other" / "run.h5"), journal_of(run))
     assert journal_of(run).read_bytes() != content
-    with pytest.warns(LogWarning, match="its journal run.h5.journal is another log's"):
+    with pytest.warns(LogWarning, match="its journal run.h5.journal belongs to another log"):
         check(run, 210)
 
 

@@ -80,7 +80,7 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="optimal", log="r.h5", events=[told, back])
     write_report([fused], page)
     text = page.read_text()
-    assert "fused.h5: left out for a time, because they failed: B&lt;1&gt;." in text
+    assert "fused.h5: left out for part of the time because they failed: B&lt;1&gt;." in text
     assert "1.50 s: B&lt;1&gt; x has 8 times its scale, as if set to a range of 2 g (40 sigma): left out" in text
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: back in use" in text
 
@@ -119,7 +119,7 @@ def test_a_folder_stands_for_the_files_in_it(made: Path, tmp_path: Path) -> None
         "cal.toml": "calibration", "fused.h5": "fused result",
     }  # fmt: skip
     (tmp_path / "empty").mkdir()
-    with pytest.raises(LogError, match="empty: holds nothing that a report is made of; allowed are logs"):
+    with pytest.raises(LogError, match="empty: contains no file that a report can show; allowed are logs"):
         write_report([tmp_path / "empty"], tmp_path / "other.html")
 
 

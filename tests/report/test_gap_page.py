@@ -186,7 +186,7 @@ def test_every_cause_with_what_is_known_of_it(page: Page) -> None:
     rows = {row[0].partition("\n")[0]: row for row in page.rows["Causes"] if len(row) == 7}
     assert set(rows) == {"effect", *(cause.effect for cause in CAUSES)}
     lag = rows["thermal_lag"]
-    assert lag[0].partition("\n")[2] == "add: the element warms up later than the box"
+    assert lag[0].partition("\n")[2] == "add: the sensing element warms up later than the box"
     assert lag[1:] == ["97 %", "Gyro2", "time constant 12.3 s", "86 % (75 to 94)", "random_walk", "sensor"]
     assert rows["tone"][1:4] == [">99 %", "Gyro1 (x)", "amplitude 0.25, 0, 0 dps; frequency 13.7 Hz; phase 12°"]
     assert rows["bias"][2:] == ["BMA1, BMA2 (z)", "offset 0, 0, 12.3 mg (BMA1; others below)", "–", "–", "metadata"]
@@ -325,7 +325,7 @@ def test_as_json_is_strict_json(diagnosis: Diagnosis) -> None:
 
 def test_every_effect_has_a_meaning() -> None:
     assert set(MEANINGS) == set(EFFECTS)
-    assert MEANINGS["thermal_lag"] == "the element warms up later than the box"
+    assert MEANINGS["thermal_lag"] == "the sensing element warms up later than the box"
 
 
 def test_both_maps_have_one_scale_that_breaks_at_the_limit() -> None:

@@ -43,7 +43,7 @@ def recorded(path: Path, rows: int = 1000, gyro_rows: int = 1000, status: int = 
         (
             (1000, 500),
             "bad",
-            "run.h5 is not as it should be: Gyro silent for 5 s; check cable, power and address.",
+            "run.h5 has serious losses: Gyro silent for 5 s; check cable, power and address.",
         ),
         (
             (1000, 1000, 8),
@@ -104,7 +104,7 @@ def test_gaps_are_told_in_the_section_too(tmp_path: Path) -> None:
     recorded(tmp_path / "run.h5", 1000, 1000, 8)
     with open_log(tmp_path / "run.h5") as log:
         section = next(iter(log_sections(log, {}, drawn=False)))
-    assert "6 readings have others missing just before them." in section.text
+    assert "6 readings follow missing ones." in section.text
 
 
 def sensor(name: str, *, measured: bool, scaled: bool = True) -> SensorCalibration:
@@ -131,7 +131,7 @@ def test_is_the_calibration_good() -> None:
     assert calibration_verdict(Path("c.toml"), Calibration({"A1": alone})).level == "bad"
     heated = replace(alone, thermal=Thermal(np.ones(3), np.ones(3), 25.0, (BIAS,) * 3, "reference"))
     verdict = calibration_verdict(Path("c.toml"), Calibration({"A1": heated}))
-    assert (verdict.level, "how biases follow temperature, but no bias" in verdict.sentence) == ("doubtful", True)
+    assert (verdict.level, "the temperature slopes of biases, but no biases" in verdict.sentence) == ("doubtful", True)
 
 
 @pytest.mark.parametrize(("claimed", "level"), [(0.01, "good"), (0.004, "doubtful")])
@@ -142,7 +142,7 @@ def test_is_the_fused_result_as_good_as_it_says(claimed: float, level: str) -> N
     assert verdict.level == level
     assert verdict.sentence.startswith("f.h5, fused by optimal, scatters by 1 mg at rest")
     assert ("1 mg", "largest scatter at rest, specific force") in verdict.figures
-    assert ("more than it says" in verdict.sentence) == (level == "doubtful")
+    assert ("more than it claims" in verdict.sentence) == (level == "doubtful")
 
 
 def test_the_worst_of_several_is_the_verdict() -> None:

@@ -128,7 +128,7 @@ def test_when_the_scheduler_is_gone_another_executor_goes_on(tmp_path: Path) -> 
             if done == 6:
                 scheduler.kill()
 
-        with pytest.raises(ImuArrayError, match="the same again goes on"):
+        with pytest.raises(ImuArrayError, match="run the same command again to continue"):
             run_cases(cases, there, worked, executor, progress=kill)
     with executor_of("processes", 1) as processes:
         ran = run_cases(cases, there, worked, processes)

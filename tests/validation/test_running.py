@@ -189,7 +189,7 @@ def test_an_interrupt_says_how_to_go_on_and_the_rest_is_done_later(tmp_path: Pat
         if done == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt, match=r"^2 of 5 cases are done; the same again goes on with the rest$"):
+    with pytest.raises(KeyboardInterrupt, match=r"^2 of 5 cases are done; run the same command again to continue$"):
         run_cases(cases, tmp_path, worked, progress=stop)
     assert run_cases(cases, tmp_path, worked) == RunSummary(5, 2, (), ())
 
@@ -227,7 +227,7 @@ def test_ctrl_c_ends_all_processes(tmp_path: Path) -> None:
         except BaseException:
             os.killpg(process.pid, signal.SIGKILL)
             raise
-    assert errors.rstrip().endswith("KeyboardInterrupt: 1 of 9 cases are done; the same again goes on with the rest")
+    assert errors.rstrip().endswith("KeyboardInterrupt: 1 of 9 cases are done; run the same command again to continue")
     assert [path.name for path in (folder / "outcomes").iterdir()] == [f"{case_of(0).name}.json"]
     for pid in pids:
         with pytest.raises(ProcessLookupError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -85,3 +86,10 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
         "channel_swap": ChannelSwap,
     }
 )
+
+
+def meaning(name: str) -> str:
+    """Return what the effect `name` does, in a few words: the first line of its module. "" for an unknown name."""
+    kind = EFFECTS.get(name)
+    about = (sys.modules[kind.__module__].__doc__ or "") if kind else ""
+    return about.splitlines()[0].partition(": ")[2].rstrip(".") if about else ""

@@ -1,4 +1,4 @@
-"""`adaptive_range`: the reading stands still for a moment when the rate passes a threshold."""
+"""`adaptive_range`: the reading is frozen for a moment when the rate passes a threshold."""
 
 from __future__ import annotations
 

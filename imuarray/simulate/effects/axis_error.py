@@ -1,4 +1,4 @@
-"""`axis_error`: the sensor's axes are other ones than the configuration says."""
+"""`axis_error`: the axes of the sensor differ from the configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`bandwidth`: readings that remember the one before."""
+"""`bandwidth`: each reading depends on the previous ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`bias`: what a sensor reads when there is nothing to read."""
+"""`bias`: the reading differs from zero at zero input."""
 
 from __future__ import annotations
 

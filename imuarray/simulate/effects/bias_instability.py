@@ -1,4 +1,4 @@
-"""`bias_instability`: the bias wanders and comes back."""
+"""`bias_instability`: the bias wanders within bounds."""
 
 from __future__ import annotations
 

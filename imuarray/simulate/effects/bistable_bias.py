@@ -1,4 +1,4 @@
-"""`bistable_bias`: after some boots the bias is another one."""
+"""`bistable_bias`: after some boots the bias is different."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`channel_swap`: the data of another sensor."""
+"""`channel_swap`: the sensor delivers the data of another sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`clock_error`: the log's clock goes wrong by a ratio that is constant, or settles."""
+"""`clock_error`: the clock of the log is off by a ratio that is constant or settles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`common_mode`: all units of one design, or of one group, wander together."""
+"""`common_mode`: the biases of all units of one design, or of one group, wander together."""
 
 from __future__ import annotations
 

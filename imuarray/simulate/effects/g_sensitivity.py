@@ -1,4 +1,4 @@
-"""`g_sensitivity`: specific force moves the reading of a sensor that is to measure something else."""
+"""`g_sensitivity`: specific force changes the reading of a sensor of another quantity."""
 
 from __future__ import annotations
 

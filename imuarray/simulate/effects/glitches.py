@@ -1,4 +1,4 @@
-"""`glitches`: now and then a reading is corrupted."""
+"""`glitches`: single readings are corrupted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`jitter`: every reading is stamped a little off."""
+"""`jitter`: time stamps of readings scatter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`misalignment`: the axes of the sensor lean."""
+"""`misalignment`: the axes of the sensor are misaligned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nonlinearity`: the response is a little curved."""
+"""`nonlinearity`: the response is slightly nonlinear."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`odr_error`: the chip runs at another data rate, or through another filter, than it was told to."""
+"""`odr_error`: the chip runs at another data rate, or with another filter, than configured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`own_clock`: the chip makes its readings by a clock of its own, and answers a poll with the latest of them."""
+"""`own_clock`: the chip samples by its own clock and answers a poll with its latest reading."""
 
 from __future__ import annotations
 

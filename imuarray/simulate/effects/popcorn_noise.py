@@ -1,4 +1,4 @@
-"""`popcorn_noise`: the bias jumps to and fro between two levels."""
+"""`popcorn_noise`: the bias jumps between two levels."""
 
 from __future__ import annotations
 

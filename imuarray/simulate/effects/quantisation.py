@@ -1,4 +1,4 @@
-"""`quantisation`: codes come in coarser steps than one."""
+"""`quantisation`: codes come in steps larger than one."""
 
 from __future__ import annotations
 

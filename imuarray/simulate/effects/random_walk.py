@@ -1,4 +1,4 @@
-"""`random_walk`: the bias walks away and has no reason to come back."""
+"""`random_walk`: the bias wanders without bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`range_reset`: the chip measures in another range than it was set to."""
+"""`range_reset`: the chip measures in another range than configured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`saturation`: the signal ends before the code span does."""
+"""`saturation`: the signal saturates before the codes do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`scale`: a unit of the quantity is more or fewer counts than the data sheet says."""
+"""`scale`: the scale factor differs from the data sheet."""
 
 from __future__ import annotations
 

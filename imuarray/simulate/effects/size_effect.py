@@ -1,4 +1,4 @@
-"""`size_effect`: a sensor away from the box's origin feels the box turn."""
+"""`size_effect`: a sensor away from the origin of the box senses the rotation of the box as specific force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`skew`: readings are older than their stamps."""
+"""`skew`: readings are older than their time stamps."""
 
 from __future__ import annotations
 

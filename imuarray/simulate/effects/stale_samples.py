@@ -1,4 +1,4 @@
-"""`stale_samples`: a reading is the one before, once more."""
+"""`stale_samples`: a reading repeats the previous one."""
 
 from __future__ import annotations
 

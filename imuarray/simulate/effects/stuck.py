@@ -1,4 +1,4 @@
-"""`stuck`: the counts stand still for a while."""
+"""`stuck`: the counts are frozen for a while."""
 
 from __future__ import annotations
 

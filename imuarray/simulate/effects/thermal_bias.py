@@ -1,4 +1,4 @@
-"""`thermal_bias`: the bias follows the element's temperature."""
+"""`thermal_bias`: the bias depends on the temperature of the sensing element."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`thermal_lag`: the element warms up later than the box."""
+"""`thermal_lag`: the sensing element warms up later than the box."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`thermal_scale`: the scale follows the element's temperature."""
+"""`thermal_scale`: the scale factor depends on the temperature of the sensing element."""
 
 from __future__ import annotations
 

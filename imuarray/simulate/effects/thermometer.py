@@ -1,4 +1,4 @@
-"""`thermometer`: the chip's own thermometer is off."""
+"""`thermometer`: the thermometer of the chip has an error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tone`: a sine in the signal."""
+"""`tone`: a sine wave in the signal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`turn_on_bias`: the bias is another one each time the sensor is switched on."""
+"""`turn_on_bias`: the bias changes each time the sensor is switched on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`white_noise`: every reading is off by an independent normal number."""
+"""`white_noise`: every reading has an independent, normally distributed error."""
 
 from __future__ import annotations
 

@@ -313,4 +313,4 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", "--gap"]) == 0
     assert capsys.readouterr().out == render_text()
     assert main(["paper", "--gap", "--replica"]) == 2
-    assert "one at a time" in capsys.readouterr().err
+    assert "give either --replica or --gap" in capsys.readouterr().err
