@@ -40,10 +40,15 @@ _WIDTH = 110
 _HEAD_BYTES = 1 << 18
 _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "%", "//")
-_UNIT_IN_NAME = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|_(ms|us|ns|s|g|mg|dps|uT|degC|C)$")
+_UNIT_IN_NAME = re.compile(
+    r"[\[(]\s*([^\])]*?)\s*[\])]"
+    r"|_(ms|us|ns|s|g|mg|m_?s2|mps2|m?dps|deg_?s|m?rad_?s|radps|m?gauss|[mun]T|degC|C|K)$"
+)
 _SPELLINGS: Mapping[str, str] = {
     "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2",
     "°/s": "dps", "deg/s": "dps", "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s",
+    "ms2": "m/s2", "m_s2": "m/s2", "deg_s": "dps", "degs": "dps", "rad_s": "rad/s", "rads": "rad/s",
+    "mrad_s": "mrad/s", "mrads": "mrad/s",
     "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
     "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
     "µs": "us", "usec": "us",

@@ -33,6 +33,18 @@ CASES: dict[str, tuple[str, list[str]]] = {
         ),
         ['unit = "m/s2"', 'unit = "rad/s"', 'columns = ["Accel_X [m/s^2]", "Accel_Y [m/s^2]", "Accel_Z [m/s^2]"]'],
     ),
+    "signed whole numbers of mg and mdps, units behind underscores": (
+        text_of(
+            "t_s,ax_mg,ay_mg,az_mg,gx_mdps,gy_mdps,gz_mdps",
+            np.rint(COUNTS * np.array([1000 / 4096] * 3 + [1000 / 131] * 3)),
+            form="{:+.0f}",
+        ),
+        ['unit = "mg"\n', 'unit = "mdps"\n'],
+    ),
+    "SI units behind underscores": (
+        text_of("t_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s", SI),
+        ['unit = "m/s2"\n', 'unit = "rad/s"\n'],
+    ),
     "no header": (
         text_of(None, SI),
         ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? from the size of the values', "rad/s"],
