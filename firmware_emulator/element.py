@@ -45,7 +45,7 @@ SENSED: dict[str, tuple[str, float]] = {
     "ak8963": ("field_box", 1.0),
     "ak8975": ("field_box", 1.0),
 }
-"""By chip: the field of `Stimulus` that it measures, and what one of its unit is in g, dps or gauss."""
+"""Keyed by chip: the field of `Stimulus` that it measures, and the size of one of its unit in g, dps or gauss."""
 
 
 @dataclass(frozen=True)

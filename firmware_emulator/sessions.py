@@ -27,7 +27,7 @@ UPWARDS: Triple = (0.0, 0.0, 1.0)
 RAMP_S = 1.0
 """A motion sets in and dies down within so long."""
 DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
-"""Of the swings of a draught, each with a phase of its own."""
+"""Periods of the swings of a draught; each swing has its own phase."""
 
 
 def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:

@@ -15,7 +15,7 @@ from firmware_emulator.wire import Wire
 
 READ = 0x80
 SELECT_NS, RELEASE_NS = 50, 150
-"""From the select to the first clock, and from the last clock to the next select: the data sheets ask for less
+"""Time from the select to the first clock, and from the last clock to the next select: the data sheets ask for less
 (DEC-110)."""
 OPEN_LINE = 0xFF
 """Byte that is read where no chip drives the line: a pull-up."""

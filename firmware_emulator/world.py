@@ -49,7 +49,7 @@ class Phase(NamedTuple):
 
 
 UPRIGHT = Stimulus()
-"""At rest on the -Z face."""
+"""Stimulus at rest on the -Z face."""
 
 World = Callable[[int], Stimulus]
 
@@ -200,7 +200,7 @@ COOLING_MIN = 20.0
 HEATING_MIN = 2.0
 PROFILE_START_DEGC = 24.0
 WARM_DEGC = 24.0 + (42.5 - 24.0) * math.exp(-5.0 / COOLING_MIN)
-"""Where five minutes of cooling from 42.5 degC lead."""
+"""Temperature after five minutes of cooling from 42.5 degC."""
 PROFILE = (
     Stretch("room", 5.0, PROFILE_START_DEGC, COOLING_MIN),
     heating_to(42.5, PROFILE_START_DEGC, 5.0, HEATING_MIN),
@@ -334,4 +334,4 @@ WORLDS: dict[str, WorldKind] = {
     "heating": Heating,
     "shaking": Shaking,
 }
-"""By the name that a bus URL uses: ``emulated:?world=tumble&face_s=10``."""
+"""Worlds by the name that a bus URL uses: ``emulated:?world=tumble&face_s=10``."""

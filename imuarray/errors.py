@@ -58,7 +58,7 @@ class ImuArrayError(Exception):
     """Root of the tree; its text is one line that names the place, what came and what is allowed."""
 
     exit_code = 2
-    """With which the command line ends."""
+    """Exit code of the command line."""
 
 
 class ConfigError(ImuArrayError):

@@ -19,7 +19,7 @@ PALETTE = ("#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 """Grey for single sensors, then Okabe and Ito's colours."""
 
 _MOST_POINTS = 4000
-"""Of a curve over time: a stretch of rows is drawn by its least and its greatest value."""
+"""Points of a curve over time: a stretch of rows is drawn by its least and its greatest value."""
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -10,7 +10,7 @@ from pathlib import Path
 from imuarray.printable import printable
 
 _MOST_FILES = 2000
-"""Only so many names of a folder are compared, so that an error in a large folder is not slow."""
+"""Most names of a folder that are compared, so that an error in a large folder is not slow."""
 
 
 def guess(word: str, allowed: Iterable[str]) -> str:

@@ -51,7 +51,7 @@ CHIPS: dict[str, Callable[..., Chip]] = {
     "ak8963": Ak8963,
     "ak8975": Ak8975,
 }
-"""By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""
+"""Chips by the name that configurations use; each is built as ``(address, element, powered_on_ns, **switches)``."""
 
 ON_AUXILIARY_BUS = ("ak8963", "ak8975")
 """Chips that an MPU-9150 or MPU-9250 on the same bus hides until its bypass is open."""

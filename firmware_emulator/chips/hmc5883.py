@@ -16,9 +16,9 @@ from imuarray.facts import hmc5883 as facts
 NEVER_NS = 1 << 62
 CONTINUOUS, SINGLE, IDLE, IDLE_TOO = range(4)
 PERIODS_NS = tuple(round(1e9 / rate_hz) for rate_hz in (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0, 75.0))
-"""By rate code (HMC-28); the reserved code 111 is taken for 75 Hz."""
+"""Periods by rate code (HMC-28); the reserved code 111 is taken for 75 Hz."""
 BANDWIDTH_HZ = 80.0
-"""Of one measurement: half the fastest rate, 160 Hz (HMC-29)."""
+"""Bandwidth of one measurement: half the fastest rate, 160 Hz (HMC-29)."""
 INVALID = -4096
 """Stands for what the 12-bit converter can't express (HMC-32)."""
 DATA = range(facts.DATA_X_MSB.address, facts.DATA_Y_LSB.address + 1)

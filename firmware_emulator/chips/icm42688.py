@@ -31,7 +31,7 @@ RATES_HZ = {1: 32000.0, 2: 16000.0, 3: 8000.0, 4: 4000.0, 5: 2000.0, 6: 1000.0, 
 RATES_HZ |= {11: 12.5, 12: 6.25, 13: 3.125, 14: 1.5625, 15: 500.0}  # TDK-15
 FILTER_SHARES = {1: 4, 2: 5, 3: 8, 4: 10, 5: 16, 6: 20, 7: 40}  # of the rate, but of 400 Hz at least: TDK-16
 TRIM_CODE = 120
-"""Of every axis, unless told otherwise (DEC-62): a deflection of 65 dps and of 0.52 g."""
+"""Trim code of every axis by default (DEC-62): a deflection of 65 dps and of 0.52 g."""
 STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
 
 FIFO_BYTES = 2048  # TDK-80

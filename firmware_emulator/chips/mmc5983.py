@@ -17,7 +17,7 @@ BANDWIDTHS_HZ = (100.0, 200.0, 400.0, 800.0)
 MEASURED_NS = (8_000_000, 4_000_000, 2_000_000, 500_000)  # MMC-13
 RATES_HZ = (0.0, 1.0, 10.0, 20.0, 50.0, 100.0, 200.0, 1000.0)  # MMC-16
 BRIDGE_GAUSS = (0.11, -0.07, 0.19)
-"""Where the bridges stand without a field (DEC-212), within what MMC-20 allows."""
+"""Outputs of the bridges in zero field (DEC-212), within what MMC-20 allows."""
 EXTRA_GAUSS = 1.0
 """Change of the readings by the extra current (DEC-213)."""
 

@@ -28,7 +28,7 @@ GYRO_BANDWIDTHS_HZ = (256.0, 188.0, 98.0, 42.0, 20.0, 10.0, 5.0, 256.0)
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 WORDS = Struct(">7h")
 TRIM_CODE = 17
-"""Of every axis, unless told otherwise: the middle of the codes (DEC-43)."""
+"""Trim code of every axis by default: the middle of the codes (DEC-43)."""
 
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 

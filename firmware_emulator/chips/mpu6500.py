@@ -29,7 +29,7 @@ GYRO_BANDWIDTHS_HZ = (250.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 3600.0)  # by D
 ACCEL_BANDWIDTHS_HZ = (460.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 460.0)  # by A_DLPF_CFG: INV-74
 WORDS = Struct(">7h")
 TRIM_CODE = 120
-"""Of every axis, unless told otherwise: a deflection of 65 dps and of 0.52 g (DEC-81)."""
+"""Trim code of every axis by default: a deflection of 65 dps and of 0.52 g (DEC-81)."""
 
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 

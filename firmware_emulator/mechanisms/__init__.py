@@ -120,4 +120,4 @@ MECHANISMS: Mapping[str, type[Mechanism]] = MappingProxyType(
         "reference_noise": ReferenceNoise,
     }
 )
-"""By the name that a bus URL and a case use."""
+"""Mechanisms by the name that a bus URL and a case use."""

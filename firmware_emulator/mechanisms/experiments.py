@@ -44,7 +44,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
         "motion": Experiment("motion", Shaking(peak_g=0.35, peak_dps=150.0), 50.0, reference_hz=500.0),
     }
 )
-"""By the names that the command line uses; all together nine minutes of emulated time."""
+"""Experiments by the names that the command line uses; all together nine minutes of emulated time."""
 
 
 def known_experiment(name: str) -> Experiment:

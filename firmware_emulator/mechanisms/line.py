@@ -29,7 +29,7 @@ class Layout(NamedTuple):
 LAYOUTS = MappingProxyType(
     {"adxl345": Layout(0x32, 0, 13), "bma180": Layout(0x02, 2, 14), "l3g4200d": Layout(0x28, 0, 16)}
 )
-"""By chip; inertial chips only."""
+"""Layouts by chip; inertial chips only."""
 
 Latch = Callable[[int, Codes], Codes]
 Contact = Callable[[int], bool]

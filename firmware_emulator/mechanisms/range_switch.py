@@ -15,7 +15,7 @@ from firmware_emulator.mechanisms.site import Site
 RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {"bma180": tuple(range_g for range_g, _ in BMA180.values()), "l3g4200d": tuple(dict.fromkeys(L3G4200D_DPS))}
 )
-"""Of each chip, in g or dps, the smallest first."""
+"""Ranges of each chip, in g or dps, the smallest first."""
 
 
 @dataclass(frozen=True)

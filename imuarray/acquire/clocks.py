@@ -18,7 +18,7 @@ from imuarray.log.format import ClockRow
 
 PERIOD_NS = 10_000_000_000
 STEP_NS = 10_000_000
-"""From here on a change of the wall clock against the monotonic one is an event; slewing changes it by less in 10 s."""
+"""Change of the wall clock against the monotonic clock that counts as an event; slewing changes it by less in 10 s."""
 
 
 Read = Callable[[], tuple[int, int, int, int]]

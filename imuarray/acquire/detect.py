@@ -57,7 +57,9 @@ class Detection:
     self_test: str = ""
     """What the chip's self-test said, if it was asked for."""
     channel: int | None = None
-    """Of the multiplexer (None: the trunk), with the address, of a chip that answered where nobody looked for it."""
+    """Channel of the multiplexer (None: the trunk), with the address, for a chip that answered where nobody looked for
+    it.
+    """
     address: int | None = None
     undetermined: bool = False
     """The self-test could not say whether the chip is good."""
@@ -66,7 +68,7 @@ class Detection:
     remark: str = ""
     """What is worth knowing of how the chip is set now."""
     rates_hz: Mapping[str, float] = field(default_factory=dict)
-    """Of a device that the kernel serves: the data rate of each triad, by quantity."""
+    """Data rate of each triad of a device behind a kernel driver, by quantity."""
 
 
 _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: "FAILED", None: "undetermined"})

@@ -15,8 +15,9 @@ QUIET_NS = 1_000_000_000
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 MOST_EVENTS_AN_HOUR = 28
-"""Of one kind of episode of one sensor: with quiet times of 1, 2, ... 512 and then 900 seconds between its episodes no
-more than 14 of them begin in an hour."""
+"""Largest number of events for one kind of episode of one sensor: with quiet times of 1, 2, ... 512 and then 900
+seconds between its episodes no more than 14 of them begin in an hour.
+"""
 
 Tell = Callable[[int, str, str], None]
 """(at_ns, kind, message)."""

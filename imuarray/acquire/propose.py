@@ -26,7 +26,7 @@ _REMARKS = {
     "hmc5883 or hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; --self-test fails for one",
     "ak8963 or ak8975": "or ak8975 (of an MPU-9150), with range = 12.29: they identify themselves alike",
 }
-"""By what was found: what stands beside it in the file."""
+"""Comment in the proposed file, by the chip that was identified."""
 
 _HEAD = """\
 # The chips that answered on {bus}. Settings can be changed; an error lists the allowed ones.

@@ -39,8 +39,9 @@ _FROZEN_BANDWIDTHS = 30.0
 rms on a single axis, three in four readings repeat the code before."""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""Of the seconds that so many readings should take: frames that follow each other faster than the chip measures repeat
-its reading."""
+"""Share of the time that so many readings should take: frames that follow each other faster than the chip measures
+repeat its reading.
+"""
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """A sensor without a reading for so many seconds, and as long as so many readings take, gives none any more."""

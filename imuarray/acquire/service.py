@@ -13,7 +13,9 @@ import time
 from collections.abc import Callable, Mapping
 
 _SHARE = 0.5
-"""Of the time that the watchdog allows (sd_watchdog_enabled(3) recommends to notify every half of it)."""
+"""Interval of notifications as a share of the watchdog's time (sd_watchdog_enabled(3) recommends to notify every half
+of it).
+"""
 _STATUS_NS = 10_000_000_000
 
 

@@ -40,7 +40,9 @@ class StartVerdict(Protocol):
 
 
 Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
-"""From the counts (n, 3) of the sensors' first seconds to verdicts by name; none for sensors that can't be judged."""
+"""Function from the counts (n, 3) of the sensors' first seconds to verdicts by name; none for sensors that can't be
+judged.
+"""
 
 
 class StartUp:

@@ -35,7 +35,7 @@ SWEEP_S = 0.84
 MAX_TURNS = 64
 """Read-backs share lists where there are more of them: firmware has room for 128 lists."""
 _SLACK = 1.1
-"""By how much a chip's own clock may be fast without its readings getting lost between ours."""
+"""Factor by which a chip's own clock may be fast without its readings getting lost between ours."""
 _SLACK_NS = 500_000
 """How much closer than a frame two visits may come when a request is tried twice."""
 

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 I2C_DEVICES = Path("/sys/bus/i2c/devices")
-"""Where the kernel lists I2C adapters and their devices (LNX-21)."""
+"""Folder in which the kernel lists I2C adapters and their devices (LNX-21)."""
 TTY_DEVICES = Path("/sys/class/tty")
-"""Where the kernel lists serial ports."""
+"""Folder in which the kernel lists serial ports."""
 DEVICE_FILES = Path("/dev")
 _ADAPTER = re.compile(r"i2c-(\d+)")
 _NUMBER = re.compile(r"\b\d+\b")

@@ -22,7 +22,7 @@ from imuarray.arrays import Floats, Times
 MAX_DRIFT = 0.01
 """Ceramic resonators are good to half a percent; what a fit says beyond twice that is the fault of its data."""
 BLOCK_NS = 100_000_000
-"""Of each such stretch one arrival is kept, the earliest."""
+"""Length of a stretch of which only the earliest arrival is kept."""
 WINDOW_BLOCKS = 600
 """A minute or more: long beside the jitter of a delivery, short beside the warming up of an oscillator."""
 MIN_SPAN_NS = 200_000_000

@@ -37,7 +37,9 @@ EARLY_NS = 10_000_000
 """How much quicker a delivery may be than the quickest of the last seconds, which an adapter that collects bytes for
 16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
 LEARNT_NS = 1_000_000
-"""By how much one piece of data may shift the fit of the microcontroller's clock: a false frame shifts it no more."""
+"""Largest shift that one observation may cause in the fit of the microcontroller's clock: a false frame shifts it no
+more.
+"""
 
 RESENDS = 3
 """Attempts to get frames that are missing; what is sent again gets lost as often as anything else."""

@@ -31,7 +31,7 @@ _RIDGE = 1e-12
 """What regressors that say the same are kept apart by: their coefficients are then as good as unknown."""
 
 _LOG_ODDS = (-4.0, 6.0)
-"""Of the white share: 0.02 to 0.998."""
+"""Limits of the log odds of the white share: 0.02 to 0.998."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from imuarray.calibrate.stability import Drift
 
 MOST_SEGMENTS = 512
 LEAST_SEGMENTS = 16
-"""Of the longest stretch; in fewer nothing can be told."""
+"""Fewest segments of the longest stretch from which drift can be estimated."""
 
 SHORTEST = 2.0
 """Time constants from so many segments on; faster ones are coloured noise."""

@@ -91,7 +91,7 @@ STRANGE_G = 0.001
 was not at rest; a hand that holds a box does that, a table does not."""
 
 _SOFTEST = 1e-5
-"""Of `Bundle.stiffness`: below, some turn of the directions is as good as unknown."""
+"""Lower limit of `Bundle.stiffness`: below it, some rotation of the directions is as good as unknown."""
 
 _MOST_DRIFT = 2
 """A bias drifts along a parabola in time at most: warming up, it goes fast at first."""

@@ -60,8 +60,8 @@ def _sentence(log: Log, windows: RestWindows, knocks: Sequence[Knock]) -> str:
 
 
 STILL: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 5.0})
-"""By quantity, in its unit: seconds in which readings scatter by more, or whose mean is so far from that of the second
-before, are motion. A sensor's own noise is smaller, and a bias drifts by less in a second.
+"""Keyed by quantity, in its unit: seconds in which readings scatter by more, or whose mean is so far from that of the
+second before, are motion. A sensor's own noise is smaller, and a bias drifts by less in a second.
 """
 
 TILTED_G = 0.3

@@ -204,7 +204,7 @@ def _covers(wandering: NoiseLine, line: NoiseLine, resolution_hz: float) -> bool
 
 
 _ENOUGH_SEGMENTS = 16
-"""From so many on, their variances tell how sure the pooled one is; fewer tell less than the law of white noise."""
+"""Segments whose variances give the uncertainty of the pooled one; fewer tell less than the law of white noise."""
 
 
 @dataclass(frozen=True)

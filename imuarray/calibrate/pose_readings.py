@@ -45,12 +45,12 @@ that stalls says nothing of the box, and nobody turns it by hand and puts it bac
 """
 
 _LEAST_ROWS = 4
-"""Of a sensor that is read so seldom that half a second holds fewer, windows are as long as that."""
+"""Rows of a window at least: for a slow sensor, windows are longer than half a second."""
 
 SAME_POSE: Mapping[str, float] = MappingProxyType(
     {"specific_force": SAME_POSE_G, "angular_rate": TURNING_DPS, "magnetic_field": 0.02}
 )
-"""By how much the means of neighbouring windows of one pose differ at most, in the unit of the quantity that tells the
+"""Largest difference between the means of neighbouring windows of one pose, in the unit of the quantity that tells the
 poses. Two degrees of a turn change the earth's field along an axis by 0.02 gauss.
 """
 

@@ -29,13 +29,13 @@ STRETCH_S = 0.5
 """Long beside a reading, short beside a turn: at 60 degrees a second a parabola errs by a ten-thousandth in it."""
 
 ARM_M = 0.3
-"""From the wrist to the box: what turns about it add to gravity is ARM_M w^2."""
+"""Distance from the wrist to the box: a turn about the wrist adds ARM_M w^2 to gravity."""
 
 FEWEST_STRETCHES = 30
 """Three times the unknowns of a sensor, and one more is asked of the motion."""
 
 MOST_STRETCHES = 100
-"""That are fitted at once; of more, the calmest of every direction."""
+"""Stretches that are fitted at once; if there are more, the calmest of every direction."""
 
 WORTHLESS_G = 0.05
 """Standard error of a bias from which on a path told nothing: a data sheet promises as much (BMA-113)."""

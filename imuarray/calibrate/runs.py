@@ -49,7 +49,7 @@ _LOOKS_LIKE = 0.15
 """Another range explains a reading within this share of what it gives: each range has an offset of its own (BMA-79)."""
 
 Ranges = Mapping[str, Mapping[float, float]]
-"""By name of a chip or sensor: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+"""Keyed by name of a chip or sensor: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
 
 
 @dataclass(frozen=True)

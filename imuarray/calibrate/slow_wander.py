@@ -34,7 +34,7 @@ _FULL = 20.0
 """Times the root of the rows: a wander that hides all white noise."""
 
 _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
-"""Of the log's length. All together are as likely as a random walk."""
+"""Correlation times as shares of the log's length. All together are as likely as a random walk."""
 
 _SLOWEST = 8
 """Cosines whose residuals scale an error, at least: five or more degrees of freedom beside three slow regressors."""

@@ -16,8 +16,9 @@ from imuarray.calibrate.entries import Reader, number, numbers, several, tables,
 
 BIAS = "bias"
 BIAS_OR_SCALE = "bias or scale"
-"""Of an axis that carried gravity while it was heated, in one orientation only: which of the two it is can't be told
-(section 5.2.5 of the paper leaves it open)."""
+"""Meaning of a slope on an axis that carried gravity while it was heated, in one orientation only: which of the two it
+is can't be told (section 5.2.5 of the paper leaves it open).
+"""
 
 THERMOMETERS = ("barometer", "reference", "chip", "relative")
 """The log's barometer, its `/reference`, chips whose thermometer has a zero (BMA180: BMA-63) and chips whose has none

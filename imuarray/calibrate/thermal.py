@@ -46,7 +46,7 @@ _FEWEST_INSIDE = 4
 """Lags of the grid that the interval holds; of fewer the grid is drawn in around them."""
 
 _LONGEST_LAG = 1 / 4
-"""Of the time that the log covers: a slower lag is not told from drift."""
+"""Longest lag as a share of the log's duration: a slower lag can't be separated from drift."""
 
 _INTERVAL_DROP = 1.92
 """Half the 95 % quantile of chi-squared with one degree of freedom: a likelihood interval's ends."""

@@ -45,7 +45,7 @@ BAD = 0.01
 """A fit is called bad if a good one would fit worse with at most this chance."""
 
 _POWERS: dict[Term, float] = {"quantisation": 1.0, "white": 0.5, "flicker": 0.0, "random walk": -0.5, "ramp": -1.0}
-"""Of seconds, in the unit of each coefficient."""
+"""Power of seconds in the unit of each coefficient."""
 
 _FREEDOM = 5.0
 """Points with fewer degrees of freedom are left out: they scatter too far from normal for least squares."""

@@ -16,7 +16,7 @@ from imuarray.arrays import Floats
 from imuarray.characterise.allan_covariance import TERMS, covariance, variances
 
 _NEEDED = 5.41
-"""By how much the misfit must grow without a term. One that is not there does so with a chance of 1 %: with 1/2 it is
+"""Least growth of the misfit when a term is removed. One that is not there does so with a chance of 1 %: with 1/2 it is
 fitted as zero, else its square has one degree of freedom."""
 
 _SURE = 1.0

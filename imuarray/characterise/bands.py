@@ -24,7 +24,7 @@ WIDTHS = (4, 8, 16, 32, 64, 128)
 """Indices of a box; the narrowest is the main lobe of the Hann window."""
 
 RISES = 1.35
-"""By so much a box stands above both its sides at least: ripples of filters and of floors are no lines."""
+"""Least ratio of a box to both its sides: ripples of filters and of floors are no lines."""
 
 SLACK = 1.08
 """What is granted to the curvature of a floor: a box may rise so much above its sides' medians without a line."""

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _MEAN = "mean"
 
 _STEPS = 1000
-"""Of a bar."""
+"""Steps of a progress bar."""
 
 _AVERAGE = 0.1
 """Share of the time that the average takes before an estimator of the whole array."""

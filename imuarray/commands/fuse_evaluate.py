@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _STEPS = 1000
-"""Of a bar."""
+"""Steps of a progress bar."""
 
 
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:

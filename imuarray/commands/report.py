@@ -9,7 +9,7 @@ import click
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing, workers_option
 
 _STEPS = 1000
-"""Of a bar."""
+"""Steps of a progress bar."""
 
 
 @click.command("report")

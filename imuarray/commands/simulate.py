@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from imuarray.simulate.series import Run
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
-"""Those of `imuarray.simulate.experiments`, which takes NumPy along."""
+"""Experiments of `imuarray.simulate.experiments`, repeated here because that module imports NumPy."""
 
 
 def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imuarray.studies.fusion_gain import Study
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion", "shaking")
-"""Those of `imuarray.studies.fusion_gain`, which takes NumPy along."""
+"""Experiments of `imuarray.studies.fusion_gain`, repeated here because that module imports NumPy."""
 
 FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", "heating.png")
 

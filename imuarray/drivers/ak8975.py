@@ -23,7 +23,9 @@ from imuarray.log.format import SATURATED, STALE
 
 _SINGLE = 0b0001
 _PERIOD_NS = 9_500_000
-"""From one measurement to the next at least: it takes 9 ms at the most (AKM-25), and a poll at 100 Hz may be early."""
+"""Shortest time from one measurement to the next: it takes 9 ms at the most (AKM-25), and a poll at 100 Hz may be
+early.
+"""
 
 
 class Ak8975(Ak8963):

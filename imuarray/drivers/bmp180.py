@@ -33,7 +33,7 @@ _PRESSURE_NS = 25_500_000
 _LASTING_NS = 100_000_000
 """A result that is older is not waited for, nor taken for a new one, unless every call comes so late."""
 _CALLS = 3
-"""Where so many calls in a row came late, calls are that seldom, and nothing was interrupted."""
+"""After so many late calls in a row, calls are considered rare, and nothing was interrupted."""
 _UNSIGNED = ("AC4", "AC5", "AC6")  # BMP-23 ... BMP-25
 
 

@@ -147,7 +147,7 @@ class Driver(Protocol):
     tells_fresh: ClassVar[bool]
     """True if the burst says whether the reading is new; otherwise the logger compares with the reading before."""
     reading: ClassVar[slice]
-    """Where in a burst the reading itself is, status and temperature left out: two bursts can be compared raw."""
+    """Position of the reading in a burst, status and temperature left out: two bursts can be compared raw."""
 
     watched: tuple[Setting, ...]
     registers: Registers

@@ -22,7 +22,7 @@ from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, barometer_re
 from imuarray.facts.registers import Register, Setting
 
 _CALLS = 3
-"""Where so many calls in a row came late, calls are that seldom, and nothing was interrupted."""
+"""After so many late calls in a row, calls are considered rare, and nothing was interrupted."""
 
 
 class ForcedBarometer:

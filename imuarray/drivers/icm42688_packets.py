@@ -18,7 +18,8 @@ from imuarray.drivers.driver import Bytes
 ONE_TRIAD, BOTH_TRIADS, HIGH_RESOLUTION = 8, 16, 20
 """Sizes of packets in bytes."""
 ROW_BYTES = 14
-"""Of a row of one half from packets of high resolution: x, y, z of 32 bits and the temperature of 16, high byte first.
+"""Size of a row of one half from packets of high resolution: x, y, z of 32 bits and the temperature of 16, high byte
+first.
 """
 HALVES: Mapping[str, int] = MappingProxyType({"acc": 0x40, "gyro": 0x20})
 """Bit of the header that says that the triad of this half is in the packet."""

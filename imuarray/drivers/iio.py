@@ -40,11 +40,13 @@ CHANNELS: Mapping[str, tuple[str, float]] = {
     "angular_rate": ("in_anglvel", SI_PER_UNIT["dps"]),
     "magnetic_field": ("in_magn", 1.0),
 }
-"""By quantity: the channel's name, and how much of the kernel's unit (m/s2, rad/s, gauss: LNX-65) the log's unit is."""
+"""Keyed by quantity: the channel's name, and how much of the kernel's unit (m/s2, rad/s, gauss: LNX-65) the log's unit
+is.
+"""
 TIMESTAMP = "in_timestamp"
 TEMPERATURE = "in_temp"
 MOST_BITS = 31
-"""Of a count in a log, which is 32 bits wide and signed."""
+"""Bits of a count in a log, which is 32 bits wide and signed."""
 RANGE_MARGIN = 0.98
 """A full scale of so much of the wanted range is that range: 32767 counts of 0.488 mg are 15.99 g."""
 RATE_MARGIN = 0.01

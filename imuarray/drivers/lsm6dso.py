@@ -39,7 +39,7 @@ _RELATIVES: Mapping[int, str] = MappingProxyType(
         0x70: "an LSM6DSV",
     }
 )
-"""By identity: LSM-03."""
+"""Related chips by identity (LSM-03)."""
 
 
 class _Half(SixAxisHalf):

@@ -65,10 +65,10 @@ class SixAxisHalf:
     tells_fresh: ClassVar[bool] = False
     reading: ClassVar[slice] = slice(0, 14)
     first: ClassVar[Register]
-    """Where a burst begins."""
+    """Register at which a burst begins."""
     identity: ClassVar[Register]
     relatives: ClassVar[Mapping[int, str]] = {}
-    """By identity: what else answers at these addresses, in words."""
+    """Names of other chips that answer at these addresses, by identity."""
     marked: ClassVar[Register]
     """A register on which nothing depends, to tell the die from its twins."""
     triad: ClassVar[slice]

@@ -27,7 +27,7 @@ class Visit:
     skipped: int = 0
     busy: int = 0
     wait_ns: int = 0
-    """At least so long after the visit before."""
+    """Least time since the previous visit."""
 
 
 class _NotingBus:

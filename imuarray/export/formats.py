@@ -34,7 +34,7 @@ UNITS = ("counts", "si", "sensor")
 CSV_VERSION = "imuarray_csv"
 """First entry of the JSON file beside CSV files."""
 CSV_MAGIC = "# imuarray-csv 1: "
-"""With which every CSV file began that earlier versions exported: two lines of comment in place of that file."""
+"""Beginning of every CSV file that earlier versions exported: two lines of comment in place of that file."""
 CSV_INDEX = ("file", "table", "rows")
 CSV_PHASES = ("start_s", "end_s", "name", "up")
 CSV_EVENTS = ("time_s", "sensor", "kind", "message")

@@ -22,7 +22,7 @@ from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, Meter, Table, numbered
 
 MOST_BYTES = (1 << 31) - 1
-"""Of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
+"""Size of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
 
 _LONGEST_NAME = 63
 _HEAD = "imuarray"

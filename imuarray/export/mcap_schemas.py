@@ -24,12 +24,12 @@ TIME: Mapping[str, Any] = {
     "required": ["sec", "nsec"],
 }
 LEVELS = {"INFO": 2, "WARNING": 3}
-"""Of foxglove.Log; it has more."""
+"""Levels of foxglove.Log that are used here."""
 
 _NUMBER: Mapping[str, Any] = {"type": "number"}
 _NINE: Mapping[str, Any] = {"type": "array", "items": _NUMBER, "minItems": 9, "maxItems": 9}
 _ENTRIES = (0, 3, 4, 3, 1, 5, 4, 5, 2)
-"""Where the nine entries of a covariance are among the six that are kept (xx yy zz xy xz yz)."""
+"""Position of the nine entries of a covariance among the six that are stored (xx yy zz xy xz yz)."""
 _NOT_KNOWN = [-1.0, *[0.0] * 8]
 _IMU = {"angular_rate": "angular_velocity", "specific_force": "linear_acceleration"}
 

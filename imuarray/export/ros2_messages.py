@@ -30,7 +30,7 @@ from imuarray.export.tables import Column, Meter, Table, numbered
 
 LOG = "rcl_interfaces/msg/Log"
 LEVELS = {"INFO": 20, "WARNING": 30}
-"""Of rcl_interfaces/msg/Log; it has more."""
+"""Levels of rcl_interfaces/msg/Log that are used here."""
 
 FRAME = "box"
 """`frame_id` of every message: the frame of the array's box."""

@@ -38,7 +38,7 @@ _LOOK_S = 0.5
 """Time between two looks at how far the other process is."""
 
 _HEAVY = 5.0
-"""By how much longer an estimator of the whole array takes than all simple techniques together."""
+"""How much longer an estimator of the whole array takes than all simple techniques together."""
 
 _SHARE = "share"
 """The file in which a process tells how far it is."""

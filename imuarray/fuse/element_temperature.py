@@ -192,8 +192,8 @@ looks at the chip have vouched for them, and frames don't wait so long.
 """
 
 TREND_S = 20.0
-"""Over which the trend is taken: short beside the minutes in which a box is heated, and gone on for 20 s it makes the
-noise of the means, hundredths of a degree, two or three times as large.
+"""Time over which the trend is fitted: short beside the minutes in which a box is heated, and gone on for 20 s it makes
+the noise of the means, hundredths of a degree, two or three times as large.
 """
 
 _FEWEST = 3

@@ -26,7 +26,7 @@ SEGMENT = 256
 """Frames of one segment of `quiet_noise`."""
 
 _SLOW_MEANS = 16
-"""Of whose spread drift is told."""
+"""Number of means whose spread is the drift."""
 
 _MARGIN = 32
 """Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""

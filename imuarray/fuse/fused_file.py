@@ -48,7 +48,7 @@ from imuarray.printable import printable
 from imuarray.units import INERTIAL
 
 MOST_SENSORS = 1024
-"""Of which a file may tell the use."""
+"""Number of sensors whose use a file can record."""
 
 
 _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
@@ -273,8 +273,8 @@ _SLACK_BYTES = 1 << 18
 """What HDF5 holds back or adds: a chunk of each column, and where they are."""
 
 _LEVEL = 1
-"""Of the compression: half of a triad's bits are noise, of which the fourth level takes off no more than the first in
-two to three times the time.
+"""Level of the compression: half of a triad's bits are noise, of which the fourth level takes off no more than the
+first in two to three times the time.
 """
 
 _AT_ONCE = 1 << 14
@@ -307,7 +307,7 @@ _LONG_NAMES: Mapping[str, str] = MappingProxyType(
 FORMAT, FORMAT_VERSION = FUSED, 1
 
 COVARIANCE, USED = "_covariance", "_used"
-"""Behind a quantity: the name of a column of its covariances, of the sensors used."""
+"""Suffixes of a quantity for the columns of its covariances and of the sensors used."""
 
 
 class FusedOrigin(TypedDict):

@@ -29,7 +29,7 @@ from imuarray.fuse.frames import Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 19
-"""Of counts that are worked on at once: they stay in the cache."""
+"""Size of a block of counts: it stays in the cache."""
 
 
 class ConstantGain:
@@ -161,8 +161,8 @@ def spans(normal: Floats) -> npt.NDArray[np.bool_]:
 TOLERATED_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.25 * STANDARD_GRAVITY, "angular_rate": np.radians(2.0)}
 )
-"""By quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. Axes whose bias is more than
-that tell the mean no more than where they are, which does no harm to its slope.
+"""Keyed by quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. Axes whose bias is
+more than that tell the mean no more than where they are, which does no harm to its slope.
 """
 
 _TIMES_USUAL = 4.0

@@ -38,7 +38,7 @@ from imuarray.printable import counted
 from imuarray.units import INERTIAL, READABLE_SI
 
 _SECONDS_WAITING = 30.0
-"""Of rows in the queue, at most."""
+"""Longest duration of the rows in the queue."""
 _WRITE_S = 1.0
 """Frames of so long are written at once."""
 _SWITCH_S = 5e-5

@@ -142,7 +142,7 @@ GROUP = (h5py.Group, LiveGroup)
 """What a group of a log is an instance of."""
 
 DATASET = (h5py.Dataset, Column)
-"""And a column."""
+"""A column in the file or in memory."""
 
 
 class Track(NamedTuple):

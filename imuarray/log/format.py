@@ -46,7 +46,7 @@ FLAGS: Mapping[str, int] = {
 }
 
 MOST_SENSORS = 512
-"""Of a log: an array of a hundred six-axis chips has two hundred."""
+"""Most sensors of a log: an array of a hundred six-axis chips has two hundred."""
 
 THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
 """Attributes of a sensor whose log says itself what its `temperature_counts` mean; both or none."""

@@ -20,7 +20,7 @@ _SIGN = b"GCOL"
 _HEAD = 16
 """Bytes before the first object of a heap, and before the data of an object (HDF5 file format, III.E)."""
 LONGEST = 1 << 24
-"""Of a heap; it holds as many texts as fit into 4 KiB, or one that is longer: a configuration is the longest."""
+"""Longest heap; it holds as many texts as fit into 4 KiB, or one that is longer: a configuration is the longest."""
 
 
 class HeapCheckedFile(io.RawIOBase):

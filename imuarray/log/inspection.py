@@ -28,7 +28,7 @@ MAX_OBJECTS = 4096
 """Groups and datasets of a file: `MOST_SENSORS` of six each, their plots, and what stands beside them."""
 MAX_ATTRIBUTES = 256
 MAX_ATTRIBUTE_BYTES = 1 << 22
-"""Of all attributes of a group or dataset together."""
+"""Size of all attributes of a group or dataset together."""
 MAX_TEXTS = 256
 """Texts in one attribute: each may be as long as the file, and all of them the same one."""
 MAX_NAME_BYTES = 255

@@ -25,7 +25,7 @@ from imuarray.units import INERTIAL
 _SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
 """Sources whose times are of the clock by which the logger begins its frames: a period is exact on it."""
 _EARLY = 0.25
-"""Of a period, by which a row may come too early for its frame: the first row may have taken a little longer."""
+"""Share of a period by which a row may be too early for its frame: the first row may have taken a little longer."""
 _OWN_PACE = 1.25
 """A sensor that gives more rows than this a frame has a queue, which it fills at a pace of its own."""
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 HEAD = struct.Struct("<HHI")
-"""Of a block in a journal: group, tag, rows."""
+"""Header of a block in a journal: group, tag, rows."""
 CRC = struct.Struct("<I")
 OVERHEAD = HEAD.size + CRC.size
 """Bytes of a block before its payload."""

@@ -17,7 +17,7 @@ from imuarray.log.format import CACHE_BYTES, FORMAT
 from imuarray.spelling import guess_file
 
 MAX_TEXT_BYTES = 1 << 24
-"""Of all texts in a column together: the messages of a hundred thousand events."""
+"""Size of all texts in a column together: the messages of a hundred thousand events."""
 _BLOCK_BYTES = 1 << 22
 """Read at a time, as far as the texts before tell how long the next ones are."""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")

@@ -23,7 +23,7 @@ HEADERS: Mapping[str, str] = MappingProxyType(
         "Cache-Control": "no-store",
     }
 )
-"""Of every answer. Bokeh styles what it draws in the page, hence 'unsafe-inline' for styles alone."""
+"""Headers of every response. Bokeh styles what it draws in the page, hence 'unsafe-inline' for styles alone."""
 
 _OWN_SITE = frozenset({"", "none", "same-origin"})
 _TOKEN_BYTES = 24

@@ -34,7 +34,7 @@ from imuarray.monitor.window import Gaps, Rows, Window
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000
-"""Of the log, whose mean is shown as what a sensor reads now; one that gave nothing in it is silent."""
+"""Last part of the log, whose mean is shown as the current reading; a sensor without readings in it is silent."""
 _PATIENCE = 2.5
 """Periods of a slow sensor before it is silent."""
 _LEAST_ROWS = 128
@@ -161,7 +161,7 @@ def _spectrum(window: Window, values: Floats) -> Spectrum | None:
 
 TECHNIQUE = "mean"
 _PATIENCE_S = (0.02, 0.05, 0.0)
-"""Behind each attempt to read a result at the very moment at which it is written."""
+"""Pause after each attempt to read a result that is just being written."""
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:

@@ -21,7 +21,7 @@ KEPT = 50
 """Events that are kept to be shown."""
 
 _MOST_BYTES = 1 << 20
-"""Of earlier notes that are read, the last ones: some ten thousand events."""
+"""Size of the latest notes that are read: some ten thousand events."""
 
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")

@@ -15,10 +15,10 @@ from imuarray.errors import MissingExtraError
 COLOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"light": ("#0072B2", "#B94E00", "#007F5C"), "dark": ("#56B4E9", "#F0A03C", "#2BD1A0")}
 )
-"""Of x, y and z by theme, after Okabe and Ito's palette for all kinds of colour vision."""
+"""Colours of x, y and z by theme, after Okabe and Ito's palette for all kinds of colour vision."""
 
 _HEIGHT, _RIGHT = 150, 12
-"""Of a figure, and of what is beside it, in pixels."""
+"""Height of a figure and its right margin, in pixels."""
 
 
 class Theme(NamedTuple):

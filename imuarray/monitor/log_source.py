@@ -198,7 +198,7 @@ def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
 
 _SENSORS = "sensors/"
 _MOST_BYTES = 1 << 25
-"""Of the journal that are read at one look: after a long sleep it takes several to catch up."""
+"""Bytes of the journal that one update reads: after a long sleep, catching up takes several updates."""
 
 
 class Growing:

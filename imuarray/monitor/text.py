@@ -12,7 +12,7 @@ from imuarray.units import READABLE_SI
 
 COLUMNS = 80
 EVENTS = 5
-"""That are shown."""
+"""Number of events that are shown."""
 
 _SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30

@@ -22,13 +22,13 @@ Rows = Mapping[str, npt.NDArray[Any]]
 """Columns of equal length by name, as a log has them."""
 
 MOST_ROWS = 1 << 16
-"""That a window holds, whatever its times say: 20 s at 3200 Hz."""
+"""Most rows of a window, whatever its duration: 20 s at 3200 Hz."""
 
 STRIDE = 2
 """Rows from one to the next that was read in the same order."""
 
 _DELAYED = 0.25
-"""Of a period."""
+"""Delay from which a frame counts as delayed, as a share of a period."""
 _FEWEST = 8
 """Rows from which a period is taken."""
 

@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 _STOPS = ((0.0, "#f4f7f9"), (0.5, "#c3d3df"), (0.5, "#ffe2a8"), (0.72, "#ee9a2e"), (1.0, "#9c3200"))
 """Below the limit pale blue, beyond it from amber to a brown that is dark enough for white numbers."""
 _DARK = 0.82
-"""From this place on the colour scale numbers are white."""
+"""Place on the colour scale from which numbers are white."""
 
 
 def top_of(shown: Map) -> float:

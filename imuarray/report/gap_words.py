@@ -43,4 +43,4 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "channel_swap": "the sensor delivers the data of another sensor, or is mounted in its place",
     }
 )
-"""By the effects' names in models and in JSON."""
+"""Keyed by the effects' names in models and in JSON."""

@@ -61,7 +61,7 @@ THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
 )
 
 _COUNT_BITS = 16
-"""Of the column `temperature_counts`: a log says of no thermometer how many bits it has."""
+"""Bits of the column `temperature_counts`: a log does not state the bits of a thermometer."""
 
 
 def thermometer_of(header: SensorHeader) -> Thermometer | None:

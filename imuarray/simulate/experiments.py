@@ -27,7 +27,7 @@ TURN_ON_S = 300.0
 _STATIC_S = 600.0
 _TURN_S = 5.0
 _REST_SHARE = 1 / 6
-"""Of a motion, at its beginning and again at its end."""
+"""Share of a motion at rest, at its beginning and again at its end."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 _TIGHT_NS = 500_000
-"""By how much intervals between two readings of a frame spread, apart from waits; what a wait shortens is idle time."""
+"""Spread of the intervals between two readings of a frame, apart from waits; what a wait shortens is idle time."""
 
 _LEAST_NS = 250_000
 """Half of a shorter wait is none."""

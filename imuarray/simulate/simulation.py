@@ -32,7 +32,7 @@ from imuarray.spelling import guess
 
 EVERY_FLAG = 0xFFFF
 IMPORTED_FLAGS = SATURATED
-"""Of a log that was imported (`imuarray.importers`): counts alone don't say whether a reading is new."""
+"""Flags of a log that was imported (`imuarray.importers`): counts alone don't say whether a reading is new."""
 
 _FRAMES_LIKE_HZ = 50.0
 """How often `/truth` is written for a log that is simulated after a recorded one."""
@@ -49,9 +49,9 @@ class Plan:
     """When each frame begins: the times of `/truth`."""
     config: str = ""
     frame_rate_hz: float = 0.0
-    """That was asked for; 0: not known."""
+    """Requested rate of frames; 0: unknown."""
     flags: int = EVERY_FLAG
-    """Those that the recorder sets: who imports a table knows of no others than `IMPORTED_FLAGS`."""
+    """Flags that the recorder sets; an imported table has `IMPORTED_FLAGS` only."""
 
 
 def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:

@@ -72,7 +72,7 @@ def test_a_cause_may_have_misled_the_fit_of_a_part() -> None:
 def test_one_cause() -> None:
     said = written("explained", GAP, [cause()], [where()], [], [])
     assert said == (
-        "The recordings differ from the simulator, most in run to run of G1 y. G1 (y): tone (a sine in the signal:"
+        "The recordings differ from the simulator, most in run to run of G1 y. G1 (y): tone (a sine wave in the signal:"
         " frequency 17 Hz), probability 0.90. With it 97 % (92 to 99) of the gap is closed on held-out data."
     )
 

@@ -46,7 +46,7 @@ _LABELS_APART = 1.1
 
 _MOST_LABELS = 12
 _HEADROOM = 0.65
-"""Of the height of all curves and peaks, for the labels above."""
+"""Space for the labels above, as a share of the height of all curves and peaks."""
 
 _READING = (
     "Flat: white noise. Rising to the left: drift and flicker noise. Falling to the right: a filter. A marked peak, "

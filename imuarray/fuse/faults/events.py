@@ -10,7 +10,7 @@ from typing import Any, Literal
 from imuarray.units import READABLE_SI
 
 UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate": "dps"})
-"""In which measuring ranges are given."""
+"""Unit of measuring ranges."""
 
 _PLURAL: Mapping[str, str] = MappingProxyType(
     {

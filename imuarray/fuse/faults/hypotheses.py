@@ -44,7 +44,7 @@ Statistics 28, 2000, lemma 1)."""
 
 _MARGIN = 12.0
 _MARGIN_SHARE = 0.3
-"""By so much, and by this share of its gain, a hypothesis has to be better than any of another sensor."""
+"""Least margin, as a share of its gain, by which a hypothesis has to be better than any of another sensor."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Window, WindowResiduals
 
 Ranges = Mapping[str, Mapping[float, float]]
-"""By name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+"""Keyed by name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
 
 QUIET = 0.1
 """A triad whose changes from reading to reading have less than this share of their usual mean square is stuck, or
@@ -23,7 +23,7 @@ _SCALE_ALIKE = 0.15
 """A range explains a ratio of readings within this share: each range has an offset of its own (BMA-79)."""
 
 _NOISE_ALIKE = 0.35
-"""And a ratio of noise within this one."""
+"""Ratio of noise, too, within which they are alike."""
 
 _TOLD = 8.0
 """The signal is so many standard deviations of a reading at least, if a ratio is to be told from it."""

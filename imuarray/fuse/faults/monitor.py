@@ -34,7 +34,7 @@ WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
 
 LEAST_FRAMES = 4
-"""And of no less than so many frames: a slow log is judged more slowly."""
+"""Least number of frames of a window: a slow log is judged more slowly."""
 
 _AT_FIRST, _AT_ONCE = 8, 256
 """Windows that are prepared together, after somebody was left out or taken back and at most: some megabytes."""

@@ -29,15 +29,17 @@ BIAS_SI: Mapping[str, float] = MappingProxyType(
 and 4 of the paper; BMA-112, ADX-60, L3G-70)."""
 
 RESPONSE = 0.04
-"""Of each error of response: 2 % of scale and, for units that nobody calibrated, some degrees of mounting (BMA-119,
-ADX-66; the boards of the paper's section 5.2.1)."""
+"""Standard deviation of each error of response: 2 % of scale and, for units that nobody calibrated, some degrees of
+mounting (BMA-119, ADX-66; the boards of the paper's section 5.2.1).
+"""
 
 DELAY_S = 0.003
-"""Of the delay between the filters of two chips."""
+"""Standard deviation of the delay between the filters of two chips."""
 
 JITTER_S = 0.00036
-"""Of the age of a single reading: a chip that is asked at any time has one that is up to a conversion old, here of 800
-a second (L3G-30 ... L3G-33: its fastest); uniform over it, that scatters by a conversion over the root of twelve.
+"""Standard deviation of the age of a single reading: a chip that is asked at any time has one that is up to a
+conversion old, here of 800 a second (L3G-30 ... L3G-33: its fastest); uniform over it, that scatters by a conversion
+over the root of twelve.
 """
 
 _KEEPS_S = 3600.0
@@ -50,7 +52,7 @@ _A_CHANGE = 1e-3
 """An axis with less than this share of the others' mean square of changes does not show its noise."""
 
 LEAST_SHARE = 0.05
-"""Of its own variance in an axis' residual, by which noise is learnt; less is taken for so much."""
+"""Least share of its own variance in an axis' residual, from which the noise is estimated."""
 
 KAPPA_WINDOWS = 100
 Q_WINDOWS = 50

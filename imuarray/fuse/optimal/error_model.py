@@ -139,20 +139,20 @@ USUAL: Mapping[str, DesignDefaults] = MappingProxyType(
         "angular_rate": DesignDefaults(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, TOLERANCE, 0.8, 0.0083 * _DPS),
     }
 )
-"""By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
-gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0 along
-y, 0.6 along x, and nothing along z. What the best weights leave of the paper's array is least where all is taken to be
-common; 0.8 leaves 2 % more, the mean of the three, 0.5, leaves 8 % more.
+"""Keyed by quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales;
+of gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0
+along y, 0.6 along x, and nothing along z. What the best weights leave of the paper's array is least where all is taken
+to be common; 0.8 leaves 2 % more, the mean of the three, 0.5, leaves 8 % more.
 """
 
 STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
 """Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
 
 DRIFT_TIME_CONSTANT_S = 600.0
-"""Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
+"""Time constant of drift if it was not measured; the paper's tables give it within a factor of ten only."""
 
 TIMING_S = 0.5e-3
-"""Of readings of a chip whose own rate is not told."""
+"""Standard deviation of the times of readings of a chip whose rate is unknown."""
 
 _AGE = 1 / np.sqrt(12)
 """Standard deviation, in periods of a chip's own rate, of the age of a reading that is asked for at any time; its mean

@@ -31,7 +31,7 @@ from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
 from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
 
 OVER_S = 0.05
-"""Over which a change is looked at: noise of a frame is little beside it, and shaking by hand is slower."""
+"""Time over which a change is evaluated: noise of a frame is little beside it, and shaking by hand is slower."""
 
 
 class Dynamics:

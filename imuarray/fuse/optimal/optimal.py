@@ -78,10 +78,10 @@ class BiasTemperature:
 
 
 SEGMENT_S = 1.0
-"""Over which slow errors are taken to stay as they are: short beside any of their time constants."""
+"""Time over which slow errors count as constant: short beside any of their time constants."""
 
 Temperatures = Mapping[str, Floats]
-"""By sensor, (n,) degC of its element at the frames, NaN where not known."""
+"""Keyed by sensor: (n,) degC of its element at the frames, NaN where not known."""
 
 _NONE: Temperatures = MappingProxyType({})
 

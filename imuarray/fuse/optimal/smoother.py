@@ -23,7 +23,7 @@ from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.states import Adjoint, Innovation, Normal, States, backwards, corrected, predicted, smoothed
 
 _PLACE = struct.Struct("<qq")
-"""Behind a group: the length of its head, the shapes, and where the group begins."""
+"""Trailer of a group: the length of its head, the shapes, and where the group begins."""
 
 
 class Spool:

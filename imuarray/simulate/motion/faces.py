@@ -21,7 +21,7 @@ FIELD_LEVEL = np.array([0.2, 0.0, -0.43])
 """Gauss; x to magnetic north, the earth's field dips as it does in the middle of Europe."""
 
 AIR_PRESSURE_PA = 101325.0
-"""At height 0; ISO 2533, the standard atmosphere."""
+"""Air pressure at height 0; ISO 2533, the standard atmosphere."""
 
 PA_PER_M = 1.225 * STANDARD_GRAVITY
 """How much less a metre further up; density of air at sea level, ISO 2533."""

@@ -25,7 +25,7 @@ SHARES = (0.6, 0.4)
 
 PLACE_HZ = ((1.5, 3.0), (3.5, 6.0))
 TURN_HZ = ((0.8, 1.6), (2.0, 5.0))
-"""From where the frequencies of the slow and the fast sine are drawn."""
+"""Ranges from which the frequencies of the slow and the fast sine are drawn."""
 
 
 @dataclass(frozen=True)

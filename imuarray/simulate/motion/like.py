@@ -44,7 +44,7 @@ _FEW = 256
 _KEPT = 512
 
 _LAST = 8
-"""Of more instants what was felt at so many stretches is kept: trials of a model ask for the same ones in turn."""
+"""Number of stretches whose values are cached: trials of a model ask for the same ones in turn."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ class PoseSequence:
 
 
 _LEAST_SINE = float(np.finfo(float).tiny)
-"""Of smaller numbers too few digits are left for a direction."""
+"""Least sine: smaller numbers have too few digits for a direction."""
 
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:

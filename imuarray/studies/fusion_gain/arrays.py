@@ -46,7 +46,7 @@ def perpendicular() -> ArrayConfig:
 ARRAYS: Mapping[str, Callable[[], ArrayConfig]] = MappingProxyType(
     {"martin2013": martin2013, "perpendicular": perpendicular}
 )
-"""By name."""
+"""Arrays by name."""
 
 SETS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
     {

@@ -297,8 +297,9 @@ def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
 
 
 STRETCHES = 60
-"""Of a log: 11 s each of the longest. Slow errors of the simulated array have time constants of 600 s: about its mean
-over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which itself is little beside the noise.
+"""Number of stretches of a log: 11 s each of the longest. Slow errors of the simulated array have time constants of 600
+s: about its mean over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which itself is little
+beside the noise.
 """
 
 

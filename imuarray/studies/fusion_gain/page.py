@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 _NOTHING = 1e-6
-"""Of a rate in rad/s: techniques that differ by less are drawn once."""
+"""Difference in rad/s below which two techniques are drawn once."""
 
 
 class HeatingErrors(NamedTuple):

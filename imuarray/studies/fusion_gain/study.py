@@ -83,11 +83,11 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
         "shaking": Experiment("motion", 120.0, "hand", is_bounded=False),
     }
 )
-"""By name. "heating" is the paper's profile at a tenth of its time, with all of its 28 degC."""
+"""Experiments by name. "heating" is the paper's profile at a tenth of its time, with all of its 28 degC."""
 
 
 _BOOTS_APART = 100
-"""From one experiment's first boot to that of the next: none draws what another one drew."""
+"""Distance between the first boots of two experiments, so that no two share random draws."""
 
 
 @dataclass(frozen=True)

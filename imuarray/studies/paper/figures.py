@@ -172,7 +172,7 @@ _GROUPS = (
     ("L3G4200D", ("Gyro1", "Gyro2", "Gyro3")),
 )
 _RANGES = {"250dps": ("±250 dps", 0.00875, _BLUE), "2k dps": ("±2000 dps", 0.07, _RED)}
-"""By Table 9's name: the name here, dps per count (L3G-40, L3G-42), colour."""
+"""Keyed by Table 9's name: the name here, dps per count (L3G-40, L3G-42), colour."""
 _OF_AXES = {"x": _BLUE, "y": _RED, "z": _GREEN}
 _MILLI_G = {"ADXL1": 1000 / 256, "BMA2": 1000 / 512}
 """mg per count (ADX-40, BMA-76)."""

@@ -70,7 +70,7 @@ TABLE_WORDS: Mapping[int, tuple[str, str]] = {
         "readings, deviation and range of the means, and the ratio of the two deviations.",
     ),
 }
-"""By the number of the table: the rest of the heading, and what it is."""
+"""Keyed by the number of the table: the rest of the heading, and what it is."""
 
 FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
     "6": (
@@ -124,7 +124,7 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
         "Allan deviation and spectrum of three axes of a BMA180",
     ),
 }
-"""By the number of the paper's figure: caption, and what it shows for those who can't see it."""
+"""Keyed by the number of the paper's figure: caption and alternative text."""
 
 
 def further_words(result: Mapping[str, Any]) -> dict[int, str]:
@@ -151,7 +151,7 @@ def further_words(result: Mapping[str, Any]) -> dict[int, str]:
 
 HEADING = ("channel", "statistic", "paper", "recomputed", "simulated", "difference", "z")
 MARKED_Z = 2.0
-"""From here on a z is marked."""
+"""Size from which a z score is marked."""
 
 Key = tuple[str, str]
 """Channel and statistic."""

@@ -147,7 +147,7 @@ def mean(values: Sequence[Decimal]) -> Decimal:
 
 
 Formula = Callable[[Sequence[Decimal]], Decimal]
-"""From printed inputs to a recomputed number."""
+"""Function from printed inputs to a recomputed number."""
 
 
 @dataclass(frozen=True)

@@ -494,9 +494,9 @@ class Readings:
     least: Decimal
     most: Decimal
     rate_hz: Decimal | None
-    """By the middle number, where the paper says for how long (Table 11)."""
+    """Rate by the middle number, if the paper says for how long (Table 11)."""
     seconds: Decimal | None
-    """By the middle number, where the paper says how fast (Table 9)."""
+    """Duration by the middle number, if the paper says how fast (Table 9)."""
 
     @property
     def middle(self) -> Decimal:
