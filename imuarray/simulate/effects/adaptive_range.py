@@ -19,13 +19,13 @@ _DENSE = 1.5
 
 @dataclass(frozen=True)
 class AdaptiveRange(Effect):
-    """From the reading at which an axis is on the other side of `threshold` than before, in size, all three axes keep
-    the reading before for `hold_s` seconds; the chip says that they are new.
+    """When the reading of any axis crosses `threshold` in size, all three axes repeat the previous reading for `hold_s`
+    seconds, and the chip reports these readings as new.
 
     The gyroscope of an ICM-42688-P changes its full-scale range by itself unless bits 7:6 of INTF_CONFIG1 are 01, and
-    gives nothing new for 1 to 2 ms at each change, near 100 dps (TDK-18). In data: two or three identical triads at 1
-    kHz, then a jump to where the rate has gone; nothing at rest. Rows that come more seldom than readings show the
-    reading of the passage, by linear interpolation, if they fall within the hold; temperature goes on.
+    delivers no new reading for 1 to 2 ms at each change, near 100 dps (TDK-18). In data: two or three identical triads
+    at 1 kHz, then a jump to the current rate; nothing at rest. If rows are less frequent than readings, rows within the
+    hold show the reading at the crossing, by linear interpolation. The temperature is not held.
     """
 
     name: ClassVar[str] = "adaptive_range"

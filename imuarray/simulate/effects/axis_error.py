@@ -18,12 +18,12 @@ _AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 @dataclass(frozen=True)
 class AxisError(Effect):
-    """y_k = s_k x_a(k): the sensor's axis k really is the signed axis s_k, a(k) of the sensor as configured.
+    """y_k = s_k x_a(k): the sensor's axis k is in truth the signed axis s_k, a(k) of the sensor as configured.
 
-    `axes` like "+Y+X-Z": what its x, y and z truly are. Left-handed ones are allowed, since a forgotten minus makes
-    them. Everything that acts along the sensor's axes, specific force on a gyroscope included, is exchanged with them.
-    The mistake is one of the table that maps sensors to the box (the paper's Table 1). In data: two axes have changed
-    places, or one has the other sign, in all phases; nothing else.
+    `axes`, such as "+Y+X-Z", gives the true directions of x, y and z. Left-handed values are allowed, since a forgotten
+    minus sign produces them. Everything that acts along the sensor's axes, including specific force on a gyroscope, is
+    exchanged with them. The error is in the table that maps sensors to the box (the paper's Table 1). In data: two axes
+    are exchanged, or one has the wrong sign, in all phases; nothing else changes.
     """
 
     name: ClassVar[str] = "axis_error"

@@ -28,27 +28,27 @@ SEVERAL_SAMPLES = 4
 class Bandwidth(Effect):
     """White noise w becomes n[k] = phi n[k-1] + sqrt(1 - phi^2) w[k], phi = exp(-2 pi cutoff / rows_per_s).
 
-    First-order low-passed noise of the same rms, `cutoff_hz` its -3 dB frequency where that lies well below the rows'
-    rate; the paper's gyroscope (Appendix A, Figure 13: correlation 0.4 from one row to the next at 350 Hz) has 51 Hz,
-    not the 110 Hz that it was set to. Of the signal, taken as straight between rows, that `share` passes the same
-    filter (1: all that is filtered on the chip) and is late by 1 / (2 pi cutoff); 0 leaves the motion as it is, as of a
-    noise that is born with a memory. In data: correlation phi^k at lag k, an Allan deviation that flattens at the
-    shortest times; under motion a sensor that is behind the others.
+    This is first-order low-pass noise of the same rms; `cutoff_hz` is its -3 dB frequency if that is well below the
+    rate of the rows. The paper's gyroscope (Appendix A, Figure 13: correlation 0.4 between consecutive rows at 350 Hz)
+    has 51 Hz instead of the 110 Hz that was configured. `share` of the signal, taken as straight between rows, passes
+    the same filter and is delayed by 1 / (2 pi cutoff). With a share of 1 the chip filters everything; with 0 the
+    motion is not filtered, as if only the noise itself were correlated. In data: correlation phi^k at lag k, an Allan
+    deviation that flattens at the shortest times; under motion, a sensor that lags the others.
 
-    With 2 `poles` it is a Butterworth filter, as a chip's output stage rather is: a = sqrt(2) pi cutoff, correlation
-    exp(-a t) (cos a t + sin a t) after a time t, late by 1 / a.
+    With 2 `poles` it is a Butterworth filter, which resembles the output stage of a chip more closely: a = sqrt(2) pi
+    cutoff, correlation exp(-a t) (cos a t + sin a t) after a time t, delay 1 / a.
 
-    A digital filter behind a converter that samples at `sampled_hz` passes noise that is white up to half of that and
-    ends there (infinite: noise has no end): correlations are those of that part of the filter's response, which
-    `_MEMORY` rows before each row reproduce (Yule and Walker).
+    A digital filter behind a converter that samples at `sampled_hz` passes white noise up to half that rate only
+    (infinite: no limit). The correlations are those of that part of the filter's response; `_MEMORY` rows before each
+    row reproduce them (Yule and Walker).
 
-    Of a chip that is polled faster than it samples the noise remembers the sample before, not the row before: rows that
-    read one sample again have its noise. Of one that is polled more slowly rows are one sample apart or two (or up to
-    `SEVERAL_SAMPLES`): the filter passes the samples that no row reads, too.
+    If a chip is polled faster than it samples, the noise depends on the previous sample, not on the previous row: rows
+    that repeat a sample repeat its noise. If it is polled more slowly, consecutive rows are one or two samples apart
+    (or up to `SEVERAL_SAMPLES`); the filter also processes the samples that no row reads.
 
-    `noise_share` of the noise's rms comes through. A filter that is always there has its noise measured behind it, and
-    1 is meant; one that comes in at a moment takes noise away. `signal_only` (1) leaves the noise white: of rows so
-    much slower than the filter that only the delay shows.
+    `noise_share` of the noise's rms passes the filter. For a filter that is always present the noise is measured behind
+    it, so the share is 1; a filter that starts at some moment reduces the noise. `signal_only` (1) leaves the noise
+    white, for rows so much slower than the filter that only its delay is visible.
     """
 
     name: ClassVar[str] = "bandwidth"

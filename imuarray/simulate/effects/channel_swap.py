@@ -13,16 +13,16 @@ KINDS = ("data", "place")
 
 @dataclass(frozen=True)
 class ChannelSwap(Effect):
-    """The readings are those of `sensor`; "" for one's own. `kind` is how they come to be.
+    """The readings are those of the sensor named by `sensor`; "" for the sensor itself. `kind` says how this happens.
 
-    "data": row for row the other's. Counts, temperature and freshness are as its chip delivers them; range, sensitivity
-    and axes stay what the configuration says of this one. A switch that became active one transaction late does it
-    (PCA-06). In data: a sensor with its neighbour's bias, noise and axes; two sensors whose noise is the same.
+    "data": each row holds the data of the other sensor. Counts, temperature and freshness are those of the other chip;
+    range, sensitivity and axes remain as configured. A multiplexer that switches one transaction late causes this
+    (PCA-06). In data: a sensor with the bias, noise and axes of its neighbour; two sensors with the same noise.
 
-    "place": what is read here sits where the other is said to sit, and lies as that one. Plugs or channels of a
-    multiplexer that are exchanged do it: what was there is set up and read as this one, and known by its name. In data:
-    a sensor with its neighbour's axes and distance from the origin. An exchange takes two of these effects, one for
-    each.
+    "place": the sensor is mounted at the position and in the orientation of the other one. Exchanged plugs or
+    multiplexer channels cause this: the chip at that place is set up and read as this sensor. In data: a sensor with
+    the axes and the distance from the origin of its neighbour. An exchange needs two of these effects, one for each
+    sensor.
     """
 
     name: ClassVar[str] = "channel_swap"

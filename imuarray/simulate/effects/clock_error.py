@@ -13,16 +13,16 @@ from imuarray.simulate.signal import Instants, Place
 
 @dataclass(frozen=True)
 class ClockError(Effect):
-    """instant = stamp (1 + error_ppm 1e-6): what is stamped t happened that much later, counted from the epoch.
+    """instant = stamp (1 + error_ppm 1e-6), counted from the epoch: a reading stamped t was taken at that instant.
 
-    `error_ppm` in millionths, positive for a log whose clock is slow: the fractional frequency error of IEEE 1139, its
-    sign that of true over logged time. A quartz is off by tens, an oscillator without one by up to a hundred thousand
-    (BMA-107: 10 %). In data: everything happens faster by that ratio; lines of the spectrum are shifted, a known
-    profile of motion or temperature is left behind further and further.
+    `error_ppm` is the fractional frequency error of IEEE 1139 in millionths, positive for a log whose clock is slow;
+    its sign is that of true minus logged time. A quartz is off by tens of ppm, an RC oscillator by up to a hundred
+    thousand (BMA-107: 10 %). In data: everything happens faster by that ratio; lines of the spectrum are shifted, and
+    the difference from a known profile of motion or temperature keeps growing.
 
-    An oscillator that warms up from the epoch on is off by warm_up_ppm exp(-t / warm_up_s) more at the time t, which
-    adds up to warm_up_ppm warm_up_s (1 - exp(-t / warm_up_s)): with warm_up_ppm = -error_ppm it is right when it is
-    cold. 0: its rate is constant.
+    An oscillator that warms up from the epoch on has the additional error warm_up_ppm exp(-t / warm_up_s) at time t,
+    which integrates to warm_up_ppm warm_up_s (1 - exp(-t / warm_up_s)). With warm_up_ppm = -error_ppm it is right when
+    cold; with 0 its rate is constant.
     """
 
     name: ClassVar[str] = "clock_error"

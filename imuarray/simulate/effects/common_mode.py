@@ -15,15 +15,15 @@ from imuarray.simulate.signal import Analog, Place, Triple
 
 @dataclass(frozen=True)
 class CommonMode(Effect):
-    """y = x + rms c(t), c one Gauss-Markov process for all sensors of a chip design, or for those of whatever chip that
-    name the same `group`, along each one's own axes.
+    """y = x + rms c(t), c one Gauss-Markov process for all sensors of a chip design, or for all sensors that name the
+    same `group`, along the own axes of each sensor.
 
-    `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant). Axes have so much of the
-    variance in common as `axes_shared` says (0: independent, 1: one process, as what a supply puts into all axes). The
-    share that units of one design have in common of what supply and surroundings do to them: what anti-parallel
-    mounting cancels (the paper's Section 2.1); or what a supply does to all that hang on it. Sensors meet it row by
-    row, so those that share it are to be read equally often. In data: slow drift that correlates between sensors in
-    their own axes, not in the box's.
+    `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant). `axes_shared` is the
+    share of the variance that the three axes have in common (0: independent; 1: one process, such as a supply voltage
+    that affects all axes). The effect describes what supply and environment do alike to all units of one design, which
+    anti-parallel mounting cancels (the paper's Section 2.1), or to all sensors on one supply. Sensors share it row by
+    row and therefore must have equal rates. In data: slow drift that correlates between sensors along their own axes,
+    not along the box axes.
     """
 
     name: ClassVar[str] = "common_mode"

@@ -30,17 +30,17 @@ def high_byte(chip: str) -> int:
 class Glitches(Effect):
     """Each reading is corrupted with `probability`, in one of three ways (`kind`).
 
-    "spike": one axis, drawn, is off by plus or minus `amplitude` (in the sensor's unit, at its nominal sensitivity),
-    as far as its codes go. "torn": one axis, drawn, has the low byte of this reading and the high byte of the row
-    before it, because the chip renewed its registers between two bytes of a burst (L3G-50, ADX-49, BMA-101); a BMA180's
-    low byte holds six bits of the code (BMA-60), everybody else's eight. "word": all axes read -1, as from a bus that
-    nobody drives: its lines float high (UM10204, 3.1.1). In data: heavy tails; torn readings are off by multiples of
-    256 (BMA180: 64) counts, and only where neighbours differ in the high byte; for a gyroscope at rest -1 is a normal
-    small reading.
+    "spike": one axis, drawn at random, is off by plus or minus `amplitude` (in the sensor's unit, at its nominal
+    sensitivity), within its codes. "torn": one axis, drawn at random, has the low byte of this reading and the high
+    byte of the previous row, because the chip updated its registers between two bytes of a burst (L3G-50, ADX-49,
+    BMA-101). The low byte of a BMA180 holds six bits of the code (BMA-60), that of all other chips eight. "word": all
+    axes read -1, as from a bus that no chip drives, whose lines float high (UM10204, 3.1.1). In data: heavy tails; torn
+    readings are off by multiples of 256 (BMA180: 64) counts, and only if neighbours differ in the high byte; for a
+    gyroscope at rest, -1 is a normal small reading.
 
-    Where single readings are known to have been hit, these are and no others: the one due at each of `moments_s`, in
-    seconds since the log's epoch, of the run with that number in `runs`, is off by three of `jumps`, one for each axis,
-    in the sensor's unit.
+    If the corrupted readings are known, exactly these are: the reading due at each of `moments_s`, in seconds since the
+    log's epoch, of the run with that number in `runs`, is off by three values of `jumps`, one for each axis, in the
+    sensor's unit.
     """
 
     name: ClassVar[str] = "glitches"

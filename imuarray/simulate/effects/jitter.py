@@ -16,18 +16,18 @@ _FREE = 0.9
 
 @dataclass(frozen=True)
 class Jitter(Effect):
-    """instant = stamp + w, independent from row to row: w ~ N(0, rms_s^2) if all rows are off. If only a `share` is,
-    these are late: w is exponential with the root mean square `rms_s` and the mean rms_s / sqrt(2). It is cut where the
-    next row follows, of which the other sensors take a tenth: what waits longer delays the rows after it, and their
-    stamps say so.
+    """instant = stamp + w, independent from row to row. w ~ N(0, rms_s^2) if all rows are affected. If only a `share`
+    is, these rows are late: w is exponential with the root mean square `rms_s` and the mean rms_s / sqrt(2). It is
+    cut off at the next row, of which the other sensors take a tenth: a longer wait delays the following rows, as
+    their stamps show.
 
-    `rms_s` in seconds is the time that the scheduler of the logging computer puts between a burst and the reading of
-    its clock; rows are late before which another program had the processor. Where the times of a log's rows show which
-    rows these were (`imuarray.simulate.host_latency`), these rows are late and no others, by `wait_share` of half of
-    each wait: 1 if all of it lay before the transfer, -1 if behind it. Rows that nobody was there to read are lost.
+    `rms_s` in seconds is the time that the scheduler of the logging computer inserts between a burst and the reading of
+    its clock. Rows are late if another program had the processor. If the times of a log's rows show which rows these
+    were (`imuarray.simulate.host_latency`), exactly these rows are late, by `wait_share` of half of each wait: 1 if all
+    of it was before the transfer, -1 if it was after it. Rows that no process was ready to read are lost.
 
-    At rest nothing changes, unless a late reading is the one that the next row repeats. Under motion it is noise in
-    proportion to how fast the signal changes, rms_s sqrt(share) |dx/dt|.
+    At rest nothing changes, unless the next row repeats a late reading. Under motion it is noise in proportion to the
+    rate of change of the signal, rms_s sqrt(share) |dx/dt|.
     """
 
     name: ClassVar[str] = "jitter"

@@ -15,14 +15,14 @@ from imuarray.simulate.signal import Analog, Instants, Place
 class OdrError(Effect):
     """noise rms x sqrt(real bandwidth / configured bandwidth), and new readings at the real rate only.
 
-    `rate_hz` is the real data rate, `bandwidth_hz` the real bandwidth of the noise; nan: as configured. An ADXL345's
-    bandwidth is half its rate (ADX-32 ... ADX-35), for its noise no less than that of 100 Hz (ADX-68), and at 1600 Hz
-    and more its lowest bit is always 0 (ADX-47, which doesn't say whether by rounding: the nearest even code is taken);
-    other chips' bandwidth stays what was configured unless it is given. Where the registers are as they should be and
-    the oscillator is not, at `clock_ratio` times its pace, codes stay those of the set rate, and so does the noise: a
-    filter that goes by the same clock makes as much of as many readings. The paper's ADXL345s give even codes only, and
-    more noise than 400 Hz explains (PAP-02). In data: rows that repeat the one before where they come faster than the
-    rate, readings that are older, noise of another size, missing codes.
+    `rate_hz` is the real data rate, `bandwidth_hz` the real bandwidth of the noise; nan: as configured. The bandwidth
+    of an ADXL345 is half its rate (ADX-32 ... ADX-35), for its noise at least that of 100 Hz (ADX-68). At 1600 Hz and
+    above its lowest bit is always 0 (ADX-47, which does not say how it rounds; the nearest even code is used here). The
+    bandwidth of other chips stays as configured unless it is given. If the registers are right but the oscillator runs
+    at `clock_ratio` times its rate, codes remain those of the configured rate, and so does the noise, because a filter
+    that runs on the same clock averages as many readings. The paper's ADXL345s give even codes only, and more noise
+    than 400 Hz explains (PAP-02). In data: repeated rows if rows come faster than the real rate, older readings, a
+    different noise, missing codes.
     """
 
     name: ClassVar[str] = "odr_error"

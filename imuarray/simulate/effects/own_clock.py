@@ -15,15 +15,15 @@ AT_ITS_RATE = 0.05
 
 @dataclass(frozen=True)
 class OwnClock(Effect):
-    """Reading k is made at (k - phase_deg / 360) / (rate (1 + rate_error)), counted from the log's epoch.
+    """Reading k is taken at (k - phase_deg / 360) / (rate (1 + rate_error)), counted from the log's epoch.
 
-    `rate_error` is relative, `phase_deg` the share of a period, times 360, that has passed at the epoch since the
-    latest reading (nan: drawn at each boot). The BMA180's oscillator is within 10 % (BMA-107); the other data sheets
-    print no tolerance. Filters that go by the same clock keep their noise here. Where the rows are the chip's own
-    readings (a queue, an imported log) nothing happens: their stamps tell when they were made. Rows that come at the
-    chip's nominal rate are taken as these, unless `polled` (1) says that a host's clock made them. In data: nothing at
-    rest, unless the chip is polled faster than it reads, when more or fewer rows repeat the one before; in motion a
-    reading is 0 to 1 period old: a delay where polls and periods keep step, else jitter that beats.
+    `rate_error` is relative. `phase_deg` / 360 is the part of a period that has passed at the epoch since the latest
+    reading (nan: drawn at each boot). The oscillator of the BMA180 is within 10 % (BMA-107); the other data sheets
+    print no tolerance. The noise does not change, because the filters run on the same clock. If the rows are the chip's
+    own readings (a queue, an imported log) nothing happens, because their stamps are the times of the readings. Rows at
+    the nominal rate of the chip count as such, unless `polled` (1) says that a host's clock timed them. In data:
+    nothing at rest, unless the chip is polled faster than it samples; then more or fewer rows repeat the previous one.
+    In motion a reading is 0 to 1 period old: a delay if polls and periods stay in step, otherwise a jitter that beats.
     """
 
     name: ClassVar[str] = "own_clock"

@@ -15,18 +15,18 @@ from imuarray.simulate.streams import CHUNK
 
 @dataclass(frozen=True)
 class PopcornNoise(Effect):
-    """y = x + amplitude * (u - high_share), where u of each axis jumps between 0 and 1: a random telegraph.
+    """y = x + amplitude * (u - high_share), where u of each axis jumps between 0 and 1: a random telegraph signal.
 
-    `amplitude` is how far the upper level lies above the lower one, in the sensor's unit (below it, if negative),
-    `switches_per_s` how many jumps there are on average, `high_share` of the time y is at the upper one: a trap keeps
-    what it catches as long as it likes, however soon it catches. Times at either level are exponential, axes
+    `amplitude` is the distance from the lower to the upper level in the sensor's unit (may be negative),
+    `switches_per_s` the mean number of jumps per second, `high_share` the share of the time at the upper level. (A trap
+    may hold a charge for a long time, however soon it captures one.) Times at either level are exponential, axes are
     independent. Mean 0, autocovariance amplitude^2 p (1 - p) exp(-switches_per_s |t| / (2 p (1 - p))), p the share
-    (Machlup, J. Appl. Phys. 25, 1954). In data: two humps in the histogram of smoothed readings, as large as their
-    shares; its spectrum is that of Gauss-Markov noise.
+    (Machlup, J. Appl. Phys. 25, 1954). In data: two peaks in the histogram of smoothed readings, sized by their shares;
+    its spectrum is that of Gauss-Markov noise.
 
-    The level is drawn anew, without regard to what it was, at the instants of a Poisson process. How many of these are
-    in each chunk of rows, and what the last of them draws, comes from streams of their own, where they are from the
-    chunk's: what a chunk begins with follows from those before it.
+    The level is drawn again, independent of its previous value, at the instants of a Poisson process. The number of
+    these instants in each chunk of rows, and the level after the last one, come from separate random streams. The level
+    at the beginning of a chunk therefore follows from the chunks before it.
     """
 
     name: ClassVar[str] = "popcorn_noise"

@@ -17,17 +17,17 @@ Whole = npt.NDArray[np.signedinteger[Any]]
 @dataclass(frozen=True)
 class Quantisation(Effect):
     """Codes of each axis are rounded to multiples of `step_lsb` counts, and end at the last multiple within the code
-    span; of every `carry_lsb` of them the last `missing_lsb` never come, but the code of the carry in their place; and
-    those bits are cleared that are set in the number `dead_bits` (4: bit 2).
+    span. Of every `carry_lsb` codes the last `missing_lsb` never occur; the code of the carry replaces them. Bits
+    that are set in the number `dead_bits` (4: bit 2) are cleared.
 
-    Rounding to one count belongs to the converter and is always there. Two counts are an ADXL345 at 1600 Hz and more
-    (ADX-47), four a BMA180 read out with 12 bits (BMA-61). Where the converter's step is coarser already, codes are
-    multiples of both. In data: codes that never occur; readings that stand still and jump where there is less noise
-    than half a step, rounding noise of step / sqrt(12) rms where there is more. A dead bit, a line that is shorted to
-    ground, leaves out every other stretch of 2^bit codes: what belongs there reads a stretch too low. Codes are missing
-    before a carry where the converter's capacitor (resistor) of the bit that is carried to is smaller than those of all
-    lower bits together by more than a count, a differential nonlinearity of -1 (IEEE Std 1241). An offset that the chip
-    adds behind its converter, a trim (BMA-46), takes carries from multiples.
+    Rounding to one count belongs to the converter and is always applied. Steps of two counts occur in an ADXL345 at
+    1600 Hz and above (ADX-47), steps of four in a BMA180 that is read with 12 bits (BMA-61). If the converter's step is
+    coarser already, codes are multiples of both. In data: codes that never occur; with noise of less than half a step,
+    readings that are constant and then jump; with more noise, rounding noise of step / sqrt(12) rms. A dead bit (a line
+    that is shorted to ground) removes every other stretch of 2^bit codes: readings from it are a stretch too low. Codes
+    are missing before a carry if the converter's capacitor (or resistor) for the bit that is carried to is smaller than
+    those of all lower bits together by more than a count: a differential nonlinearity of -1 (IEEE Std 1241). An offset
+    that the chip adds after its converter, such as a trim (BMA-46), moves carries away from multiples.
     """
 
     name: ClassVar[str] = "quantisation"

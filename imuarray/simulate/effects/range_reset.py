@@ -23,22 +23,22 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True)
 class RangeReset(Effect):
-    """A range that is reset from `onset_s` on (0: always), in a run with this probability, or only in that number
-    `run`, or in those with numbers in `runs`: counts per unit of that other range, y = x + offset, and noise times
-    `noise_share`.
+    """The range is reset from `onset_s` on (0: always), in a run with this probability, or only in run number `run`, or
+    in the runs listed in `runs`: counts per unit are those of the other range, y = x + offset, and the noise is
+    multiplied by `noise_share`.
 
-    `range` in the sensor's unit (nan: no reset), `offset` too: each range has an offset of its own (BMA-79). A chip
-    that lost its settings has another filter and another gain before its converter: its noise, in the unit, is another.
-    Sensitivities are those of `imuarray.chips`; the code span stays, but for the ADXL345, which clips at the range
+    `range` in the sensor's unit (nan: no reset); `offset`, too, since each range has its own offset (BMA-79). A chip
+    that lost its settings has another filter and another gain before its converter, so its noise in the unit differs.
+    Sensitivities are those of `imuarray.chips`; the code span stays, except for the ADXL345, which clips at the range
     (ADX-46). The paper's BMA1 reads 4309 LSB for 1 g in its run 10 (Table 6): 4096 LSB/g, the chip's 2 g after a reset
-    (PAP-01). In data: everything scaled by a ratio of sensitivities, noise by another; where the onset is within the
-    run, from one row to the next.
+    (PAP-01). In data: everything is scaled by the ratio of the sensitivities, and the noise by another ratio; if the
+    onset is within the run, this starts from one row to the next.
 
-    Where single stretches are known, these are and no others: from each of `moments_s`, by the log's clock, for as long
-    as `lengths_s` says, in the run with that number in `runs`. A logger that reads back how the chip is set doubts its
-    rows from so much before as `doubts_s` says, and flags the first row that comes when it is set up again. For as long
-    as `blanks_s` says from each moment on (0 if it says nothing) the chip has made no reading yet: zeros, not fresh,
-    and its own thermometer's too.
+    If individual stretches are known, exactly these are reset: from each of `moments_s`, by the log's clock, for the
+    time in `lengths_s`, in the run with that number in `runs`. A logger that reads back the configuration flags the
+    rows of the last `doubts_s` before the reset as suspect, and flags the first row after the chip is set up again. For
+    `blanks_s` from each moment on (0 by default) the chip has not made a reading yet: it delivers zeros that are not
+    fresh, also from its thermometer.
     """
 
     name: ClassVar[str] = "range_reset"

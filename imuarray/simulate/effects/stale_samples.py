@@ -16,12 +16,13 @@ _RARE = 1e-12
 
 @dataclass(frozen=True)
 class StaleSamples(Effect):
-    """Each reading is, with `probability`, a repetition of the one before: counts, temperature and all, not fresh.
+    """With `probability` a reading repeats the previous one: counts and temperature, not fresh.
 
-    Repetitions of repetitions show the last reading that was none. Chains are cut where they would grow longer than all
-    but 10^-12 of them are: a row with nothing else for so many rows back is itself. Real ones come of a register that
-    is locked while a conversion ends (L3G-50, HMC-33) or of a poll that overtakes the chip now and then. In data:
-    identical triads, the joint repetition of three axes; lag-1 correlation of noise rises to about `probability`.
+    Repetitions of repetitions show the last reading that was not a repetition. Chains are cut at a length that all but
+    10^-12 of them stay below: a row that would repeat for longer keeps its own reading. In reality, a register that is
+    locked while a conversion ends (L3G-50, HMC-33) or a poll that occasionally overtakes the chip causes this. In data:
+    identical triads, because all three axes repeat together; the lag-1 correlation of the noise rises to about
+    `probability`.
     """
 
     name: ClassVar[str] = "stale_samples"

@@ -18,17 +18,17 @@ KINDS = ("stale", "new")
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """A stuck sensor: from `onset_s` for `duration_s` seconds every reading is the last one before, temperature and
-    all, not fresh; and again and again where `every_s` is given: free for so long on average, exponentially
-    distributed, then held.
+    """A stuck sensor: from `onset_s` for `duration_s` seconds every reading repeats the last one before, including the
+    temperature, and is not fresh. If `every_s` is given this recurs: the sensor works for that time on average,
+    exponentially distributed, and is then stuck again.
 
-    Rows are counted at their nominal rate, row 0 at 0 s; with an onset of 0 the first reading stays. A chip stands
-    still when its registers are locked (L3G-51: one byte of a pair unread; HMC-33: some of six; BMA-100: only high
-    bytes read), in standby (ADX-38), or when it hangs. Where its converter alone stands still, the chip says of the
-    same reading that it is new (`kind` "new" in the place of "stale"). In data: long runs of identical triads.
+    Rows are counted at their nominal rate, row 0 at 0 s; with an onset of 0 the first reading stays. A chip is stuck
+    when its registers are locked (L3G-51: one byte of a pair unread; HMC-33: some of six; BMA-100: only high bytes
+    read), in standby (ADX-38), or when it hangs. If only its converter is stuck, the chip marks the same reading as new
+    (`kind` "new" instead of "stale"). In data: long runs of identical triads.
 
-    Where single stretches are known, these are and no others: from each of `moments_s`, by the log's clock, for as long
-    as `lengths_s` says, in the run with that number in `runs`.
+    If individual stretches are known, exactly these are stuck: from each of `moments_s`, by the log's clock, for the
+    time in `lengths_s`, in the run with that number in `runs`.
     """
 
     name: ClassVar[str] = "stuck"

@@ -13,8 +13,8 @@ from imuarray.simulate.signal import Analog, Place
 class Thermometer(Effect):
     """T_read = T + offset + w, w ~ N(0, rms^2) independent from row to row; T the element's temperature in degC.
 
-    `offset_degc` and `rms_degc`; what is measured feels nothing of it. The BMA180's is off
-    by up to 5 degC (BMA-64), the L3G4200D's has no zero at all (L3G-60). In data: the chip's temperature beside the
+    `offset_degc` and `rms_degc`; the measured quantity is not affected. The BMA180's thermometer is off by up to 5 degC
+    (BMA-64), and the L3G4200D's has no specified zero (L3G-60). In data: the chip's temperature differs from the
     barometer's.
     """
 

@@ -16,13 +16,13 @@ from imuarray.simulate.signal import Analog, Place, Triple, per_row
 class Tone(Effect):
     """y = x + amplitude sin(2 pi (frequency + drift t / 2) t + phase), t the instant at which the chip really samples.
 
-    `amplitude` in the sensor's unit, `phase_deg` at the log's epoch (nan: drawn at each boot, another one for another
-    frequency). At the log's epoch each boot has `frequency_hz`, with a standard deviation of `frequency_spread_hz`
-    between boots, and from there on it drifts by `drift_hz_per_h`: the beat of two oscillators does, which start
-    elsewhere each time and warm up. The y axis of the paper's gyroscope has a peak near 50 Hz (Appendix A, Figure 14);
-    lines of MPU-9150 units drift by 10 Hz an hour (recordings of Carlsson et al., IEEE Sensors J. 21(6), 2021). In
-    data: a line in the spectrum, at |frequency - k rows_per_s| where it is polled too slowly; a hump in the Allan
-    deviation.
+    `amplitude` in the sensor's unit, `phase_deg` at the log's epoch (nan: drawn at each boot, a different one for each
+    frequency). At the log's epoch the frequency is `frequency_hz`, with a standard deviation of `frequency_spread_hz`
+    between boots; from then on it drifts by `drift_hz_per_h`. The beat of two oscillators behaves like this: it starts
+    at a different frequency each time and drifts as they warm up. The y axis of the paper's gyroscope has a peak near
+    50 Hz (Appendix A, Figure 14); lines of MPU-9150 units drift by 10 Hz an hour (recordings of Carlsson et al., IEEE
+    Sensors J. 21(6), 2021). In data: a line in the spectrum, at |frequency - k rows_per_s| if it is polled too slowly;
+    a hump in the Allan deviation.
     """
 
     name: ClassVar[str] = "tone"
