@@ -100,9 +100,10 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
             moving |= off > TILTED_G
         if moving.mean() > MOVING_SHARE:
             factor, unit = READABLE[sensors[0].unit]
-            most = factor * float(np.maximum(off, change)[moving].max())
+            most = float(np.maximum(off, change)[moving].max())
+            size = f"{factor * most:.3g} {unit}" if most < 1 else f"{most:.3g} {sensors[0].unit}"
             share = f"{100 * moving.mean():.0f} % of it"
-            return f"the box moved in {share} or was in other poses (by up to {most:.3g} {unit}), but must rest"
+            return f"the box moved in {share} or was in other poses (by up to {size}), but must rest"
     return ""
 
 

@@ -195,7 +195,8 @@ def _by_gravity(
         except CalibrationError as error:
             raise CalibrationError(
                 f"{accelerometers[0].where}: {counted(len(poses), 'static pose')}, at least {MIN_POSES} are required;"
-                f" the path between them does not determine the parameters either ({error})"
+                " the path between them does not determine the parameters either"
+                f" ({str(error).removeprefix(f'{accelerometers[0].where}: ')})"
             ) from None
     else:
         fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))

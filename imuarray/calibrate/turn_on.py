@@ -34,6 +34,7 @@ from imuarray.calibrate.runs import (
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
+from imuarray.printable import counted
 from imuarray.units import INERTIAL
 
 if TYPE_CHECKING:
@@ -170,7 +171,9 @@ def compare_runs(
     apart = _faults(runs, ranges)
     used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
     if len(used) < _FEWEST_RUNS:
-        raise CalibrationError(f"sensor {runs.sensor}: {len(used)} sound runs, at least {_FEWEST_RUNS} are required")
+        raise CalibrationError(
+            f"sensor {runs.sensor}: {counted(len(used), 'sound run')}, at least {_FEWEST_RUNS} are required"
+        )
     means, warm = runs.mean_lsb[used], None if runs.temperature_degc is None else runs.temperature_degc[used]
     second, p_states = two_states(means, warm, seed)
     groups = [~second, second] if p_states < significant else [np.ones(len(used), bool)]

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import came_up
-from imuarray.errors import FusionError
+from imuarray.errors import CalibrationError, FusionError
 from imuarray.fuse.element_temperature import (
     element_temperatures,
     mismatch_sentences,
@@ -79,7 +79,14 @@ def prepare_inputs(
         from imuarray.calibrate.noise import with_noise_of  # its weight is for those who lack it
 
         remarks.append(f"no noise{which} in the calibration; it was measured in this log at rest")
-        calibration = with_noise_of(log, calibration, lacking, progress)
+        try:
+            calibration = with_noise_of(log, calibration, lacking, progress)
+        except CalibrationError as error:
+            raise FusionError(
+                f"{error}, to measure noise{which} that the calibration lacks; record the box at rest, run"
+                " `imuarray calibrate noise` on that log and give the file as calibration, or choose a technique"
+                " that needs no noise (mean, opposed)"
+            ) from None
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,

@@ -164,7 +164,9 @@ def test_logs_that_can_not_be_calibrated(
     still = write_log(PARTS, np.eye(3)[2:], rows=1000, name="still.h5")
     assert "no such file" in refused(["calibrate", "tumble", str(tmp_path / "no.h5"), "-o", output], capsys)
     assert "no accelerometer" in refused(["calibrate", "tumble", str(gyro_only), "-o", output], capsys)
-    assert "1 static pose, at least 9" in refused(["calibrate", "tumble", str(still), "-o", output], capsys)
+    error = refused(["calibrate", "tumble", str(still), "-o", output], capsys)
+    assert "1 static pose, at least 9" in error
+    assert error.count("still.h5") == 1
     assert not (tmp_path / "cal.toml").exists()
 
 

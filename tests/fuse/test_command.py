@@ -185,7 +185,9 @@ def test_a_log_that_never_stands_still_can_not_tell_its_noise(
     path = write_run(parts(), force=lambda seconds: rng.normal(0, 0.5, (len(seconds), 3)) + still(seconds))
     output = tmp_path / "fused.h5"
     assert main(["fuse", str(path), "--technique", "ranges", "-o", str(output)]) == 2
-    assert "no stretch in which the box stood still" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "no stretch in which the box stood still, to measure noise that the calibration lacks" in error
+    assert "run `imuarray calibrate noise` on that log" in error
     assert not output.exists()
 
 
