@@ -238,6 +238,9 @@ def test_pulled_out_for_good_it_still_ends(an_array: Callable[..., ArrayConfig],
     assert 195 <= len(time) <= 205
     assert status[-1] & SUSPECT  # nobody could vouch for the last rows
     assert not status[0] & SUSPECT
+    with open_log(tmp_path / "r.h5") as log:
+        noted_s = [event.time_ns / S for event in log.events if event.kind == "link"]
+    assert noted_s[0] == pytest.approx(2.0, abs=0.1)  # counted from the epoch of the log, as rows are
 
 
 def test_pulled_out_after_its_last_frame_nothing_is_lost(

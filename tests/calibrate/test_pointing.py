@@ -117,6 +117,14 @@ def test_poses_held_in_another_order_are_refused(written: Written) -> None:
         find_pointing(log, held_poses(log, ("+X", "+Z", "+Y")))
 
 
+def test_one_of_two_accelerometers_that_no_orientation_explains_is_not_determined(written: Written) -> None:
+    """Half of them can't outvote the poses; more than half can: the other test. A mirrored triad fits no rotation."""
+    with open_log(written({"a1": "-Y+X+Z", "a2": "-X+Y+Z"}, ("+Z", "+X", "+Y"))) as log:
+        pointings = {each.sensor: each for each in find_pointing(log, held_poses(log))}
+    assert pointings["a1"].axes == "-Y+X+Z"
+    assert pointings["a2"].axes == "" and "no orientation explains" in pointings["a2"].reason
+
+
 def test_another_number_of_poses_is_told_with_their_times(written: Written) -> None:
     with open_log(written(AXES, ("+Z", "+X"))) as log, pytest.raises(CalibrationError, match=r"2 poses found \(.* s\)"):
         held_poses(log)
