@@ -9,6 +9,7 @@ the process, beside that of the script, which holds the log; of a log ten times 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import h5py
 from compare import Row, row
 
 HERE = Path(__file__).parent
@@ -78,12 +80,33 @@ def rows(full: bool = False) -> list[Row]:
             spent = _run(_ours(words, log, folder / f"bound{suffix}", seconds))
             found.append(row(f"imuarray {words.split()[0]}", spent.seconds, bound_s, "s of processor", 1.0, "lower"))
         if full:
-            longer = _simulated(folder / "longer.h5", FACTOR * seconds)
-            for command in COMMANDS:
-                long = _memory(command, longer, folder, FACTOR * seconds)
-                short = _memory(command, log, folder, seconds)
-                found.append(row(f"peak memory, ten hours: imuarray {_said(command)}", long, short, "MB", 1.1, "lower"))
+            found += _memory_rows(log, _simulated(folder / "longer.h5", FACTOR * seconds), folder)
     return found
+
+
+def _memory_rows(log: Path, longer: Path, folder: Path) -> list[Row]:
+    """Peak memory of every command on the long log and on one ten times as long; of the report also on logs that don't
+    know the truth, as those of real arrays.
+    """
+    unknown, unknown_longer = (_without_truth(path) for path in (log, longer))
+    report = next(command for command in COMMANDS if _said(command) == "report")
+    cases = [(_said(command), command, log, longer) for command in COMMANDS]
+    cases.append(("report, without a truth", report, unknown, unknown_longer))
+    found = []
+    for name, command, short, long in cases:
+        of_long = _memory(command, long, folder, FACTOR * LONG_S)
+        of_short = _memory(command, short, folder, LONG_S)
+        found.append(row(f"peak memory, ten hours: imuarray {name}", of_long, of_short, "MB", 1.1, "lower"))
+    return found
+
+
+def _without_truth(log: Path) -> Path:
+    """Copy a log without its truth."""
+    copy = log.with_name(f"unknown_{log.name}")
+    shutil.copyfile(log, copy)
+    with h5py.File(copy, "r+") as file:
+        del file["truth"]
+    return copy
 
 
 def _beside_peers(log: Path, folder: Path, seconds: int, full: bool) -> list[Row]:
