@@ -218,7 +218,7 @@ def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken(chip: str) 
 def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> None:
     array = load_array(SHIPPED)
     bench = Bench(array)
-    frames = max(30, round(4 * rate_hz))
+    frames = max(12, round(4 * rate_hz))
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=rate_hz, seconds=frames / rate_hz)
     assert summary.frames == frames
     assert set(summary.lost.values()) == {0}
