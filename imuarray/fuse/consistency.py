@@ -131,11 +131,12 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
                     total_of += of_axis * later
             return np.fft.irfft(total, size)
 
-        ahead = correlations(0)
+        lagged = correlations(0)[..., :segment].copy()
         for distance in range(last // segment + 1):
-            here, ahead = ahead, correlations(distance + 1)
-            lagged = here[..., :segment]
+            ahead = correlations(distance + 1)
             lagged[..., 1:] += ahead[..., size - segment + 1 :]
             first = distance * segment
             products = np.einsum("ijk,ijk->k", lagged, lagged)[: last + 1 - first]
             yield (first, products) if first else (1, products[1:])
+            lagged[...] = ahead[..., :segment]
+            del ahead  # before the next one is made
