@@ -157,6 +157,7 @@ def open_array(  # noqa: PLR0913
         hosts = [dies.get((own_bus or channel, address)) for address in mpu6500.ADDRESSES]
         behind.host = next((host for host in hosts if isinstance(host, MpuFamily)), None)
         if behind.host is not None:
+            behind.host.auxiliary.devices.append(behind.device)
             behind.host.on_bypass = wires[own_bus or TRUNK].reroute
             behind.host.on_bypass()
     if array.mux is not None:

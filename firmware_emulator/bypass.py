@@ -14,26 +14,26 @@ class BehindBypass:
     """A device that has its address while the bypass of `host` is open; always, while it has no host."""
 
     def __init__(self, device: Target) -> None:
-        self._device = device
+        self.device = device
         self.host: MpuFamily | None = None
 
     @property
     def address(self) -> int:
         """The device's, or none."""
-        return self._device.address if self.host is None or self.host.bypass_open else NOWHERE
+        return self.device.address if self.host is None or self.host.bypass_open else NOWHERE
 
     @address.setter
     def address(self, value: int) -> None:
-        self._device.address = value
+        self.device.address = value
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
         """The device's."""
-        return self._device.write(data, at_ns, byte_ns)
+        return self.device.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """The device's."""
-        return self._device.read(count, at_ns, byte_ns)
+        return self.device.read(count, at_ns, byte_ns)
 
     def stop(self, at_ns: int) -> None:
         """The device's."""
-        self._device.stop(at_ns)
+        self.device.stop(at_ns)

@@ -12,7 +12,9 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element
+from firmware_emulator.chips.mpu_master import AuxiliaryMaster, delay_of
 from firmware_emulator.six_axis import Grid, SixAxis
+from imuarray.facts import mpu6500 as master_facts
 
 BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-11, INV-72
 DATA = range(0x3B, 0x49)  # INV-20, INV-75
@@ -20,6 +22,9 @@ INT_PIN_CFG, BYPASS, MASTER = 0x37, 0x02, 0x20  # INV-97
 FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
 OVERFLOW, DATA_READY = 0x10, 0x01
 ON, RESET = 0x40, 0x04
+MASTER_CONTROL, MASTER_STATUS = master_facts.I2C_MST_CTRL.address, master_facts.I2C_MST_STATUS.address
+MOST_TRANSFERS = 64
+"""Samples whose transfers on the auxiliary bus are made up for, at most, and so many times more as it is delayed."""
 
 
 class MpuFamily(SixAxis):
@@ -36,6 +41,7 @@ class MpuFamily(SixAxis):
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> None:
         self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
+        self.auxiliary = AuxiliaryMaster()
         super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
@@ -64,17 +70,23 @@ class MpuFamily(SixAxis):
             for index in range(max(self._queued + 1, latest - kept), latest + 1):
                 self._sample(index)
                 self._queue.extend(self._record())
+        elif self.page[USER_CTRL] & MASTER:
+            most = MOST_TRANSFERS * (1 + delay_of(self.page))
+            for index in range(max(self._queued + 1, latest - most), latest):
+                self.auxiliary.transfer(self.page, index, self._grid.time_ns(index))
         if self._grid.index != latest:
             self._sample(latest)
         self._queued = latest
 
     def _sample(self, index: int) -> None:
         self._convert(self._grid.time_ns(index))
+        if self.page[USER_CTRL] & MASTER:
+            self.auxiliary.transfer(self.page, index, self._grid.time_ns(index))
         self._grid.index = index
 
     def _record(self) -> bytes:
         """The data bytes that FIFO_EN selects, in the order of their registers: bit 7 temperature, 6 ... 4 gyroscope x
-        to z, 3 accelerometer.
+        to z, 3 accelerometer, then what the slots of the auxiliary bus read: bits 2 ... 0 and bit 5 of I2C_MST_CTRL.
         """
         enabled = self.page[FIFO_EN]
         data = bytes(self.page[DATA.start : DATA.stop])
@@ -82,13 +94,17 @@ class MpuFamily(SixAxis):
         selected += data[6:8] if enabled & 0x80 else b""
         for axis, mask in enumerate((0x40, 0x20, 0x10)):
             selected += data[8 + 2 * axis : 10 + 2 * axis] if enabled & mask else b""
-        return selected
+        slots = enabled & 0x07 | (0x08 if self.page[MASTER_CONTROL] & 0x20 else 0)
+        return selected + self.auxiliary.recorded(self.page, slots) if slots else selected
 
     def load(self, address: int, at_ns: int) -> int:
         """A register's byte; flags are cleared by reading them, and both bytes of the count taken with the high one."""
         if address == INT_STATUS:
             flags, self._flags = self._flags, 0
             return flags
+        if address == MASTER_STATUS:
+            status, self.page[address] = self.page[address], 0
+            return status
         if address == COUNT_HIGH:
             self._count = len(self._queue)
             return self._count >> 8

@@ -80,6 +80,8 @@ class Ak8963:
                 " address: connect them to two channels"
             )
         for host in hosts:
+            if mpu6500.MASTER_ON.of(host.peek(mpu6500.USER_CTRL)[0]):  # another program's; it keeps the bypass shut
+                host.change(mpu6500.MASTER_ON(0))
             host.change(mpu6500.BYPASS(1))
 
     def identify(self) -> None:

@@ -1,7 +1,7 @@
 """MPU-6500 six-axis sensor, and the MPU-9250 that holds one: InvenSense register map RM-MPU-9250A rev. 1.4 (2013).
 
-Facts INV-70 ... INV-78, INV-96 ... INV-99. Registers of the auxiliary bus, of interrupts and of motion detection are
-left out, but for the data byte of the first slave, on which nothing depends while that bus is off.
+Facts INV-70 ... INV-78, INV-96 ... INV-99, INV-110 ... INV-116. Registers of interrupts and of motion detection are
+left out, and of the auxiliary bus those of the fifth slot but for its control.
 """
 
 from imuarray.facts.registers import Register
@@ -20,6 +20,21 @@ GYRO_CONFIG = Register(0x1B, reserved=0x04)
 ACCEL_CONFIG = Register(0x1C, reserved=0x07)
 ACCEL_CONFIG_2 = Register(0x1D, reserved=0xF0)
 FIFO_EN = Register(0x23)
+I2C_MST_CTRL = Register(0x24)
+I2C_SLV0_ADDR = Register(0x25)
+I2C_SLV0_REG = Register(0x26)
+I2C_SLV0_CTRL = Register(0x27)
+I2C_SLV1_ADDR = Register(0x28)
+I2C_SLV1_REG = Register(0x29)
+I2C_SLV1_CTRL = Register(0x2A)
+I2C_SLV2_ADDR = Register(0x2B)
+I2C_SLV2_REG = Register(0x2C)
+I2C_SLV2_CTRL = Register(0x2D)
+I2C_SLV3_ADDR = Register(0x2E)
+I2C_SLV3_REG = Register(0x2F)
+I2C_SLV3_CTRL = Register(0x30)
+I2C_SLV4_CTRL = Register(0x34)
+I2C_MST_STATUS = Register(0x36, "r")
 INT_PIN_CFG = Register(0x37, reserved=0x01)
 INT_STATUS = Register(0x3A, "r", reserved=0xA6)
 ACCEL_XOUT_H = Register(0x3B, "r")
@@ -36,7 +51,12 @@ GYRO_YOUT_H = Register(0x45, "r")
 GYRO_YOUT_L = Register(0x46, "r")
 GYRO_ZOUT_H = Register(0x47, "r")
 GYRO_ZOUT_L = Register(0x48, "r")
+EXT_SENS_DATA_00 = Register(0x49, "r")
 I2C_SLV0_DO = Register(0x63)
+I2C_SLV1_DO = Register(0x64)
+I2C_SLV2_DO = Register(0x65)
+I2C_SLV3_DO = Register(0x66)
+I2C_MST_DELAY_CTRL = Register(0x67, reserved=0x60)
 USER_CTRL = Register(0x6A, reserved=0x88)
 PWR_MGMT_1 = Register(0x6B, reset=0x01)
 PWR_MGMT_2 = Register(0x6C, reserved=0xC0)
@@ -55,6 +75,17 @@ ACCEL_SELF_TEST = ACCEL_CONFIG[7:5]
 ACCEL_RANGE = ACCEL_CONFIG[4:3]
 ACCEL_UNFILTERED = ACCEL_CONFIG_2[3]
 ACCEL_DLPF = ACCEL_CONFIG_2[2:0]
+SEVERAL_MASTERS = I2C_MST_CTRL[7]
+WAITS_FOR_SENSORS = I2C_MST_CTRL[6]
+FIFO_SLAVE_3 = I2C_MST_CTRL[5]
+STOP_BETWEEN_READS = I2C_MST_CTRL[4]
+MASTER_CLOCK = I2C_MST_CTRL[3:0]
+SLAVE_4_ON = I2C_SLV4_CTRL[7]
+SLAVE_4_INT = I2C_SLV4_CTRL[6]
+SLAVE_4_NO_REGISTER = I2C_SLV4_CTRL[5]
+MASTER_DELAY = I2C_SLV4_CTRL[4:0]
+SHADOW_DELAYED = I2C_MST_DELAY_CTRL[7]
+SLAVES_DELAYED = I2C_MST_DELAY_CTRL[4:0]
 INT_ACTIVE_LOW = INT_PIN_CFG[7]
 INT_OPEN = INT_PIN_CFG[6]
 INT_LATCHED = INT_PIN_CFG[5]

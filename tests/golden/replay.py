@@ -272,7 +272,10 @@ def play_to_chip(conversation: Conversation) -> None:
             behind.setdefault(entry["channel"], []).append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
         wire.connect_router(Pca9544a(conversation.address, behind))
     else:
-        wire.connect(CHIPS[conversation.chip](conversation.address, element, 0))
+        chip = CHIPS[conversation.chip](conversation.address, element, 0)
+        for entry in conversation.head.get("auxiliary", ()):  # on the bus of its own master
+            chip.auxiliary.devices.append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
+        wire.connect(chip)
     said = [*(conversation.before or conversation).head.get("dirty", ())]
     if said:
         clock.sleep_until(100 * MS)

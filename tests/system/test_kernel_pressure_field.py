@@ -1,7 +1,9 @@
-"""The drivers of a real Linux kernel bind to the emulated BMP280, BMP388, LIS3MDL and AK8963 and read what ours read.
+"""The drivers of a real Linux kernel bind to the emulated BMP280, BMP388, LIS3MDL, AK8963 and MPU-9250 and read what
+ours read.
 
-The guest attaches the array as a USB/IP device, as in `test_kernel_usbip`. The script opens the
-bypass of the MPU-9250.
+The guest attaches the array as a USB/IP device, as in `test_kernel_usbip`. The script opens the bypass of the MPU-9250
+for the driver ak8975, and closes it again for inv_mpu6050, which reads the same magnetometer by the master of the
+auxiliary bus.
 """
 
 from __future__ import annotations
@@ -17,9 +19,9 @@ from imuarray.acquire import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from tests.system.bench import SEED, served
-from tests.system.test_kernel_usbip import TIMEOUT_S, addresses, numbers, own_readings, sections
+from tests.system.test_kernel_usbip import addresses, numbers, own_readings, sections
 
-MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "bmp280-i2c", "st_magn_i2c", "ak8975")
+MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "bmp280-i2c", "st_magn_i2c", "ak8975", "inv-mpu6050-i2c")
 CONFIG = """
 [array]
 name = "shelf"
@@ -53,6 +55,8 @@ address = 0x0C
 range = 49.12
 """
 READINGS = 8
+TIMEOUT_S = 900.0
+"""It takes a minute on a quiet machine."""
 SCRIPT = """
 section() {{ echo "## $1"; }}
 usbip --tcp-port {port} attach -r 10.0.2.2 -b 1-1
@@ -79,6 +83,15 @@ for chip in lis3mdl ak8963; do
     section $chip/in_magn_${{axis}}_scale; cat $(iio $chip)/in_magn_${{axis}}_scale
   done
 done
+echo 0x0c > $bus/delete_device
+i2cset -y $n 0x68 0x37 0x00
+echo mpu9250 0x68 > $bus/new_device
+section master; basename $(readlink /sys/bus/i2c/devices/$n-0068/driver)
+for axis in x y z; do
+  for kind in magn accel; do repeat mpu9250 in_${{kind}}_${{axis}}_raw; done
+  section mpu9250/in_magn_${{axis}}_scale; cat $(iio mpu9250)/in_magn_${{axis}}_scale
+done
+section mpu9250/in_accel_scale; cat $(iio mpu9250)/in_accel_scale
 section end
 """
 
@@ -101,6 +114,8 @@ def test_the_kernel_reads_the_barometers_and_magnetometers(
     check_barometer(said, "bmp380", ours["Baro388"], noise_pa=1.3)  # DEC-221
     check_lis3mdl(said, ours["Field"])
     check_ak8963(said, ours["Compass"], own_adjustment(config))
+    assert said["master"].split() == ["inv-mpu6050-i2c"]
+    check_mpu9250(said, ours["Compass"], ours["Force"], own_adjustment(config))
 
 
 def own_adjustment(config: Path) -> list[int]:
@@ -148,3 +163,23 @@ def check_ak8963(said: dict[str, str], ours: npt.NDArray[np.float64], adjustment
         assert scale == pytest.approx(0.006 * (adjustment[index] + 128) / 256, abs=1e-6)
     x, y, z = ours.mean(axis=0)
     assert min(abs(x - y), abs(y - z), abs(z - x)) > 20  # or swapped axes would pass
+
+
+def check_mpu9250(
+    said: dict[str, str], ours: npt.NDArray[np.float64], force: npt.NDArray[np.float64], adjustment: list[int]
+) -> None:
+    """The kernel asks for single measurements of 16 bits, whose bytes the master swaps (INV-111), and scales them by
+    1.5 mG and the adjustment. Bound of 5 standard errors and a count. Its accelerometer has a range of its own; ours is
+    at 4 g.
+    """
+    for index, axis in enumerate("xyz"):
+        theirs = numbers(said[f"mpu9250/in_magn_{axis}_raw"])
+        assert len(theirs) == READINGS
+        bound = 1 + 5 * ours[:, index].std() * np.sqrt(1 / READINGS + 1 / len(ours))
+        assert theirs.mean() == pytest.approx(ours[:, index].mean(), abs=bound)
+        (scale,) = numbers(said[f"mpu9250/in_magn_{axis}_scale"])
+        assert scale == pytest.approx(0.0015 * (adjustment[index] + 128) / 256, abs=1e-6)
+        accelerations = numbers(said[f"mpu9250/in_accel_{axis}_raw"])
+        (unit,) = numbers(said["mpu9250/in_accel_scale"])
+        bound = 5 * force[:, index].std() / np.sqrt(READINGS) + 20
+        assert accelerations.mean() * unit / 9.80665 * 8192 == pytest.approx(force[:, index].mean(), abs=bound)
