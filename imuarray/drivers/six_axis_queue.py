@@ -29,6 +29,8 @@ BEFORE_COUNT = 0.4
 """Share of a transaction that has passed before a chip takes its count: three bytes of five or six on I2C, one of three
 or four on SPI.
 """
+MOST_READ_BYTES = 1020
+"""Bytes of a queue in one transaction, in whole samples: what the serial link carries (`imuarray.bus.serial_link`)."""
 MOST_ROWS = 4096
 """Rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
 
@@ -156,6 +158,12 @@ class DieQueue:
         self._shortest_ns = min(self._shortest_ns, ended_ns - begun_ns)
         return count, flags, (begun_ns + round(BEFORE_COUNT * self._shortest_ns), ended_ns)
 
+    def _read(self, register: Register, count: int, size: int) -> bytes:
+        """`count` samples of `size` bytes from the queue's register, in as many transactions as that takes."""
+        most = MOST_READ_BYTES // size
+        pieces = (min(most, count - begin) for begin in range(0, count, most))
+        return b"".join(self.registers.peek(register, samples * size) for samples in pieces)
+
     def _restart(self) -> None:
         self.times.restart()
 
@@ -220,7 +228,7 @@ class Icm42688Queue(DieQueue):
             return False
         if not count:
             return True
-        packets = self.registers.peek(icm42688.FIFO_DATA, count * size)
+        packets = self._read(icm42688.FIFO_DATA, count, size)
         kinds = {header & 0xF0 for header in set(packets[::size])}
         if kinds != {self._header}:
             return False
@@ -306,7 +314,7 @@ class MpuQueue(DieQueue):
         count, nearly_full, counted_ns = self._counted()
         if not count:
             return True
-        records = self.registers.peek(self._table["FIFO_R_W"], count * self.SIZE)
+        records = self._read(self._table["FIFO_R_W"], count, self.SIZE)
         flags = self.registers.peek(self._table["INT_STATUS"])[0]
         if flags & OVERFLOW or nearly_full:
             return False
@@ -360,7 +368,7 @@ class Lsm6dsoQueue(DieQueue):
         gap = bool(lost)
         if not count:
             return True
-        data = self.registers.peek(lsm6dso.FIFO_DATA_OUT_TAG, count * self.WORD)
+        data = self._read(lsm6dso.FIFO_DATA_OUT_TAG, count, self.WORD)
         words = np.frombuffer(data, np.uint8).reshape(count, self.WORD)
         tags = np.asarray(words[:, 0] >> 3, np.uint8)
         if not np.isin(tags, (*self.TAGS.values(), self.TEMPERATURE)).all():
