@@ -28,7 +28,13 @@ from imuarray.characterise.allan_curve import (
     octaves,
 )
 from imuarray.characterise.allan_stream import AllanStream, Estimator
-from imuarray.characterise.second_differences import CountColumn, compact_running_sum, running_sum, sums_of_squares
+from imuarray.characterise.second_differences import (
+    CountColumn,
+    compact_running_sum,
+    running_sum,
+    sums_of_squares,
+    sums_of_squares_within,
+)
 
 __all__ = [
     "CONFIDENCE",
@@ -37,6 +43,7 @@ __all__ = [
     "Estimator",
     "allan_deviation",
     "allan_deviation_of_counts",
+    "allan_deviation_of_runs",
     "octaves",
 ]
 
@@ -84,6 +91,39 @@ def allan_deviation_of_counts(columns: Sequence[CountColumn], interval_s: float)
         short = column.dtype.itemsize <= 2
         moments.append(_moments(compact_running_sum(column) if short else running_sum(column[:rows]), chosen))
     return make_curve(moments, chosen, [1] * len(chosen), SeriesShape(rows, interval_s, (len(columns),)), CONFIDENCE)
+
+
+def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, lengths: Sequence[int]) -> AllanCurve:
+    """The overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that consist
+    of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
+
+    The noise type is told from the longest run. Memory holds one column's running sum and the place of every row in
+    its run. ValueError for fewer than two counts.
+    """
+    if len(lengths) == 1:
+        return allan_deviation_of_counts(columns, interval_s)
+    sizes = np.asarray(lengths, np.int64)
+    ends = np.cumsum(sizes)
+    longest = int(sizes.argmax())
+    run = slice(int(ends[longest] - sizes[longest]), int(ends[longest]))
+    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # how many values of its run a running sum has
+    place[1:] -= np.repeat(ends - sizes, sizes).astype(np.int32)
+    chosen = _factors(int(sizes.max()), None)
+    moments = []
+    for column in columns:
+        short = column.dtype.itemsize <= 2
+        phase = compact_running_sum(column) if short else running_sum(column[: len(column)])
+        changes = ChangeMoments()
+        for start in range(0, len(column), _BLOCK):
+            stop = min(start + _BLOCK, len(column))
+            changes.feed_pairs(np.asarray(column[max(start - 1, 0) : stop]), place[max(start, 1) + 1 : stop + 1] > 1)
+        averages = [_averages(phase[run.start : run.stop + 1], m) for m in chosen]
+        moments.append(Moments(sums_of_squares_within(phase, place, chosen), averages, changes.kurtosis()))
+    kinds, number = np.unique(sizes, return_counts=True)
+    runs = tuple(zip(kinds.tolist(), number.tolist(), strict=True))
+    return make_curve(
+        moments, chosen, [1] * len(chosen), SeriesShape(int(ends[-1]), interval_s, (len(columns),), runs), CONFIDENCE
+    )
 
 
 def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:

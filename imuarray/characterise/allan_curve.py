@@ -21,6 +21,10 @@ STARTS = 8
 """The decimated estimator starts at least so often in an averaging time; more starts tell next to nothing new."""
 
 
+Runs = tuple[tuple[int, int], ...]
+"""Lengths of the runs without a gap that a series consists of, and how many are of each; empty for a single run."""
+
+
 @dataclass(frozen=True)
 class AllanCurve:
     """Allan deviations in the unit of the series: a row per tau, and a column per column of the series if it had any.
@@ -28,7 +32,8 @@ class AllanCurve:
     `tau_s`, `terms` (squares averaged) and `stride` (rows between their starts, 1: fully overlapping) are (t,);
     `deviation`, `low` and `high` (ends of its confidence interval), `freedom` (equivalent degrees of freedom) and
     `noise` (the type that the interval assumes) are (t,) or (t, k). The series had `rows` values, one every
-    `interval_s`; `kurtosis`, () or (k,), is the excess kurtosis of its white noise (0: Gaussian).
+    `interval_s`; `kurtosis`, () or (k,), is the excess kurtosis of its white noise (0: Gaussian). A series with gaps is
+    several `runs` (lengths, their number); no term spans a gap.
     """
 
     tau_s: npt.NDArray[np.float64]
@@ -42,6 +47,7 @@ class AllanCurve:
     interval_s: float
     rows: int
     kurtosis: npt.NDArray[np.float64]
+    runs: Runs = ()
 
     def column(self, number: int) -> AllanCurve:
         """The curve of one column of a series that had some."""
@@ -51,11 +57,19 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class SeriesShape:
-    """Length of a series, time between its rows, and shape of a row: () for one column alone, (k,) for k of them."""
+    """Length of a series, time between its rows, and shape of a row: () for one column alone, (k,) for k of them;
+    `runs` if it has gaps.
+    """
 
     rows: int
     interval_s: float
     columns: tuple[int, ...]
+    runs: Runs = ()
+
+    @property
+    def parts(self) -> Runs:
+        """The runs, a single one too."""
+        return self.runs or ((self.rows, 1),)
 
 
 @dataclass(frozen=True)
@@ -85,13 +99,19 @@ class ChangeMoments:
         """Add the next values (n,)."""
         for start in range(0, len(values), _BLOCK):
             block = np.concatenate([self._last, np.asarray(values[start : start + _BLOCK], np.float64)])
-            changes = np.diff(block)
-            self._scale = self._scale or float(np.abs(changes).max(initial=0.0))
-            squares = (changes / (self._scale or 1.0)) ** 2
-            self._number += len(squares)
-            self._squares += float(squares.sum())
-            self._fourths += float(squares @ squares)
+            self._add(np.diff(block))
             self._last = block[-1:]
+
+    def feed_pairs(self, values: npt.NDArray[Any], within: npt.NDArray[np.bool_]) -> None:
+        """Add the changes between values (n,) of which `within` (n - 1,) says that they are of one run."""
+        self._add(np.diff(np.asarray(values, np.float64))[within])
+
+    def _add(self, changes: npt.NDArray[np.float64]) -> None:
+        self._scale = self._scale or float(np.abs(changes).max(initial=0.0))
+        squares = (changes / (self._scale or 1.0)) ** 2
+        self._number += len(squares)
+        self._squares += float(squares.sum())
+        self._fourths += float(squares @ squares)
 
     def kurtosis(self) -> float:
         """Return the excess kurtosis of the white noise in the column: twice that of the changes, which a drift hardly
@@ -126,19 +146,39 @@ def make_curve(
     """Return the curve of a series from the moments of its columns at each factor."""
     rows, interval_s, shape = series.rows, series.interval_s, series.columns
     m, stride = np.array(factors, np.int64), np.array(strides, np.int64)
-    terms = rows // stride + 1 - 2 * (m // stride)
+    each = np.array([np.maximum(length // stride + 1 - 2 * (m // stride), 0) for length, _ in series.parts])  # (r, t)
+    number = np.array([count for _, count in series.parts])
+    terms = number @ each
     sums = np.array([column.sums for column in columns]).T.reshape(len(m), *shape)
     across = (slice(None), *[None] * len(shape))
     deviations = np.sqrt(sums / (2.0 * terms[across])) / m[across]
     noises = [_noises(column.averages, factors) for column in columns]
-    points = list(zip(factors, terms.tolist(), strides, strict=True))
-    freedom = [[degrees_of_freedom(noise, *at) for noise, at in zip(row, points, strict=True)] for row in noises]
+    points = list(zip(factors, each.T.tolist(), strides, strict=True))
+    counts = number.tolist()
+    freedom = [
+        [
+            _pooled_freedom(noise, m, counts, per_run, step)
+            for noise, (m, per_run, step) in zip(row, points, strict=True)
+        ]
+        for row in noises
+    ]
     freedoms = np.array(freedom).T.reshape(deviations.shape)
     low, high = interval(deviations, freedoms, confidence)
     kinds = np.array(noises).T.reshape(deviations.shape)
     tau_s = m * np.float64(interval_s)
     kurtosis = np.array([column.kurtosis for column in columns]).reshape(shape)
-    return AllanCurve(tau_s, deviations, terms, low, high, freedoms, kinds, stride, float(interval_s), rows, kurtosis)
+    return AllanCurve(
+        tau_s, deviations, terms, low, high, freedoms, kinds, stride, float(interval_s), rows, kurtosis, series.runs
+    )
+
+
+def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Sequence[int], stride: int) -> float:
+    """Degrees of freedom of the mean over the terms of all runs, `number` of which have so many `terms`: the variances
+    of runs are independent, and each weighs by its terms.
+    """
+    used = [(count, size) for count, size in zip(number, terms, strict=True) if size > 0]
+    total = sum(count * size for count, size in used)
+    return total**2 / sum(count * size**2 / degrees_of_freedom(noise, factor, size, stride) for count, size in used)
 
 
 def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:

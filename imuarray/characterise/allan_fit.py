@@ -121,7 +121,7 @@ def fit_noise(
     size = float(deviation.max())
     kurtosis = float(curve.kurtosis.reshape(-1)[column])
     estimate = AllanEstimate(
-        (deviation / size) ** 2, size, tuple(factors.tolist()), curve.rows, curve.interval_s, kurtosis
+        (deviation / size) ** 2, size, tuple(factors.tolist()), curve.rows, curve.interval_s, kurtosis, curve.runs
     )
     wanted = [at for at, term in enumerate(TERMS) if term in terms][: len(points)]
     included = needed(estimate, wanted)

@@ -14,6 +14,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_covariance import TERMS, covariance, variances
+from imuarray.characterise.allan_curve import Runs
 
 _NEEDED = 5.41
 """Least growth of the misfit when a term is removed. One that is not there does so with a chance of 1 %: with 1/2 it is
@@ -43,7 +44,7 @@ class AllanEstimate:
     """Data of the fit: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
 
     They are in units of `size` squared, in which the largest is 1. `kurtosis`: of the white noise, in excess of that of
-    a normal distribution.
+    a normal distribution. `runs` of a series with gaps, whose estimates are independent.
     """
 
     variance: Floats
@@ -52,12 +53,21 @@ class AllanEstimate:
     rows: int
     interval_s: float
     kurtosis: float = 0.0
+    runs: Runs = ()
     _solutions: dict[tuple[int, ...], Solution] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def design(self) -> Floats:
         """Variance (t, 5) of each term whose coefficient is 1, an interval of 1 s assumed."""
         return np.stack([variances(term, np.array(self.factors)) for term in TERMS], axis=1)
+
+    @cached_property
+    def _weights(self) -> list[tuple[int, int, Floats]]:
+        """Length and number of the runs of each length, and the share (t,) of the terms that one of them has."""
+        runs = self.runs or ((self.rows, 1),)
+        terms = np.array([[max(rows + 1 - 2 * m, 0) for m in self.factors] for rows, _ in runs], float)
+        total = np.array([number for _, number in runs]) @ terms
+        return [(rows, number, part / total) for (rows, number), part in zip(runs, terms, strict=True)]
 
     def whitener(self, theta: Floats) -> Floats:
         """Matrix (t, t) that makes the variances uncorrelated and of unit variance if `theta` is the truth.
@@ -92,9 +102,14 @@ class AllanEstimate:
         A fourth cumulant k of independent readings adds k / (n m m') to the covariance of Allan variances at m and m':
         each is a quadratic form of the n readings whose diagonal is 1 / (n m), but for the ends of the series.
         """
-        white = theta[_WHITE] * self.design[:, _WHITE]
-        covariance_ = covariance(self.factors, self.rows, theta)
-        covariance_ = covariance_ + max(self.kurtosis, _LEAST_KURTOSIS) / self.rows * np.outer(white, white)
+        white = np.outer(*[theta[_WHITE] * self.design[:, _WHITE]] * 2)
+        covariance_ = np.zeros_like(white)
+        for rows, number, weights in self._weights:
+            points = np.flatnonzero(weights)
+            factors = tuple(self.factors[point] for point in points.tolist())
+            some = covariance(factors, rows, theta)
+            some = some + max(self.kurtosis, _LEAST_KURTOSIS) / rows * white[np.ix_(points, points)]
+            covariance_[np.ix_(points, points)] += number * np.outer(weights[points], weights[points]) * some
         spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design @ theta)) ** 2)
         sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread

@@ -23,7 +23,7 @@ from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statist
 from imuarray.characterise.rails import find_rails
 from imuarray.characterise.stalls import find_stalls
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
-from imuarray.characterise.survey import Survey, survey
+from imuarray.characterise.survey import Survey, runs_of_curve, survey
 from imuarray.errors import LogError
 from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
@@ -114,6 +114,8 @@ def _sensor(
     run = _run(sensor, timing)
     surveyed = survey(sensor, rows, timing, run["interval_s"], estimator, stretch.left_out)
     count = statistics.rows or math.nan
+    runs = runs_of_curve(timing, surveyed.estimator) if surveyed else (timing.run,)
+    pooled = sum(rows.stop - rows.start for rows in runs)
     per_count = _per_count(sensor, scale)
     rails = find_rails(sensor) if sensor.is_triad else None
     stalls = find_stalls(sensor)
@@ -127,7 +129,8 @@ def _sensor(
         "median_interval_s": timing.interval_s,
         "gaps": timing.gaps,
         "largest_gap_s": timing.largest_gap_s,
-        "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
+        "allan_run": run
+        | {"rows": pooled, "runs": len(runs), "longest_run_rows": run["rows"], "left_out_share": 1 - pooled / count},
         "allan_estimator": surveyed and surveyed.estimator,
         "timing": surveyed
         and timing_of(surveyed, 1 / run["interval_s"]) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},

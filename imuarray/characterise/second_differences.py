@@ -113,6 +113,22 @@ def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> 
     return totals
 
 
+def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distances: Sequence[int]) -> list[float]:
+    """Return the same of a series with gaps: over the ends e whose `place` in their run, (n + 1,), is 2m or more."""
+    totals = [0.0] * len(distances)
+    work = np.empty((2, min(2 * _BLOCK, len(phase))))
+    for start in range(0, len(phase), _BLOCK):
+        stop = min(start + _BLOCK, len(phase))
+        for index, m in enumerate(distances):
+            begin = max(start, 2 * m)
+            within = place[begin:stop] >= 2 * m
+            if within.any():
+                block = _second_differences(phase, m, begin, stop, work)
+                block *= within
+                totals[index] += _square(block)
+    return totals
+
+
 def _second_differences(phase: Values, m: int, start: int, stop: int, work: Floats) -> Floats:
     """Return the second differences that end from `start` to `stop`; at a short distance each first difference serves
     twice.

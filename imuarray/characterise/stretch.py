@@ -38,6 +38,12 @@ class Stretch:
     remark: str = ""
 
 
+_MOST_RUNS = 20_000
+"""Runs that are remembered, the longest ones."""
+
+LEAST_RUN = 9
+"""Rows of a run that count in the Allan deviation: fewer do not have two octaves."""
+
 Spans = Sequence[tuple[int, int]]
 """Start and end in ns of times in which readings do not count."""
 
@@ -55,7 +61,8 @@ def flags_of(sensor: SensorLog, part: slice, left_out: Spans = ()) -> npt.NDArra
 @dataclass(frozen=True)
 class Timing:
     """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, the
-    longest run of rows without a gap, lost readings, or a chip in doubt, and the interval beyond which there is a gap.
+    longest run of rows without a gap, lost readings, or a chip in doubt, the interval beyond which there is a gap, and
+    all `runs` of at least `LEAST_RUN` rows, in order.
     """
 
     interval_s: float
@@ -63,6 +70,7 @@ class Timing:
     gaps: int
     run: slice
     gap_limit_s: float = float("inf")
+    runs: tuple[slice, ...] = ()
 
 
 def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
@@ -110,17 +118,27 @@ def find_timing(
         return Timing(float("nan"), float("nan"), 0, rows)
     quartiles = [np.quantile(_intervals(sensor, part), (0.5, 0.75)) for part in _parts(rows, block)]
     median, upper = np.median(quartiles, axis=0).tolist()
-    gaps, largest, begin, best = 0, 0, rows.start, slice(rows.start, rows.start)
+    gaps, largest, begin, runs = 0, 0, rows.start, [slice(rows.start, rows.start)]
     for part in _parts(rows, block):
         intervals = _intervals(sensor, part)
         wide = intervals > (np.inf if counted else GAP * upper)
         gaps += int(np.count_nonzero(wide))
         largest = max(largest, int(intervals.max()))
         for row in (part.start + 1 + np.flatnonzero(wide | broken_rows(flags_of(sensor, part, left_out))[1:])).tolist():
-            best = max(best, slice(begin, row), key=_length)
+            runs.append(slice(begin, row))
             begin = row
-    longest = max(best, slice(begin, rows.stop), key=_length)
-    return Timing(median * 1e-9, largest * 1e-9, gaps, longest, np.inf if counted else GAP * upper * 1e-9)
+        if len(runs) > _MOST_RUNS:
+            runs = _longest(runs)
+    runs.append(slice(begin, rows.stop))
+    longest = max(runs, key=_length)
+    limit_s = np.inf if counted else GAP * upper * 1e-9
+    return Timing(median * 1e-9, largest * 1e-9, gaps, longest, limit_s, tuple(_longest(runs)))
+
+
+def _longest(runs: list[slice]) -> list[slice]:
+    """The longest of the runs, in order: those that are long enough, and not too many."""
+    chosen = sorted((run for run in runs if _length(run) >= LEAST_RUN), key=_length, reverse=True)[:_MOST_RUNS]
+    return sorted(chosen, key=lambda run: int(run.start))
 
 
 def _parts(rows: slice, block: int) -> list[slice]:

@@ -7,24 +7,25 @@ cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation_of_counts
+from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation_of_runs
 from imuarray.characterise.allan_stream import AllanStream
 from imuarray.characterise.codes import NOTHING, Histogram, histogram
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
 from imuarray.characterise.intervals import Intervals, IntervalTally
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
-from imuarray.characterise.stretch import Spans, Timing, broken_rows, flags_of
+from imuarray.characterise.stretch import LEAST_RUN, Spans, Timing, broken_rows, flags_of
 from imuarray.log import SensorLog
 from imuarray.log.format import SUSPECT
 
-MIN_ROWS = 9
+MIN_ROWS = LEAST_RUN
 """A run shorter than this gives no Allan deviation: not even two octaves."""
 
 EXACT_ROWS = 4_000_000
@@ -39,7 +40,7 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class Survey:
-    """Statistics of one sensor's stretch; `curve` is of its longest run (None if too short), the rest of all runs.
+    """Statistics of one sensor's stretch; `curve` is of `runs_of_curve` (None if too short), the rest of all.
 
     `histograms` one per column; `estimator` of the Allan deviation.
     """
@@ -74,6 +75,7 @@ def survey(
     welch = Welch(1 / interval_s, segment_rows(run_rows), columns)
     covariance = Autocovariance(LAGS, columns)
     intervals, repeats, seen = IntervalTally(), RepeatTally(), [NOTHING] * columns
+    runs = runs_of_curve(timing, chosen)
     stream = AllanStream(interval_s) if chosen == "decimated" and run_rows >= MIN_ROWS else None
     for begin, starts_run, counts in _pieces(sensor, rows, timing, intervals, left_out):
         if starts_run:
@@ -86,36 +88,68 @@ def survey(
         inside = slice(max(timing.run.start - begin, 0), max(timing.run.stop - begin, 0))
         if stream is not None and len(counts[inside]):
             stream.feed(counts[inside])
-    curve = stream.curve() if stream else _exact(sensor, timing.run, interval_s, run_rows)
+    curve = stream.curve() if stream else _exact(sensor, runs, interval_s)
     return Survey(welch.result(), covariance.result(), tuple(seen), intervals.result(), repeats.result(), curve, chosen)
 
 
-def _exact(sensor: SensorLog, run: slice, interval_s: float, run_rows: int) -> AllanCurve | None:
-    """The overlapping Allan deviation of a run that is short enough for its running sum to be held."""
-    if run_rows < MIN_ROWS:
+def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
+    """The runs of rows that the Allan deviation is taken of: the longest ones, of `EXACT_ROWS` together at most; with
+    the decimated estimator the longest one alone.
+    """
+    if estimator == "decimated" or not timing.runs:
+        return (timing.run,)
+    chosen: list[slice] = []
+    total = 0
+    for run in sorted(timing.runs, key=lambda run: run.start - run.stop):
+        total += run.stop - run.start
+        if chosen and total > EXACT_ROWS:
+            break
+        chosen.append(run)
+    return tuple(sorted(chosen, key=lambda run: int(run.start)))
+
+
+def _exact(sensor: SensorLog, runs: Sequence[slice], interval_s: float) -> AllanCurve | None:
+    """The overlapping Allan deviation of runs that are short enough for their running sum to be held."""
+    lengths = [run.stop - run.start for run in runs]
+    if max(lengths) < MIN_ROWS:
         return None
-    columns = range(int(sensor.counts.shape[1]))
-    return allan_deviation_of_counts([_Column(sensor, run, column) for column in columns], interval_s)
+    columns = [_Column(sensor, tuple(runs), column) for column in range(int(sensor.counts.shape[1]))]
+    return allan_deviation_of_runs(columns, interval_s, lengths)
 
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the counts of a run, read where it is asked for."""
+    """One column of the counts of runs, one after the other, read where it is asked for."""
 
     sensor: SensorLog
-    run: slice
+    runs: tuple[slice, ...]
     column: int
 
     @property
     def dtype(self) -> np.dtype[np.generic]:
         return self.sensor.counts.dtype
 
+    @cached_property
+    def _ends(self) -> npt.NDArray[np.int64]:
+        return np.cumsum([run.stop - run.start for run in self.runs])
+
     def __len__(self) -> int:
-        return int(self.run.stop - self.run.start)
+        return int(self._ends[-1])
 
     def __getitem__(self, rows: slice) -> npt.NDArray[np.integer]:
         start, stop, _ = rows.indices(len(self))
-        return np.asarray(self.sensor.counts[self.run.start + start : self.run.start + stop, self.column])
+        if stop <= start:
+            return np.empty(0, self.dtype)
+        first, last = (int(np.searchsorted(self._ends, at, "right")) for at in (start, stop - 1))
+        before = [self.runs[at].start - (int(self._ends[at - 1]) if at else 0) for at in (first, last)]
+        begin, end = start + before[0], stop + before[1]
+        counts = np.asarray(self.sensor.counts[begin:end, self.column])
+        if first == last:
+            return counts
+        kept = np.zeros(end - begin, bool)
+        for run in self.runs[first : last + 1]:
+            kept[max(run.start - begin, 0) : max(run.stop - begin, 0)] = True
+        return counts[kept]
 
 
 def _pieces(

@@ -23,7 +23,8 @@ _NOTES = (
     "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
     "such a misfit if the model holds; '!' if it is too small to trust the figures. lowest: lowest point of"
     " the curve / 0.664, "
-    "'<' where it still falls at its end. Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
+    "'<' where it still falls at its end. Runs between gaps are pooled. "
+    "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
     "the calibration that was given, else by the data sheet's typical sensitivity."
 )
 
@@ -130,6 +131,9 @@ def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
     run, scale = sensor["allan_run"], f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else ""
     taken = any(axis["allan"] for axis in sensor["axes"])
     stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if taken else "too few rows"
+    if taken and run["runs"] > 1:
+        longest_s = run["end_s"] - run["start_s"]
+        stretch = f"{run['rows']} rows in {run['runs']} runs of <={longest_s:.3g} s"
     longest_ms = None if sensor["largest_gap_s"] is None else sensor["largest_gap_s"] * 1e3
     name, chip = _cut(sensor["name"], 12), _cut(sensor["chip"], 9)
     yield (

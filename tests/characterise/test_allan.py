@@ -15,7 +15,8 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import binom
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan import allan_deviation_of_counts, octaves
+from imuarray.characterise.allan import allan_deviation_of_counts, allan_deviation_of_runs, octaves
+from imuarray.characterise.allan_fit import fit_noise
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # allantools warns of its own dependencies when it is imported
@@ -242,3 +243,58 @@ def test_octaves_end_at_a_third() -> None:
     assert octaves(2) == octaves(3) == (1,)
     assert octaves(47) == (1, 2, 4, 8)
     assert octaves(48) == (1, 2, 4, 8, 16)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    lengths=st.lists(st.integers(9, 40), min_size=2, max_size=6),
+    seed=st.integers(0, 1000),
+)
+def test_runs_are_pooled_by_their_terms(lengths: list[int], seed: int) -> None:
+    """The mean over the squared second differences of all runs, summed term by term; none spans a gap."""
+    rng = np.random.default_rng(seed)
+    runs = [rng.integers(-500, 500, (length, 2)) + 300 * number for number, length in enumerate(lengths)]
+    counts = np.concatenate(runs).astype(np.int16)
+    curve = allan_deviation_of_runs([counts[:, 0], counts[:, 1]], 0.01, lengths)
+    assert curve.rows == sum(lengths)
+    for point, m in enumerate(octaves(max(lengths))):
+        for column in range(2):
+            squares = [
+                (run[at + m : at + 2 * m, column].mean() - run[at : at + m, column].mean()) ** 2 / 2
+                for run in runs
+                for at in range(len(run) + 1 - 2 * m)
+            ]
+            assert curve.terms[point] == len(squares)
+            assert curve.deviation[point, column] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
+
+
+def test_a_single_run_is_as_ever() -> None:
+    counts = np.random.default_rng(3).integers(-99, 99, 500).astype(np.int16)
+    pooled, alone = allan_deviation_of_runs([counts], 0.1, [500]), allan_deviation_of_counts([counts], 0.1)
+    np.testing.assert_array_equal(pooled.deviation, alone.deviation)
+    np.testing.assert_array_equal(pooled.freedom, alone.freedom)
+
+
+def test_freedom_of_equal_runs_adds_up() -> None:
+    """Twenty independent runs tell twenty times as much as one."""
+    counts = np.random.default_rng(4).integers(-99, 99, 20 * 60).astype(np.int16)
+    pooled = allan_deviation_of_runs([counts], 0.1, [60] * 20)
+    alone = allan_deviation_of_counts([counts[:60]], 0.1)
+    assert pooled.freedom[:, 0] == pytest.approx(20 * alone.freedom[:, 0], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_intervals_of_white_noise_with_stalls_cover() -> None:
+    """150 recordings of 60 runs of 51 rows and a longer one: the 95 % interval of N holds the truth in 135 ... 149."""
+    rng = np.random.default_rng(6)
+    lengths = [51] * 30 + [400] + [51] * 30
+    held, width = 0, []
+    for _ in range(150):
+        counts = np.rint(rng.normal(0, 100, sum(lengths))).astype(np.int16)
+        fit = fit_noise(allan_deviation_of_runs([counts], 0.01, lengths))
+        assert fit is not None
+        white = fit["white"]
+        held += white.low <= 100 * 0.01**0.5 <= white.high
+        width.append((white.high - white.low) / white.value)
+    assert binom.ppf(0.005, 150, 0.95) <= held <= 149
+    assert np.median(width) < 2.2 * 1.96 / np.sqrt(sum(lengths))  # 1 / sqrt(2 n) is the least error of a deviation

@@ -47,17 +47,16 @@ def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
 
 
 def test_gap_splits_the_run(result: dict[str, Any]) -> None:
-    """Rows 500 ... 1999 and 2020 ... 5499: the second run is taken, 1500 of 4980 rows are left out."""
+    """Rows 500 ... 1999 and 2020 ... 5499: the Allan deviation pools both; no term spans the gap."""
     found = sensor(result, "A")
     assert (found["rows"], found["gaps"], found["flags"]["lost_before"]) == (4980, 1, 1)
     assert found["largest_gap_s"] == pytest.approx(0.21)
     assert found["rate_hz"] == pytest.approx(100.0)
     assert found["median_interval_s"] == pytest.approx(0.01)
     run = found["allan_run"]
-    assert run == pytest.approx(
-        {"start_s": 20.2, "end_s": 54.99, "rows": 3480, "interval_s": 0.01, "left_out_share": 1500 / 4980}
-    )
-    assert found["axes"][0]["allan"]["terms"][0] == 3479
+    longest = {"start_s": 20.2, "end_s": 54.99, "longest_run_rows": 3480, "interval_s": 0.01}
+    assert run == pytest.approx(longest | {"rows": 4980, "runs": 2, "left_out_share": 0.0})
+    assert found["axes"][0]["allan"]["terms"][0] == 1499 + 3479
 
 
 def test_white_sensor_in_all_units(result: dict[str, Any]) -> None:
@@ -84,7 +83,8 @@ def test_doubtful_and_saturated_rows_are_left_out(result: dict[str, Any]) -> Non
     assert found["flags"]["saturated"] == 10
     assert all(axis["counts"]["std"] == pytest.approx(20, rel=0.06) for axis in found["axes"])
     assert all(axis["even_share"] == 1 for axis in found["axes"])
-    assert (found["allan_run"]["rows"], found["allan_run"]["start_s"]) == (2599, pytest.approx(29.01))
+    run = found["allan_run"]
+    assert (run["rows"], run["longest_run_rows"], run["start_s"]) == (2400 + 2599, 2599, pytest.approx(29.01))
 
 
 def test_stale_rows(result: dict[str, Any]) -> None:
@@ -161,6 +161,7 @@ def test_runs_whatever_the_blocks(tmp_path: Path, block: int) -> None:
     with open_log(path) as log:
         timing = find_timing(log["S"], slice(0, 100), block)
     assert (timing.gaps, timing.run) == (2, slice(0, 30))
+    assert timing.runs == (slice(0, 30), slice(30, 50), slice(50, 70), slice(70, 100))
     assert timing.interval_s == pytest.approx(10e-9)
     assert timing.largest_gap_s == pytest.approx(40e-9)
 
@@ -191,7 +192,7 @@ def test_table_fits_and_says_what_it_shows(result: dict[str, Any]) -> None:
         assert max(map(len, text.splitlines())) <= 110
     text = render_text(result)
     assert "'static', 5.0 s to 55.0 s, +Z up (longest phase at rest)" in text
-    assert "30.1 % left out" in text
+    assert "4980 rows in 2 runs of <=34.8 s" in text
     assert sum(line.startswith(("A ", "E ", "G ")) for line in text.splitlines()) == 2 * 9 + 3  # readings, fits; rows
 
 
@@ -218,10 +219,10 @@ def test_a_calibrations_scale_takes_the_data_sheets_place(log_path: Path) -> Non
 
 def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
     with open_log(log_path) as log:
-        exact, fewer = (characterise_log(log, sensors=["A"], estimator=name) for name in ("overlapping", "decimated"))
+        exact, fewer = (characterise_log(log, sensors=["G"], estimator=name) for name in ("overlapping", "decimated"))
     for result, name in ((exact, "overlapping"), (fewer, "decimated")):
-        assert sensor(result, "A")["allan_estimator"] == name
-    ours, theirs = (sensor(result, "A")["axes"][0]["allan"] for result in (fewer, exact))
+        assert sensor(result, "G")["allan_estimator"] == name
+    ours, theirs = (sensor(result, "G")["axes"][0]["allan"] for result in (fewer, exact))
     # the same squares up to a factor of 8 (every start), a subset of them beyond
     np.testing.assert_allclose(ours["deviation"][:4], theirs["deviation"][:4], rtol=1e-12)
     inside = [
