@@ -2,8 +2,9 @@
 
 All accelerometers feel the same direction up, whatever their biases. If most of them contradict the label in the same
 way, the label is wrong and not the sensors. A single one that contradicts it has exchanged axes (`axis_error`), and so
-have several that are turned in every phase if another agrees with the labels. Every phase is tested by itself, so that
-two exchanged faces are both detected.
+have several that are turned in every phase if another agrees with the labels. Two that are read in each other's place
+for a part of the time (`channel_swap`) contradict all labels of that time. Every phase is tested by itself, so that two
+exchanged faces are both detected.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,11 +22,12 @@ from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.findings.diagnosis import Cause, Interval
 from imuarray.gap.inference.effects.axis_error import exchanges
+from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.recording.phases import attitudes_of, kind_of
 from imuarray.gap.recording.recordings import Experiment, Recording
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.probes.level import mean
-from imuarray.log.format import Phase
+from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import PoseSequence
@@ -36,6 +39,9 @@ is then below 0.44.
 
 LEAST = 2
 """Fewest accelerometers: a single one that contradicts a label may itself be wrong."""
+
+_EXCHANGED = 2
+"""Faults of an exchange of two sensors: it is taken instead of more wrong labels than that."""
 
 _UPS = np.array([up_vector(up) for up in UP_AXES])
 
@@ -105,8 +111,9 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
     detected.
 
     Sensors may also be mounted differently than configured, for example two with exchanged wires. Such a sensor is
-    rotated equally in every phase, while another agrees with the notes. The hypothesis with fewer faults of labels and
-    sensors is taken.
+    rotated equally in every phase, while another agrees with the notes. Or two of one kind are read in each other's
+    place for a part of the time, and both agree with the notes as each other. The hypothesis with fewer faults of
+    labels and sensors is taken.
     """
     noted = [
         _LabelledPhase(number, recording.name, phase, readings)
@@ -116,6 +123,8 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
     ]
     plain, turned = _check_labels(noted, {}), _check_labels(noted, _rotations_of(noted))
     wrong = turned.wrong if turned.faults <= plain.faults else plain.wrong
+    if len(wrong) > _EXCHANGED and _are_exchanged(noted, headers_in(campaign)):
+        return ()
     ups = {(label.log, label.phase): label.up for label in wrong}
     labels = [(item.phase.up, ups.get((item.log, item.phase), item.phase.up)) for item in noted]
     or_mounted = bool(wrong) and any(_is_consistent(turn, labels) for turn in _rotations())
@@ -219,6 +228,35 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
         true = up if is_wrong else phase.up
         odd |= {sensor for sensor, reading in readings.items() if face_of(reading) not in ("", true)}
     return _LabelCheck(tuple(wrong), len(wrong) + len(odd))
+
+
+def _are_exchanged(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> bool:
+    """True if two sensors of one chip and sensitivity agree with the noted face in every phase, as themselves or as
+    each other, and change places at most once in a log.
+    """
+    names = dict.fromkeys(name for item in noted for name in item.readings_g)
+    return any(
+        (headers[first].chip, headers[first].sensitivity) == (headers[other].chip, headers[other].sensitivity)
+        and _is_exchange(noted, headers[first], headers[other])
+        for first, other in combinations(names, 2)
+    )
+
+
+def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: SensorHeader) -> bool:
+    turn = np.array(first.orientation) @ np.array(other.orientation).T  # of the other's rows, read as the first's
+    states: dict[int, list[bool]] = {}
+    for item in noted:
+        if not {first.name, other.name} <= set(item.readings_g):
+            continue
+        reading, other_reading = item.readings_g[first.name], item.readings_g[other.name]
+        as_noted = {face_of(reading), face_of(other_reading)} == {item.phase.up}
+        as_exchanged = {face_of(turn @ other_reading), face_of(turn.T @ reading)} == {item.phase.up}
+        if not as_noted and not as_exchanged:
+            return False
+        if as_noted != as_exchanged:
+            states.setdefault(item.log, []).append(as_exchanged)
+    changes = (sum(a != b for a, b in pairwise(log_states)) for log_states in states.values())
+    return max(changes, default=0) <= 1 and any(not all(log_states) for log_states in states.values())
 
 
 def _rotations_of(noted: Sequence[_LabelledPhase]) -> dict[str, Floats]:

@@ -25,8 +25,10 @@ from imuarray.gap.inference.shared_causes import (
     without_duplicates,
 )
 from imuarray.gap.inference.unit_state import Unit, UnitState, compared, reads_another
+from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.workers import Run
+from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.pairs import scorer_of
 from imuarray.gap.statistics.split import Side
 from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
@@ -39,7 +41,8 @@ _DELAY_PROBES = frozenset({"motion_delay", "motion_residual"})
 """Statistics of a sensor's delay: no level, scale or code moves these, whatever the other statistics do."""
 
 _FAMILY_ROUNDS = 1
-"""Rarity in nats of a shared cause if only one sensor of the chip deviates, or their common statistics don't."""
+"""Rounds in which shared causes are looked for."""
+
 _FAINT = 3.0
 """Nats by which what several share is rarer where only one of them differs, or what they have in common doesn't."""
 
@@ -316,8 +319,31 @@ def _guesses_of(
             for trial in (*lasting, *late)
         ]
         alone, shared = (distinct(trial for trial in every if trial.shared == side) for side in (False, True))
+        shared = [_with_fit_of_exchanged(comparison, train, trial) for trial in shared]
         guessed[unit] = _Guesses(alone, shared, placebo_of(evidence))
     return guessed
+
+
+def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesis) -> Hypothesis:
+    """An exchange of two sensors' data in whole logs with the ordinary parameters that each sensor has in its own data:
+    slopes and filters were fitted to the other's. Levels and delays stay as guessed.
+    """
+    whole = {span.log for span in trial.when.spans if span.is_whole}
+    partly = {span.log for span in trial.when.spans} - whole
+    kept = [at for at, number in enumerate(train.logs) if number not in partly]
+    if not whole or not trial.opposite or trial.fitted is None or trial.opposite_fitted is None or not kept:
+        return trial
+    bench, (other,) = comparison.bench, trial.others
+    logs = [(train.logs[at], train.campaign.logs[at]) for at in kept]
+    campaign = Campaign(tuple(log.exchanged(trial.sensor, other) if at in whole else log for at, log in logs))
+    base = fit(campaign, [bench.motions[at] for at, _ in logs], model=bench.base.model, seed=bench.base.seed)
+    if not {trial.sensor, other} <= set(base.fitted):
+        return trial
+    own, opposite = (
+        replace(base.fitted[name], offset=guess.offset, delay=guess.delay)
+        for name, guess in ((trial.sensor, trial.fitted), (other, trial.opposite_fitted))
+    )
+    return replace(trial, fitted=own, opposite_fitted=opposite)
 
 
 def _evidence(comparison: Comparison, side: Side, standing: UnitState, whole: bool) -> Evidence:

@@ -125,7 +125,9 @@ class UnitState:
 
 def reads_another(model: SensorModel) -> bool:
     """True if a sensor has another's data all of the time, so that nothing of its own shows."""
-    return any(isinstance(effect, ChannelSwap) and effect.kind == "data" and not effect.spans for effect in model.added)
+    return any(
+        isinstance(effect, ChannelSwap) and effect.kind != "place" and not effect.spans for effect in model.added
+    )
 
 
 def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:

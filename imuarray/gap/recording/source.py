@@ -13,7 +13,9 @@ from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
+from imuarray.arrays import Booleans
 from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import STALE, SensorHeader
@@ -76,7 +78,7 @@ class RecordedSource:
             yield Block(
                 np.asarray(time[first:stop], np.int64),
                 rows[-(stop - first) :],
-                np.where(is_new, flags & ~np.uint16(STALE), flags),
+                _without_doubtful(flags, is_new),
                 None if temperature is None else np.asarray(temperature[first:stop], np.int16),
             )
 
@@ -119,16 +121,31 @@ class SimulatedSource:
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """The simulator's own chunks, so that none is computed twice."""
+        """The simulator's own chunks, so that none is computed twice; flags as in a log, except that the row before the
+        first one is not compared with it.
+        """
+        last = None
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
             block = self._sensor.block(first, stop, alone=self._alone)
-            if len(block.time):
-                yield block._replace(status=block.status & np.uint16(self._flags))
+            if not len(block.time):
+                continue
+            flags = block.status & np.uint16(self._flags)
+            if (flags & STALE).any():
+                before = block.counts[:1] if last is None else last
+                is_new = (np.diff(block.counts, axis=0, prepend=before) != 0).any(axis=1)
+                flags = _without_doubtful(flags, is_new)
+            last = block.counts[-1:]
+            yield block._replace(status=flags)
 
     def _find_row(self, at_ns: int) -> int:
         """The first row stamped `at_ns` or later."""
         stamps = self._sensor.timeline.stamps
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
+
+
+def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
+    """The flags (n,) of rows, without that of a repeated row where a row differs from the one before."""
+    return np.where(is_new, flags & ~np.uint16(STALE), flags)
 
 
 def flags_of_chip(chip: str) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -68,6 +68,20 @@ class LogSummary:
     def still(self, sensor: str) -> tuple[Summary, ...]:
         """The sensor's phases at rest."""
         return tuple(part.sensors[sensor] for part in self.phases if part.is_still and sensor in part.sensors)
+
+    def exchanged(self, first: str, second: str) -> LogSummary:
+        """The log with each of two sensors' rows under the name of the other; what sensors have in common stays."""
+        names = {first: second, second: first}
+        phases = [replace(part, sensors=_renamed(part.sensors, names)) for part in self.phases]
+        return replace(self, phases=tuple(phases))
+
+
+def _renamed(sensors: Mapping[str, Summary], names: Mapping[str, str]) -> dict[str, Summary]:
+    """The summaries under the names and with the headers of other sensors; sensors that lack a counterpart are left
+    out.
+    """
+    rows = {name: sensors[names.get(name, name)] for name in sensors if names.get(name, name) in sensors}
+    return {name: replace(summary, header=sensors[name].header) for name, summary in rows.items()}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import ClassVar
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.signal import Codes, Place
 
-KINDS = ("data", "place")
+KINDS = ("data", "counts", "place")
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,14 @@ class ChannelSwap(Effect):
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Takes the other's rows; ValueError when there is no such sensor, naming those there are."""
-        if self.sensor in ("", at.sensor.name) or self.kind != "data":
+        if self.sensor in ("", at.sensor.name) or self.kind == "place":
             return codes
         try:
             other = at.neighbour(self.sensor, codes.first, codes.first + len(codes.counts))
         except KeyError as error:
             raise ValueError(f"channel_swap of {at.sensor.name}: {error.args[0]}") from None
+        if self.kind == "counts":
+            return replace(codes, counts=other.counts)
         temperature = codes.temperature_counts if other.temperature_counts is None else other.temperature_counts
         kept = None if codes.temperature_counts is None else temperature
         return replace(codes, counts=other.counts, temperature_counts=kept, fresh=other.fresh)

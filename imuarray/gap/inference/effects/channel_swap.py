@@ -35,6 +35,9 @@ is off by no more of the difference between both.
 _APART = 8.0
 """Standard deviations of a segment's mean by which the levels of two sensors have to differ to tell which is read."""
 
+_FAR = 0.5
+"""Share of the largest distance between the levels of two sensors from which a segment tells which is read."""
+
 _LEAST_SEGMENTS, _CLEAR = 3, 15.0
 """Segments at rest before and after an exchange, and nats by which it makes deviations more constant."""
 
@@ -61,7 +64,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
             yield _crossed(evidence.header.name, other.name)
     if evidence.is_odd(*_LEVELS, beyond=_BEYOND):
         for name, phases in evidence.twins.items():
-            lasting = list(_since_a_moment(evidence, name, phases))
+            lasting = list(_exchanges(evidence, name, phases))
             yield from lasting or _for_a_while(evidence, name, phases)
 
 
@@ -104,7 +107,7 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
         [_is_within(when, *moment) for moment in zip(other_course.log, other_course.time_s, strict=True)], bool
     )
     is_exchange = bool(other_inside.any()) and _is_at(other_course, other_inside, usual, distance)
-    yield _reading(
+    yield from _readings(
         evidence,
         other,
         when,
@@ -115,66 +118,128 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
     )
 
 
-def _reading(
+def _readings(
     evidence: Evidence, other: str, when: When, fitted: FittedParameters, opposite: FittedParameters | None
-) -> Hypothesis:
-    """The hypothesis that the other sensor's data stand in this sensor's place then, and, if the parameters of the
-    `opposite` one are given, this sensor's data in the other's.
+) -> Iterator[Hypothesis]:
+    """The hypotheses that the other sensor's data stand in this sensor's place then, and, if the parameters of the
+    `opposite` one are given, this sensor's data in the other's. Where rows are flagged as no new reading, these flags
+    may have gone with the counts, or not.
     """
-    name = evidence.header.name
-    effects: tuple[Effect, ...] = () if opposite is None else (ChannelSwap(name),)
-    exchange = Hypothesis(
-        (ChannelSwap(other),),
-        shared=True,
-        sensor=name,
-        others=(other,),
-        opposite=effects,
-        fitted=fitted,
-        opposite_fitted=opposite,
-    )
-    return replace(exchange.at(when), whole=True)
+    name, rows_are_flagged = evidence.header.name, bool((evidence.values.get("stale", np.zeros(1)) > 0).any())
+    for kind in ("data", "counts") if rows_are_flagged else ("data",):
+        effects: tuple[Effect, ...] = () if opposite is None else (ChannelSwap(name, kind),)
+        exchange = Hypothesis(
+            (ChannelSwap(other, kind),),
+            shared=True,
+            sensor=name,
+            others=(other,),
+            opposite=effects,
+            fitted=fitted,
+            opposite_fitted=opposite,
+        )
+        yield replace(exchange.at(when), whole=True)
 
 
-def _since_a_moment(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """Suggests that both are in each other's place from a moment on, to the end of its log or of all logs.
+def _exchanges(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
+    """Suggests that both are in each other's place for a part of the time.
 
-    The levels before and after tell nothing by themselves where the box lies on another face after the moment. But
-    each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it; the
-    moment is the one that makes these deviations most constant.
+    Each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it. Where
+    both feel different things, as accelerometers do that are mounted differently, each segment tells by itself whose
+    readings it has. Otherwise it is from a moment on, to the end of its log or of all logs: the moment is the one that
+    makes the deviations most constant.
     """
     if not phases or phases[0].raw.header.sensitivity != evidence.header.sensitivity:
         return
     faces: dict[str, int] = {}
-    course, other_course = _in_common(_course(evidence.still, faces), _course(phases, faces))
-    if len(course.log) < 2 * _LEAST_SEGMENTS:
+    pair = _Pair(*_in_common(_course(evidence.still, faces), _course(phases, faces)))
+    if len(pair.course.log) < 2 * _LEAST_SEGMENTS:
         return
-    predicted, other_predicted = course.mean - course.deviation, other_course.mean - other_course.deviation
-    here = np.concatenate([course.deviation, other_course.deviation], axis=1)
-    there = np.concatenate([other_course.mean - predicted, course.mean - other_predicted], axis=1)
-    floor = np.square(np.concatenate([course.noise, other_course.noise]))
-    last = np.searchsorted(course.log, course.log, side="right")  # of each segment's log
+    if evidence.header.quantity == "specific_force":
+        offsets = (np.array(fitted.offset) for fitted in (evidence.fitted, evidence.twin_fitted[other]))
+        by_segment = pair.exchanged_segments(*(evidence.header.sensitivity * offset for offset in offsets))
+        if by_segment is not None and (exchange := _exchange(evidence, other, pair, by_segment)):
+            yield from exchange
+            return
+    floor = np.square(np.concatenate([pair.course.noise, pair.other_course.noise]))
+    log = pair.course.log
+    last = np.searchsorted(log, log, side="right")  # of each segment's log
     for ends in (last, np.full(len(last), len(last))):
-        gains = _gains_of_exchange(here, there, ends, floor)
+        gains = _gains_of_exchange(pair.here, pair.there, ends, floor)
         begin = int(gains.argmax())
         if gains[begin] < _CLEAR:
             continue
-        inside = np.zeros(len(course.log), bool)
+        inside = np.zeros(len(log), bool)
         inside[begin : ends[begin]] = True
-        deviation = np.where(inside[:, None], there, here)
-        offsets = np.median(deviation, axis=0)
-        way = other_predicted + offsets[3:] - predicted - offsets[:3]
-        error = np.linalg.norm((deviation - offsets)[:, :3], axis=1)
-        is_far = error > _NEAR * np.linalg.norm(way, axis=1)
-        if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # the moment lies within a segment
-            continue
-        scale = evidence.header.sensitivity
-        yield _reading(
+        yield from _exchange(evidence, other, pair, inside)
+
+
+class _Pair(NamedTuple):
+    """The courses of two sensors, with the same segments (s,)."""
+
+    course: _Course
+    other_course: _Course
+
+    @property
+    def way(self) -> Floats:
+        """(s, 3) from what the model predicts of the sensor to what it predicts of the other, in counts."""
+        course, other_course = self.course, self.other_course
+        return np.asarray(other_course.mean - other_course.deviation - course.mean + course.deviation)
+
+    @property
+    def here(self) -> Floats:
+        """(s, 6) deviations of both from what the model predicts, as they are recorded."""
+        return np.concatenate([self.course.deviation, self.other_course.deviation], axis=1)
+
+    @property
+    def there(self) -> Floats:
+        """(s, 6) the same if the rows of each are the other's: of the sensor, in the other's column, and of the
+        other.
+        """
+        return np.concatenate([self.other_course.deviation + self.way, self.course.deviation - self.way], axis=1)
+
+    def exchanged_segments(self, offset: Floats, other_offset: Floats) -> Booleans | None:
+        """(s,) the segments in which both sensors read what the other one feels, whatever their fitted offsets in
+        counts, which an exchange spoils; segments in which both feel the same have the state of the nearest one of
+        their log. None if no segment or all have.
+        """
+        way, time_s, log = self.way - other_offset + offset, self.course.time_s, self.course.log
+        shares = np.stack(
+            [
+                _part_of_way(self.course.deviation + offset, way),
+                _part_of_way(self.other_course.deviation + other_offset, -way),
+            ]
+        )
+        length = np.linalg.norm(way, axis=1)
+        is_own, is_others = (shares < 0.5).all(axis=0), (shares > 0.5).all(axis=0)
+        tells = (length > _FAR * length.max(initial=0.0)) & (is_own | is_others)
+        inside = np.asarray(tells & is_others)
+        if not inside.any() or inside[tells].all():
+            return None
+        for at in np.flatnonzero(~tells).tolist():
+            near = np.flatnonzero(tells & (log == log[at]))
+            inside[at] = bool(len(near)) and inside[near[np.abs(time_s[near] - time_s[at]).argmin()]]
+        return inside
+
+
+def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> list[Hypothesis]:
+    """The exchange in the segments `inside` (s,); none if it explains too few of them."""
+    deviation = np.where(inside[:, None], pair.there, pair.here)
+    offsets = np.median(deviation, axis=0)
+    way = pair.way + offsets[3:] - offsets[:3]
+    error, length = np.linalg.norm((deviation - offsets)[:, :3], axis=1), np.linalg.norm(way, axis=1)
+    is_far = (error > _NEAR * length) & (length > _FAR * length.max())
+    if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # a moment lies within a segment
+        return []
+    scale = evidence.header.sensitivity
+    return list(
+        _readings(
             evidence,
             other,
-            _when(course, inside, _part_of_way(course.deviation - offsets[:3], way)),
+            _when(pair.course, inside, _part_of_way(pair.course.deviation - offsets[:3], way)),
             _with_offset(evidence.fitted, offsets[:3] / scale),
             _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
         )
+    )
 
 
 def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course]:
