@@ -371,7 +371,7 @@ def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
     """True for a lasting cause that the training part alone shows beyond the choice among thousands, while the held-out
     part has nothing against it: not every motion reaches the end of a range twice.
     """
-    if evaluation.trial.needs_both or not evaluation.factors or evaluation.gain < -_INDIFFERENT:
+    if evaluation.trial.needs_both or evaluation.gain < -_INDIFFERENT:
         return False
     train_gain = min(_tempering(standing, evaluation), 1.0) * evaluation.train_gain
     return train_gain - COST * evaluation.factors - 2 * _BRIEF > ACCEPTED

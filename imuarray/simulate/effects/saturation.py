@@ -14,9 +14,11 @@ from imuarray.simulate.signal import Analog, Place, Triple
 
 @dataclass(frozen=True)
 class Saturation(Effect):
-    """y = x within [-limit, limit], the nearer end of it outside; x is the signal of an axis with its noise.
+    """y = x within [centre - limit, centre + limit], the nearer end of it outside; x is the signal of an axis with its
+    noise.
 
-    `limit` of each axis in the sensor's unit. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print
+    `limit` and `centre` of each axis in the sensor's unit. An offset that is added behind the element that gives out
+    moves both ends. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print
     spans 15 % beyond the range) belongs to the converter; this is the element or its amplifier giving out earlier, the
     "clipped" signal of the paper's section 2.3. In data: a flat top at codes that aren't the last ones, so that no flag
     tells.
@@ -24,6 +26,7 @@ class Saturation(Effect):
 
     name: ClassVar[str] = "saturation"
     limit: Triple = per_axis(math.inf, suffix="_{u}")
+    centre: Triple = per_axis(0.0, suffix="_{u}")
 
     def __post_init__(self) -> None:
         """ValueError for a negative one."""
@@ -34,10 +37,10 @@ class Saturation(Effect):
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Clips signal and noise together; rows within the limit stay as they are, bit for bit."""
         total = analog.value + analog.noise
-        limit = np.array(self.limit, total.dtype)
-        beyond = np.abs(total) > limit
+        limit, centre = np.array(self.limit, total.dtype), np.array(self.centre, total.dtype)
+        beyond = np.abs(total - centre) > limit
         if not beyond.any():
             return analog
-        ends = np.copysign(limit, total)
+        ends = centre + np.copysign(limit, total - centre)
         noise = np.where(beyond, analog.noise.dtype.type(0), analog.noise)
         return replace(analog, value=np.where(beyond, ends, analog.value), noise=noise)

@@ -22,8 +22,8 @@ _MOST = 2
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The largest codes at which an axis piles up, as the limits of all axes; and those of each axis that piles up
-    alone.
+    """The largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up alone;
+    and both ends of each axis that piles up at both, about a centre of its own.
     """
     yield from with_removal(evidence, Saturation.name, _found(evidence))
 
@@ -32,10 +32,11 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     span = code_span(evidence.header)
-    limits: list[set[int]] = [set(), set(), set()]
+    ends: list[set[int]] = [set(), set(), set()]
     for phase in evidence.phases:
-        for axis_limits, codes in zip(limits, phase.raw.codes, strict=True):
-            axis_limits |= {abs(end) for end in _piled(codes) if span.lowest < end < span.highest and end}
+        for axis_ends, codes in zip(ends, phase.raw.codes, strict=True):
+            axis_ends |= {end for end in _piled(codes) if span.lowest < end < span.highest and end}
+    limits = [{abs(end) for end in axis_ends} for axis_ends in ends]
     for limit in _apart(sorted(set().union(*limits), reverse=True))[:_MOST]:
         yield Hypothesis((Saturation((limit / evidence.header.sensitivity,) * 3),), ("limit",))
     if any(limits) and not all(limits):
@@ -43,6 +44,11 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
             max(axis_limits) / evidence.header.sensitivity if axis_limits else math.inf for axis_limits in limits
         )
         yield Hypothesis((Saturation((x, y, z)),), ("limit",))
+    if any(len(axis_ends) > 1 for axis_ends in ends):
+        scale = 2 * evidence.header.sensitivity
+        x, y, z = ((max(of) - min(of)) / scale if len(of) > 1 else math.inf for of in ends)
+        centre_x, centre_y, centre_z = ((max(of) + min(of)) / scale if len(of) > 1 else 0.0 for of in ends)
+        yield Hypothesis((Saturation((x, y, z), (centre_x, centre_y, centre_z)),))
 
 
 def _piled(histogram: Histogram) -> Iterator[int]:
