@@ -53,6 +53,11 @@ _TIME_VARYING = frozenset(
 _DIVIDED, _LOST = 3, 2.0
 """Trials of a unit that are tried in some logs alone, if the others lose so many nats by them."""
 
+_NARROWINGS, _MOMENTS = 4, 6
+"""Times that the beginning of a trial is narrowed down, and moments tried each time: to a hundredth of a motion of half
+a minute.
+"""
+
 _BRIEF = 4.0
 """Cost in nats, to the mean of both parts, of the choice of a moment: to their sum twice as much, the log of thousands
 of moments.
@@ -145,6 +150,8 @@ def searched(
     looks = _looked_at(run, standings, trials)
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
+    for unit, narrowed in _narrowed(run, standings, looks).items():
+        looks[unit].append(narrowed)
     likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
     refined = _results_of(run, _refine, standings, likely)
     best = {unit: likeliest(hypotheses, CONFIRMED) for unit, hypotheses in refined.items()}
@@ -264,6 +271,28 @@ def _partly(
         if several:
             requests[unit] = [replace(trial, whole=True) for trial in distinct(several)]
     return _looked_at(run, standings, requests) if requests else {}
+
+
+def _narrowed(
+    run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
+) -> dict[Unit, FittedHypothesis]:
+    """The best trial of each unit whose beginning lies within known moments, as in a motion, at the beginning that
+    explains most.
+    """
+    best = {
+        unit: max(several, key=lambda look: look.gain)
+        for unit, unit_looks in looks.items()
+        if (several := [look for look in unit_looks if look.trial.within is not None and look.gain > WORTH])
+    }
+    for _ in range(_NARROWINGS):
+        requests: dict[Unit, list[Hypothesis]] = {}
+        for unit, look in best.items():
+            if look.trial.within is not None:
+                moments_s = np.linspace(*look.trial.within, _MOMENTS + 2).tolist()
+                requests[unit] = [look.trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
+        for unit, unit_looks in _looked_at(run, standings, requests).items():
+            best[unit] = max(unit_looks, key=lambda look: look.gain)
+    return best
 
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:

@@ -40,6 +40,11 @@ ROUNDS = 6
 _DELAY_PROBES = frozenset({"motion_delay", "motion_residual"})
 """Statistics of a sensor's delay: no level, scale or code moves these, whatever the other statistics do."""
 
+_OF_HEAT = frozenset({"thermal_bias", "thermal_lag", "thermal_scale"})
+"""Effects whose guesses by both parts are tried as well: the temperatures of one half of a heating say little of those
+of the other half.
+"""
+
 _FAMILY_ROUNDS = 1
 """Rounds in which shared causes are looked for."""
 
@@ -312,7 +317,7 @@ def _guesses_of(
         late = [
             replace(trial, whole=True)
             for trial in everything
-            if trial.needs_both or (trial.name, trial.when, trial.shared) not in known
+            if trial.needs_both or trial.name in _OF_HEAT or (trial.name, trial.when, trial.shared) not in known
         ]
         every = [
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
@@ -34,7 +34,8 @@ class Hypothesis:
     its `members` of the chip have it; or (`everywhere`) all that the host reads. `whole`: neither part shows it
     without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
     (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
-    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`).
+    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`);
+    where the beginning of its last span is only known to lie `within` two moments of that log, looks find it.
     """
 
     effects: tuple[Effect, ...]
@@ -52,6 +53,7 @@ class Hypothesis:
     fitted: FittedParameters | None = None
     opposite_fitted: FittedParameters | None = None
     when: When = ALWAYS
+    within: tuple[float, float] | None = None
 
     def at(self, when: When) -> Hypothesis:
         """The same within these spans alone: every number that was chosen for them makes it rarer."""
@@ -63,6 +65,15 @@ class Hypothesis:
         )
         rarity = self.rarity + NUMBERS * (when.numbers - self.when.numbers)
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
+
+    def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:
+        """The same with its last span beginning at moment number `at` of these, which ascend, and within its
+        neighbours.
+        """
+        *earlier, last = self.when.spans
+        begin_s = moments_s[at]
+        changed = self.at(When((*earlier, last._replace(moment_s=begin_s)), self.when.chosen))
+        return replace(changed, within=(moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]))
 
     @property
     def name(self) -> str:

@@ -231,15 +231,28 @@ def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> 
     if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # a moment lies within a segment
         return []
     scale = evidence.header.sensitivity
-    return list(
-        _readings(
-            evidence,
-            other,
-            _when(pair.course, inside, _part_of_way(pair.course.deviation - offsets[:3], way)),
-            _with_offset(evidence.fitted, offsets[:3] / scale),
-            _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
-        )
+    exchanges = _readings(
+        evidence,
+        other,
+        _when(pair.course, inside, _part_of_way(pair.course.deviation - offsets[:3], way)),
+        _with_offset(evidence.fitted, offsets[:3] / scale),
+        _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
     )
+    within = _gap_before(pair.course, inside)
+    return [replace(exchange, within=within) for exchange in exchanges]
+
+
+def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None:
+    """The gap between segments at rest, in seconds of the log, in which the last stretch of those inside begins; None
+    if it begins with its log, or the segments touch.
+    """
+    begins = np.flatnonzero(inside[1:] & ~inside[:-1] & (course.log[1:] == course.log[:-1])) + 1
+    if not len(begins):
+        return None
+    begin = int(begins[-1])
+    before_s, after_s = course.time_s[begin - 1 : begin + 1].tolist()
+    width_s = float(np.median(np.diff(course.time_s[course.log == course.log[begin]])))
+    return (before_s, after_s) if after_s - before_s > 2 * width_s else None
 
 
 def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course]:

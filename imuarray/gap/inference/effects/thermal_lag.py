@@ -13,8 +13,9 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, centred, levels
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, is_warmed
+from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 
 _TRIED = 30
@@ -44,9 +45,23 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     best_s, slow_s = _best(table), _from_change(evidence)
     if best_s > 0:
-        yield Hypothesis((ThermalLag(best_s),), ("time_constant_s",))
+        yield _with_slope(evidence, table, best_s)
     if slow_s > 0 and not 1 / _APART < best_s / slow_s < _APART:
-        yield Hypothesis((ThermalLag(slow_s),), ("time_constant_s",))
+        yield _with_slope(evidence, table, slow_s)
+
+
+def _with_slope(evidence: Evidence, table: Levels, time_constant_s: float) -> Hypothesis:
+    """The lag, with the offset and slope that fit levels over the lagged temperature."""
+    fit, lag = evidence.fitted, Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
+    if fit.lag_s:  # the table's temperature lags already
+        return lag
+    slope, warm, lagged_warm = np.array(fit.slope), warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
+    level = table.mean + warm[:, None] * slope
+    new_slope = fitted(lagged_warm[:, None], level, table.group).coefficient[0]
+    change = np.median(level - lagged_warm[:, None] * new_slope, axis=0)
+    x, y, z = (np.array(fit.offset) + change).tolist()
+    slope_x, slope_y, slope_z = new_slope.tolist()
+    return replace(lag, fitted=replace(fit, offset=(x, y, z), slope=(slope_x, slope_y, slope_z)))
 
 
 def _best(table: Levels) -> float:
