@@ -1,4 +1,4 @@
-"""`thermal_lag`: the sensing element warms up later than the box."""
+"""`thermal_lag`: the sensing element, or a part of it, warms up later than the box."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Felt, Motion, Place
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
+
+REFERENCE_DEGC = 25.0
+"""Temperature of a part at which it adds nothing."""
 
 _STEPS = 50
 """Steps of the recursion per time constant."""
@@ -28,10 +31,14 @@ class ThermalLag(Effect):
     the time constant (10 ms at least, 10 s at most), for which the recursion is exact. Acts with `thermal_bias` and
     `thermal_scale`, and on what the chip's own thermometer reads. In data: a loop in readings over the temperature of
     another chip, its area growing with the speed of heating.
+
+    With a `slope`, in the sensor's unit per degC, only a part lags, and adds slope (T - 25 degC) to the readings: the
+    stress of a board that warms up later than the chip does it. What the element and its thermometer feel is unchanged.
     """
 
     name: ClassVar[str] = "thermal_lag"
     time_constant_s: float = scalar(0.0)
+    slope: Triple = per_axis(suffix="_{u}_per_degc")
 
     def __post_init__(self) -> None:
         """ValueError for a time constant outside 0 to 1e6 s."""
@@ -40,9 +47,17 @@ class ThermalLag(Effect):
 
     def felt(self, felt: Felt, at: Place) -> Felt:
         """Another temperature."""
-        if self.time_constant_s == 0.0 or len(felt.time_ns) == 0:
+        if self.time_constant_s == 0.0 or any(self.slope) or len(felt.time_ns) == 0:
             return felt
         return replace(felt, temperature_degc=self.temperature_degc(felt.time_ns, at.motion))
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds the bias of a part."""
+        if not any(self.slope) or len(analog.instant_ns) == 0:
+            return analog
+        value = analog.value
+        warmer = (self.temperature_degc(analog.instant_ns, at.motion) - REFERENCE_DEGC).astype(value.dtype)[:, None]
+        return replace(analog, value=value + warmer @ np.array([self.slope], value.dtype))
 
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
         """The element's temperature (n,) at times (n,), at least one, in a box that does this motion."""

@@ -15,8 +15,7 @@ from imuarray.gap.inference.effects.levels import Levels, centred, levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.model.rest import REFERENCE_DEGC
-from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.effects.thermal_lag import REFERENCE_DEGC, ThermalLag
 
 _TRIED = 30
 _STEPS = 2000
@@ -33,7 +32,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     coefficient of dT/dt, which is slope times lag.
     """
     for guess in with_removal(evidence, ThermalLag.name, _hypotheses(evidence)):
-        takes_place = bool(evidence.fitted.lag_s and guess.effects)  # the fitted lag is as long as is usual
+        is_of_element = any(isinstance(effect, ThermalLag) and not any(effect.slope) for effect in guess.effects)
+        takes_place = bool(evidence.fitted.lag_s) and is_of_element  # the fitted lag is as long as is usual
         yield replace(guess, removed=ThermalLag.name) if takes_place else guess
 
 
@@ -44,24 +44,33 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     best_s, slow_s = _best(table), _from_change(evidence)
+    for time_constant_s in (best_s, slow_s if not best_s or not 1 / _APART < slow_s / best_s < _APART else 0.0):
+        if time_constant_s > 0:
+            yield Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
     if best_s > 0:
-        yield _with_slope(evidence, table, best_s)
-    if slow_s > 0 and not 1 / _APART < best_s / slow_s < _APART:
-        yield _with_slope(evidence, table, slow_s)
+        yield from _of_a_part(evidence, table, best_s)
 
 
-def _with_slope(evidence: Evidence, table: Levels, time_constant_s: float) -> Hypothesis:
-    """The lag, with the offset and slope that fit levels over the lagged temperature."""
-    fit, lag = evidence.fitted, Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
-    if fit.lag_s:  # the table's temperature lags already
-        return lag
-    slope, warm, lagged_warm = np.array(fit.slope), warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
-    level = table.mean + warm[:, None] * slope
-    new_slope = fitted(lagged_warm[:, None], level, table.group).coefficient[0]
-    change = np.median(level - lagged_warm[:, None] * new_slope, axis=0)
-    x, y, z = (np.array(fit.offset) + change).tolist()
-    slope_x, slope_y, slope_z = new_slope.tolist()
-    return replace(lag, fitted=replace(fit, offset=(x, y, z), slope=(slope_x, slope_y, slope_z)))
+def _of_a_part(evidence: Evidence, table: Levels, time_constant_s: float) -> Iterator[Hypothesis]:
+    """A part of the bias lags, on the axes on which it is clear; the rest follows the temperature at once, by another
+    slope than was fitted without the lag.
+    """
+    warm, lagged_warm = warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
+    fit = fitted(np.stack([lagged_warm, warm], axis=1), table.mean, table.group)
+    clear = np.abs(fit.coefficient[0]) > _CLEAR * fit.error[0]
+    if not clear.any():
+        return
+    slope, change = np.where(clear, fit.coefficient, 0.0)
+    offset = np.median(table.mean - lagged_warm[:, None] * slope - warm[:, None] * change, axis=0)
+    ordinary = evidence.fitted
+    base_offset, base_slope = np.add(ordinary.offset, np.where(clear, offset, 0.0)), np.add(ordinary.slope, change)
+    (x, y, z), (slope_x, slope_y, slope_z) = base_offset.tolist(), base_slope.tolist()
+    part = ThermalLag(time_constant_s, tuple(slope.tolist()))
+    yield Hypothesis(
+        (part,),
+        ("slope", "time_constant_s"),
+        fitted=replace(ordinary, offset=(x, y, z), slope=(slope_x, slope_y, slope_z)),
+    )
 
 
 def _best(table: Levels) -> float:
