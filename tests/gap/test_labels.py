@@ -25,6 +25,7 @@ from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.tumble import Tumble
@@ -174,6 +175,19 @@ def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
     assert not found_in(tumbled(tmp_path / "crossed.h5", {}, sensors=3, more=CROSSED))
     (found,) = found_in(tumbled(tmp_path / "wrong.h5", {"y_up": "-X"}, sensors=3, more=CROSSED))
     assert (found.phase.name, found.up, found.agree) == ("y_up", "+Y", ("B1", "B2", "D1"))
+
+
+def test_two_sensors_in_each_others_place_are_not_the_labels(tmp_path: Path) -> None:
+    """From 7 s on, so that three of five faces are felt as each other's: one exchange rather than three wrong labels.
+    With a third accelerometer no face is contradicted by most.
+    """
+    spans = (0.0, 7.0, 1e9)
+    exchanged = {"B1": (ChannelSwap("B2", spans=spans),), "B2": (ChannelSwap("B1", spans=spans),)}
+    assert not found_in(tumbled(tmp_path / "two.h5", {}, sensors=2, more=exchanged))
+    assert not found_in(tumbled(tmp_path / "three.h5", {}, sensors=3, more=exchanged))
+    # Labels that are wrong here and there need no exchange, nor do all of them.
+    here_and_there = {"z_up": "-Z", "y_up": "-Y", "x_down": "+X", "z_down": "+Z"}
+    assert len(found_in(tumbled(tmp_path / "labels.h5", here_and_there, sensors=2))) == len(here_and_there)
 
 
 def test_a_turn_of_three_of_four_is_less_likely_than_one_label(tmp_path: Path) -> None:

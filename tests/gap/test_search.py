@@ -285,6 +285,15 @@ def test_a_cause_that_only_the_training_part_shows(train: float, gain: float, is
         assert result.selection.gain == pytest.approx((train + gain) / 2 - 4)
 
 
+@pytest.mark.parametrize(("train", "is_taken"), [(ACCEPTED + 8.1, True), (ACCEPTED + 7.9, False)])
+def test_a_cause_without_numbers_that_only_the_training_part_shows(train: float, is_taken: bool) -> None:
+    """As the above, but nothing was fitted: ends of codes that are read off are not."""
+    run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, 0.0), "tone": (0.0, 0.0)})
+    trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
+    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    assert (result.selection is not None) == is_taken
+
+
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
 def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -> None:
     """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""

@@ -14,9 +14,12 @@ from imuarray.gap.recording.source import RecordedSource, SimulatedSource, Sourc
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
 from imuarray.log import open_log
+from imuarray.log.format import STALE
 from imuarray.log.writer import Block
 from imuarray.simulate import Simulation, plan_of, write_log
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.stale_samples import StaleSamples
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor
@@ -52,6 +55,23 @@ def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
                 assert ours[0].min() >= span[0]
                 assert ours[0].max() < span[1]
                 assert recorded.rows(*span) == len(ours[0])
+
+
+def test_flags_of_rows_that_differ(tmp_path: Path) -> None:
+    """The flag of a repeated row stays where another sensor's counts stand, most of which differ from those before: it
+    tells nothing of these, in a log as in a simulation.
+    """
+    effects = {"G1": (StaleSamples(0.2), ChannelSwap("G2", "counts"))}
+    made = simulation(TUMBLE, effects, seed=3)
+    write_log(made, tmp_path / "log.h5")
+    span = (0, round(TUMBLE.seconds * 1e9))
+    with open_log(tmp_path / "log.h5") as log:
+        _, _, recorded, _ = joined(list(RecordedSource(log["G1"]).blocks(*span)))
+        flagged = np.asarray(log["G1"].status[:]) & STALE
+    _, _, simulated, _ = joined(list(simulated_sources(made)["G1"].blocks(*span)))
+    assert np.count_nonzero(flagged) > 400
+    assert np.count_nonzero(recorded & STALE) < 0.2 * np.count_nonzero(flagged)
+    np.testing.assert_array_equal(simulated[1:], recorded[1:])
 
 
 @pytest.mark.slow

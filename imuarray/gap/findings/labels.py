@@ -9,6 +9,7 @@ exchanged faces are both detected.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,9 +40,6 @@ is then below 0.44.
 
 LEAST = 2
 """Fewest accelerometers: a single one that contradicts a label may itself be wrong."""
-
-_EXCHANGED = 2
-"""Faults of an exchange of two sensors: it is taken instead of more wrong labels than that."""
 
 _UPS = np.array([up_vector(up) for up in UP_AXES])
 
@@ -122,9 +120,10 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
         if phase.up and (readings := _readings_g(log, phase))
     ]
     plain, turned = _check_labels(noted, {}), _check_labels(noted, _rotations_of(noted))
-    wrong = turned.wrong if turned.faults <= plain.faults else plain.wrong
-    if len(wrong) > _EXCHANGED and _are_exchanged(noted, headers_in(campaign)):
+    likelier = turned if turned.faults <= plain.faults else plain
+    if likelier.wrong and _faults_of_exchange(noted, headers_in(campaign)) < likelier.faults:
         return ()
+    wrong = likelier.wrong
     ups = {(label.log, label.phase): label.up for label in wrong}
     labels = [(item.phase.up, ups.get((item.log, item.phase), item.phase.up)) for item in noted]
     or_mounted = bool(wrong) and any(_is_consistent(turn, labels) for turn in _rotations())
@@ -230,19 +229,30 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
     return _LabelCheck(tuple(wrong), len(wrong) + len(odd))
 
 
-def _are_exchanged(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> bool:
-    """True if two sensors of one chip and sensitivity agree with the noted face in every phase, as themselves or as
-    each other, and change places at most once in a log.
+def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> float:
+    """Number of faults if the labels are right and two sensors of one chip and sensitivity are read in each other's
+    place for a part of the time: these, and others that feel another face. Infinite if there is no such pair.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
-    return any(
-        (headers[first].chip, headers[first].sensitivity) == (headers[other].chip, headers[other].sensitivity)
-        and _is_exchange(noted, headers[first], headers[other])
+    odd = {
+        name
+        for item in noted
+        for name, reading in item.readings_g.items()
+        if face_of(reading) not in ("", item.phase.up)
+    }
+    pairs = (
+        {first, other}
         for first, other in combinations(names, 2)
+        if (headers[first].chip, headers[first].sensitivity) == (headers[other].chip, headers[other].sensitivity)
+        and _is_exchange(noted, headers[first], headers[other])
     )
+    return min((len(pair | odd) for pair in pairs), default=math.inf)
 
 
 def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: SensorHeader) -> bool:
+    """True if two sensors agree with the noted face in every phase, as themselves or as each other, and change places
+    at most once in a log.
+    """
     turn = np.array(first.orientation) @ np.array(other.orientation).T  # of the other's rows, read as the first's
     states: dict[int, list[bool]] = {}
     for item in noted:

@@ -284,7 +284,7 @@ def _narrowed(
         for unit, unit_looks in looks.items()
         if (several := [look for look in unit_looks if look.trial.within is not None and look.gain > WORTH])
     }
-    for _ in range(_NARROWINGS):
+    for _ in range(_NARROWINGS if best else 0):
         requests: dict[Unit, list[Hypothesis]] = {}
         for unit, look in best.items():
             if look.trial.within is not None:

@@ -91,6 +91,16 @@ def test_an_axis_that_saturates_alone() -> None:
     assert found.limit == pytest.approx((math.inf, math.inf, 1.1), abs=1 / evidence.header.sensitivity)
 
 
+@pytest.mark.slow
+def test_ends_about_an_offset_that_is_added_behind_them() -> None:
+    """Of a gyroscope at +37.5 and -22.5 dps on every axis."""
+    evidence = shown("motion", "G1", Saturation(30.0, 7.5))
+    (saturated,) = list(saturation.guesses(evidence))[-1].effects
+    assert isinstance(saturated, Saturation)
+    assert saturated.limit == pytest.approx((30.0,) * 3, abs=1 / evidence.header.sensitivity)
+    assert saturated.centre == pytest.approx((7.5,) * 3, abs=1 / evidence.header.sensitivity)
+
+
 @pytest.mark.parametrize("probability", [0.02, 0.05, 0.3])
 def test_stale_samples(probability: float) -> None:
     """6000 rows: 120 repetitions scatter by a tenth."""

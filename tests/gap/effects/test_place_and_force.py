@@ -159,6 +159,20 @@ def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
     assert first[1] == pytest.approx(70.0, abs=5.0)
 
 
+def test_an_exchange_in_any_of_the_logs() -> None:
+    """Each segment of two accelerometers that lie differently tells whose readings it has: all of the log at rest and
+    the end of the tumble, in whatever order they were recorded.
+    """
+    acting = spans_of(((0, 0.0, math.inf), (1, 40.0, math.inf)))
+    effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
+    trial, *_ = CHANNEL_SWAP.guesses(evidence_of(("static", "tumble"), "A1", effects, seed=7))
+    assert (trial.effects[0].name, trial.opposite[0].name) == ("channel_swap", "channel_swap")
+    whole, after = trial.when.triples
+    assert whole == (0, 0.0, math.inf)
+    assert (after[0], after[2]) == (1, math.inf)
+    assert after[1] == pytest.approx(40.0, abs=1.0)
+
+
 def test_a_step_that_is_no_level_of_another_is_no_exchange() -> None:
     """Half way, or to the other's level on one axis only."""
     for offset in ((-0.75,) * 3, (-1.5, 0.0, 0.0)):

@@ -46,6 +46,23 @@ def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
     assert first.removed == ThermalLag.name
 
 
+@pytest.mark.slow
+def test_a_part_of_the_bias_that_lags() -> None:
+    """On one axis, against the slope of the element: what is left follows the temperature at once, as before."""
+    part = ThermalLag(40.0, (0.0, 0.0, 0.05))
+    evidence = evidence_of("heating", "G1", {"G1": (part,)}, seed=7)
+    trial = list(THERMAL_LAG.guesses(evidence))[-1]
+    (effect,) = trial.effects
+    assert isinstance(effect, ThermalLag)
+    assert trial.removed == ""
+    assert effect.time_constant_s == pytest.approx(40.0, rel=0.5)
+    assert effect.slope[:2] == (0.0, 0.0)
+    assert effect.slope[2] == pytest.approx(0.05, rel=0.5)
+    assert trial.fitted is not None
+    # 0.05 dps per degC of the element and those of the part, once all is warm
+    assert trial.fitted.slope[2] + effect.slope[2] == pytest.approx(0.1, rel=0.2)
+
+
 def test_the_lagged_temperature() -> None:
     """Behind a slow ramp by its slope times the time constant, once that has passed."""
     found = levels(evidence_of("heating", "A1", seed=7))

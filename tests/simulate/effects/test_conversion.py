@@ -78,6 +78,13 @@ class TestSaturation:
         assert np.array_equal(after.value[~clipped], np.broadcast_to(sine, (9000, 3))[~clipped])
         assert (np.sign(after.value) == np.sign(sine)).all()
 
+    def test_ends_about_a_centre(self, place, analog) -> None:
+        """Limit 1 about 0.5 ends at 1.5 and -0.5; noise is clipped with the signal."""
+        before = analog(0, 1, value=(2.0, -2.0, 1.4), noise=(0.0, 0.0, 0.2))
+        after = Saturation(1.0, 0.5).analog(before, place())
+        assert after.value.tolist() == [[1.5, -0.5, 1.5]]
+        assert after.noise.tolist() == [[0.0, 0.0, 0.0]]
+
     def test_signal_and_noise_together(self, place, analog) -> None:
         before = analog(0, 1, value=(0.9, 0.9, 1.1), noise=(0.2, 0.05, -0.2))
         after = Saturation(1.0).analog(before, place())

@@ -275,6 +275,13 @@ class TestChannelSwap:
         before = codes(0, 5)
         assert ChannelSwap(name).codes(before, between) is before
 
+    def test_counts_alone(self, between, codes) -> None:
+        before = codes(5, 9, temperature_counts=np.zeros(4, np.int64))
+        after = ChannelSwap("S2", "counts").codes(before, between)
+        assert after.counts.tolist() == [[-row] * 3 for row in range(5, 9)]
+        assert after.temperature_counts.tolist() == [0, 0, 0, 0]
+        assert after.fresh is before.fresh
+
     def test_a_place_leaves_readings_alone(self, between, codes) -> None:
         before = codes(0, 5)
         assert ChannelSwap("S2", "place").codes(before, between) is before
@@ -289,7 +296,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: Glitches(1.5), "probability: 1.5; allowed is 0 to 1"),
     (lambda: Glitches(0.1, -1.0), "amplitude: -1.0"),
     (lambda: Glitches(0.1, kind="spikes"), "kind: 'spikes'; allowed are spike, torn, word"),
-    (lambda: ChannelSwap("S2", "wires"), "kind: 'wires'; allowed are data, place"),
+    (lambda: ChannelSwap("S2", "wires"), "kind: 'wires'; allowed are data, counts, place"),
     (lambda: Stuck(-1.0), "onset_s: -1.0"),
     (lambda: Stuck(1.0, math.nan), "duration_s: nan"),
 ]

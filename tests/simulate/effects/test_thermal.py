@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -92,6 +93,22 @@ def test_shorter_than_a_step_it_is_not_there(place: MakePlace) -> None:
     seconds = np.arange(0.0, 20.0, 0.013)
     found = lagged(1e-6, lambda s: 20 + np.sin(s), (seconds * 1e9).round().astype(np.int64), place)
     np.testing.assert_allclose(found, 20 + np.sin(seconds), rtol=0, atol=2e-5)  # (10 ms)^2 / 8 of the curvature
+
+
+def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: MakeAnalog) -> None:
+    """0.1 and -0.2 per degC of the part above 25 degC, which follows the ramp T = 25 + t as above, with 10 s; what the
+    element feels stays as it is.
+    """
+    time_ns = times(0, 900)
+    seconds, part = time_ns * 1e-9, ThermalLag(10.0, (0.1, -0.2, 0.0))
+    motion = Constant(temperature_degc=lambda s: 25.0 + s)
+    rows = replace(analog(0, len(time_ns), value=1.0), instant_ns=time_ns)
+    value = part.analog(rows, place(motion=motion)).value
+    warm = seconds - 10.0 * -np.expm1(-seconds / 10.0)
+    expected = 1.0 + warm[:, None] * np.array([0.1, -0.2, 0.0])
+    np.testing.assert_allclose(value, expected, atol=0.2 * 0.2**2 / 80)
+    felt = motion.felt(time_ns)
+    assert part.felt(felt, place(motion=motion)) is felt
 
 
 def test_in_equilibrium_before_the_beginning_and_where_nothing_changes(place: MakePlace) -> None:
