@@ -376,11 +376,11 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
         return Round(standing, ranked, bar, next((evaluation for evaluation in ranked if evaluation.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
     selection = _accepted(standing, ranked, least)
-    if selection is None:
+    if selection is None or selection.trial.needs_both:  # against that one the others are judged by both parts too
         on_both = (_on_both_parts(each) if _needs_both_parts(standing, each) else each for each in ranked)
         ranked_on_both = _ranked(standing, tuple(on_both))
-        if (selection := _accepted(standing, ranked_on_both, least)) is not None:
-            ranked = ranked_on_both
+        if (likeliest_on_both := _accepted(standing, ranked_on_both, least)) is not None:
+            ranked, selection = ranked_on_both, likeliest_on_both
     return Round(standing, ranked, bar, selection)
 
 

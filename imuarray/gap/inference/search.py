@@ -202,6 +202,9 @@ def _families(
             rounds.pop((name,), None)
         rounds[family] = [results[family]]
         standings.update(members_of(comparison.bench, won[family].standing, standings))
+    for unit in missing:  # sensors that do not differ, and have no part in a cause, are not searched
+        if unit[0] not in served:
+            del standings[unit]
 
 
 def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
@@ -313,11 +316,12 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
+        of_heat = _OF_HEAT if any(phase.kind == "heating" for phase in evidence.phases) else frozenset()
         known = {(trial.name, trial.when, trial.shared) for trial in lasting}
         late = [
             replace(trial, whole=True)
             for trial in everything
-            if trial.needs_both or trial.name in _OF_HEAT or (trial.name, trial.when, trial.shared) not in known
+            if trial.needs_both or trial.name in of_heat or (trial.name, trial.when, trial.shared) not in known
         ]
         every = [
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)
