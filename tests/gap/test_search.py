@@ -29,6 +29,7 @@ from imuarray.gap.inference.forward_selection import (
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, look
 from imuarray.gap.inference.unit_state import Unit, UnitState
+from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
@@ -178,6 +179,30 @@ def round_of(
         {UNIT: standing}, {UNIT: [Hypothesis((one,)) for one in effects]}, {UNIT: Hypothesis((LINE,))}, told
     )
     return came[UNIT], told
+
+
+class RunByMoment(CannedRun):
+    """Looks gain the more the nearer the beginning of the bias is to a moment."""
+
+    def __init__(self, moment_s: float) -> None:
+        super().__init__({"bias": 99.0, "tone": 0.0}, {"bias": (9.0, 20.0), "tone": (0.0, 0.0)})
+        self._moment_s = moment_s
+
+    def _looked(self, trial: Hypothesis) -> FittedHypothesis:
+        if not trial.when.spans:
+            return super()._looked(trial)
+        return FittedHypothesis(trial, {}, 100.0 - abs(trial.when.spans[-1].moment_s - self._moment_s))
+
+
+@pytest.mark.parametrize("moment_s", [11.0, 37.1, 49.0])
+def test_a_beginning_within_a_motion(moment_s: float) -> None:
+    """It is narrowed down from the middle, 30 s, to an eighth of a second: each of four times 40 s shrink by 2 / 7."""
+    trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), within=(10.0, 50.0))
+    run = RunByMoment(moment_s)
+    result = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
+    assert result.selection is not None
+    (span,) = result.selection.trial.when.spans
+    assert span.moment_s == pytest.approx(moment_s, abs=40.0 * (2 / 7) ** 4 / 2)
 
 
 def test_what_gains_most_is_taken() -> None:

@@ -54,9 +54,7 @@ _DIVIDED, _LOST = 3, 2.0
 """Trials of a unit that are tried in some logs alone, if the others lose so many nats by them."""
 
 _NARROWINGS, _MOMENTS = 4, 6
-"""Times that the beginning of a trial is narrowed down, and moments tried each time: to a hundredth of a motion of half
-a minute.
-"""
+"""Times that the beginning of a trial is narrowed down, and moments tried each time: to 1/150 of a motion."""
 
 _BRIEF = 4.0
 """Cost in nats, to the mean of both parts, of the choice of a moment: to their sum twice as much, the log of thousands
