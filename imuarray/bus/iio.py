@@ -136,7 +136,7 @@ class IioDevice:
         self.write(attribute, text)
         kept = self.read(attribute)
         if kept != text:
-            raise SensorError(f"{self}: {attribute} says {kept!r} after {text!r} was written; the driver refuses it")
+            raise SensorError(f"{self}: {attribute} reads {kept!r} after {text!r} was written; the driver refuses it")
 
     def triggers(self) -> dict[str, Path]:
         """The folders of all triggers that there are, by name."""

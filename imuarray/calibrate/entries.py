@@ -30,7 +30,7 @@ _ASYMMETRY = 1e-6
 def to_table(record: object) -> dict[str, Any]:
     """The table of a dataclass: what is None or an empty mapping is left out, arrays have nine digits."""
     if not is_dataclass(record):
-        raise TypeError(f"{type(record).__name__} is no dataclass")
+        raise TypeError(f"{type(record).__name__} is not a dataclass")
     values = {item.name: getattr(record, item.name) for item in fields(record)}
     return {key: _plain(value) for key, value in values.items() if not (value is None or _is_empty(value))}
 
@@ -93,7 +93,7 @@ def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unkno
     def read(value: object, where: str) -> Floats:
         array = _array(value, shape)
         if array is None or not (np.isfinite(array) | (unknown & np.isnan(array))).all():
-            raise CalibrationError(f"{where} wants {' x '.join(map(str, shape))} finite numbers")
+            raise CalibrationError(f"{where} must have {' x '.join(map(str, shape))} finite numbers")
         if (array < lowest).any() or (array > highest).any():
             way = f"below {lowest:g}" if (array < lowest).any() else f"above {highest:g}"
             raise CalibrationError(f"{where} is {way}")

@@ -82,7 +82,9 @@ def _mislabelled(readings: PoseReadings, force: Floats, up_box: Floats, wrong: I
 def _mounted(sensor: SensorLog, turn: Floats) -> str:
     rows = sensor.orientation.T @ turn
     axis = "xyz"[int(np.abs(rows - sensor.orientation.T).max(axis=1).argmax())]
-    return f"{sensor.where}: axis {axis} does not point as axes {sensor.axes!r} says; the faces say {axes_text(rows)!r}"
+    return (
+        f"{sensor.where}: axis {axis} does not point along axes {sensor.axes!r}; the faces indicate {axes_text(rows)!r}"
+    )
 
 
 def _or_else(readings: PoseReadings, wrong: Sequence[int] | Indices, turn: Floats) -> str:

@@ -319,7 +319,7 @@ def calibrate_noise(
         raise CalibrationError(f"{first.path}: no stretch in which the box stood still")
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
-        raise CalibrationError(f"{first.path}: no inertial sensor in it")
+        raise CalibrationError(f"{first.path}: it has no inertial sensor")
     slopes = {} if known is None else {name: sensor.thermal for name, sensor in known.sensors.items()}
     result = {}
     for number, sensor in enumerate(sensors, start=1):
@@ -357,12 +357,12 @@ def _still_stretches(log: Log) -> list[Pose]:
 
 
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
-    """One sensor's figures; CalibrationError where it has no sound readings."""
+    """One sensor's figures; CalibrationError where it has no valid readings."""
     result = [(pose, *pose.rows_of(sensor)) for pose in poses]
     stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]
     scatter = scatter_of(stretches, false_alarm) if stretches else None
     if scatter is None:
-        raise CalibrationError(f"{sensor.where}: no sound readings while the box stood still")
+        raise CalibrationError(f"{sensor.where}: no valid readings while the box stood still")
     return replace(
         nominal(sensor),
         noise_lsb=scatter.rms_lsb,
@@ -391,7 +391,7 @@ def _interval_s(sensor: SensorLog, rows: slice) -> float:
 
 
 def _means(pose: Pose, sensor: SensorLog, rows: slice, width_s: float, thermal: Thermal | None) -> Segments:
-    """Means of a stretch, what follows its temperature taken out; none where it has no sound readings."""
+    """Means of a stretch, what follows its temperature taken out; none where it has no valid readings."""
     try:
         means = segment_means(sensor, width_s, within=rows)
     except CalibrationError:

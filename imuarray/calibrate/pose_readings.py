@@ -153,11 +153,11 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
     status = np.asarray(sensor.status[rows])
     counts = np.asarray(sensor.counts[rows], float)[(status & (SATURATED | SUSPECT)) == 0]
     if len(counts) < 2:
-        raise CalibrationError(f"{sensor.where}: no sound readings in phase {pose.phase.name!r}")
+        raise CalibrationError(f"{sensor.where}: no valid readings in phase {pose.phase.name!r}")
     clipped = int(np.count_nonzero(status & SATURATED))
     if clipped > _CLIPPED_SHARE * len(status):
         raise CalibrationError(
-            f"{sensor.where}: {clipped} of {len(status)} readings clip in phase {pose.phase.name!r}: no sound mean"
+            f"{sensor.where}: {clipped} of {len(status)} readings clip in phase {pose.phase.name!r}: no valid mean"
         )
     batches = [batch.mean(axis=0) for batch in np.array_split(counts, min(_BATCHES, len(counts)))]
     sem = np.std(batches, axis=0, ddof=1) / np.sqrt(len(batches))

@@ -131,7 +131,7 @@ def _means(
         for k in range(value.shape[1]):
             sums[:, k] += np.bincount(segment, value[:, k], minlength=count)
     if not number.any():
-        raise CalibrationError(f"{where}: no sound readings")
+        raise CalibrationError(f"{where}: no valid readings")
     full = number >= _FULL * np.median(number[number > 0])
     return Segments((begin + moments[full] / number[full]) * 1e-9, sums[full] / number[full, None])
 

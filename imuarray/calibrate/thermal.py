@@ -258,7 +258,7 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
     first = logs[0]
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL and len(sensor)]
     if not sensors:
-        raise CalibrationError(f"{first.path}: no inertial sensor in it")
+        raise CalibrationError(f"{first.path}: it has no inertial sensor")
     for log in logs:
         _refuse_moving(log)
     ups = [up_of(log, segment_s) for log in logs]

@@ -120,7 +120,7 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
-        raise CalibrationError(f"{first.path}: no accelerometer in it; tumble needs gravity")
+        raise CalibrationError(f"{first.path}: it has no accelerometer; tumble needs gravity")
     noted = noted_faces(logs)
     if noted and not face_up(noted[0].phase.name) and not tell_all(noted):
         noted = []  # a few phases that say what was up, in logs of any poses

@@ -131,7 +131,7 @@ def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int
         raise CalibrationError("no log")
     sensors = [sensor for sensor in logs[0].sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
-        raise CalibrationError(f"{logs[0].path}: no inertial sensor in it")
+        raise CalibrationError(f"{logs[0].path}: it has no inertial sensor")
     _refuse_moving(logs)
     results, known = [], {}
     for sensor in sensors:
@@ -217,7 +217,7 @@ def _faults(runs: Runs, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
     """The runs that came up wrong: without a sound reading, in another range, or far from all others."""
     read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
     if not read.any():
-        raise CalibrationError(f"sensor {runs.sensor}: no sound readings in any run")
+        raise CalibrationError(f"sensor {runs.sensor}: no valid readings in any run")
     usual = np.median(runs.mean_lsb[read], axis=0)
     ranges_of_runs: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
     if runs.quantity == "specific_force":  # a gyroscope's bias says nothing of its range

@@ -101,7 +101,7 @@ class Ak8963:
         yield from self._set_mode(_FUSE_ROM)
         self.adjustment = self.registers.peek(facts.ASAX, 3)
         if not all(self.adjustment):
-            raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: no AK8963")
+            raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: not an AK8963")
         yield from self._set_mode(_POWER_DOWN)
         self.start_measuring()
         yield 2 / self.rate_hz

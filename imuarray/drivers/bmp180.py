@@ -80,7 +80,7 @@ class Bmp180:
         self.words = calibration_words(block)
         if bad := [name for name, word in self.words.items() if word in (0, 0xFFFF, -1)]:
             raise SensorError(
-                f"{self.registers.label}: calibration word {bad[0]} reads {self.words[bad[0]]}: no BMP180"
+                f"{self.registers.label}: calibration word {bad[0]} reads {self.words[bad[0]]}: not a BMP180"
             )
         self._due_ns, self._converting = self.clock.now_ns(), 0
 

@@ -60,7 +60,7 @@ class Bmp280(ForcedBarometer):
         for name in ("T1", "T2", "P1"):  # by these the formulas multiply and divide: BMP-103
             if self.words[name] in (0, 0xFFFF, -1):
                 raise SensorError(
-                    f"{self.registers.label}: calibration word {name} reads {self.words[name]}: no BMP280"
+                    f"{self.registers.label}: calibration word {name} reads {self.words[name]}: not a BMP280"
                 )
         self.registers.set(*self.watched)
         self.begin()

@@ -61,7 +61,7 @@ class Bmp388(ForcedBarometer):
         for name in ("T1", "T2", "P5"):
             if self.words[name] in (0, 0xFFFF):
                 raise SensorError(
-                    f"{self.registers.label}: calibration word {name} reads {self.words[name]}: no BMP388"
+                    f"{self.registers.label}: calibration word {name} reads {self.words[name]}: not a BMP388"
                 )
         self.registers.set(*self.watched)
         self.begin()

@@ -231,7 +231,7 @@ class IioSensor:
         self.device.write(attribute, text)
         kept = _number(attribute, self.device.read(attribute))
         if not math.isclose(kept, float(text), rel_tol=SCALE_MARGIN):
-            raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
+            raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
     def _unrounded(self, scale: float, text: str) -> float:
         """The data sheet's scale that the kernel means by `text`, if there is one: some drivers give six digits after
@@ -288,7 +288,8 @@ class IioSensor:
             orientation_of(axes)
         except ValueError:
             raise SensorError(
-                f"{self.device}: mount_matrix {text!r} is no rotation by quarter turns; give axes in the configuration"
+                f"{self.device}: mount_matrix {text!r} is not a rotation by quarter turns; give axes in the"
+                " configuration"
             ) from None
         return axes
 
@@ -437,7 +438,7 @@ class IioCapture:
             self.device.write(attribute, text)
             kept = _number(attribute, self.device.read(attribute))
             if not math.isclose(kept, float(text), rel_tol=RATE_MARGIN):
-                raise SensorError(f"{self.device}: {attribute} says {kept:g} after {text} was written")
+                raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
     def _start(self, config: SensorConfig, elements: Mapping[str, ScanElement]) -> None:
         """Choose the clock and the trigger, and start the capture."""
@@ -469,7 +470,7 @@ class IioCapture:
         current = self.device.read(attribute)
         if current is None:
             if wanted is not None:
-                raise SensorError(f"{self.device}: trigger {wanted!r}: this device has its own pace; leave it out")
+                raise SensorError(f"{self.device}: trigger {wanted!r}: this device samples by itself; leave it out")
         elif wanted is not None:
             triggers = self.device.triggers()
             if wanted not in triggers:

@@ -148,7 +148,7 @@ def epoch_ns(epoch: str, path: Path) -> int:
     try:
         when = datetime.fromisoformat(epoch)
     except ValueError:
-        raise ExportError(f"{path}: the epoch {epoch!r} is no date, without which MCAP has no times") from None
+        raise ExportError(f"{path}: the epoch {epoch!r} is not a date, which MCAP needs") from None
     since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 

@@ -98,7 +98,7 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
         inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
         names = [log[name].name for name in request.sensors] or inertial
         if not names:
-            raise ExportError(f"{request.source}: no accelerometer and no gyroscope in it")
+            raise ExportError(f"{request.source}: it has no accelerometer and no gyroscope")
         done = iter(range(1, 3 * len(names) + 1))
         return characterise_log(
             log,

@@ -172,7 +172,7 @@ def _linked(group: _Place, where: str) -> list[bytes]:
     for name, kind in links:
         place = f"{group.name}/{_shown(name)[:MAX_NAME_BYTES]}"
         if _shown(name).encode() != name or len(name) > MAX_NAME_BYTES:
-            raise LogError(f"{where}: {place}: a name that is no word")
+            raise LogError(f"{where}: {place}: an invalid name")
         if kind == h5l.TYPE_SOFT and _is_plot(group, name):
             continue
         if kind != h5l.TYPE_HARD:

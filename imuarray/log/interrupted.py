@@ -257,7 +257,7 @@ def _content(
         for name, kind, shape in group.columns:
             dataset = file[group.path][name]
             if dataset.dtype != np.dtype(kind) or dataset.shape[1:] != shape:
-                raise LogError(f"/{group.path}/{name}: not as the preamble says")
+                raise LogError(f"/{group.path}/{name}: differs from the preamble")
     commits = read_commits(file[COMMITS][:], preamble.identity, groups)
     committed = CommittedRows(file, groups, commits, journal)
     losses = committed.check() if thorough or journal is None else []

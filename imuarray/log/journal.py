@@ -209,7 +209,7 @@ class JournalReader:
         """
         self.path = journal_of(path)
         if fd is None and self.path.exists() and not self.path.is_file():  # to open a pipe would wait for its other end
-            raise LogError(f"{self.path}: is no file")
+            raise LogError(f"{self.path}: is not a file")
         self._file: BinaryIO = self.path.open("rb") if fd is None else os.fdopen(os.dup(fd), "rb")
         try:
             self.preamble, self.start, version = self._begin(known)

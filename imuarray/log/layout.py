@@ -52,11 +52,11 @@ class Group:
         if columns.keys() != names or len({len(rows) for rows in columns.values()}) != 1:
             given = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
             wanted = ", ".join(name for name, _, _ in self.columns)
-            raise ValueError(f"/{self.path}: columns {wanted} of one length; came {given}")
+            raise ValueError(f"/{self.path}: columns {wanted} of one length; got {given}")
         checked = {name: np.ascontiguousarray(columns[name], kind) for name, kind, _ in self.columns}
         for name, _, tail in self.columns:
             if checked[name].shape[1:] != tail:
-                raise ValueError(f"/{self.path}: column {name}: rows of shape {tail}; came {checked[name].shape[1:]}")
+                raise ValueError(f"/{self.path}: column {name}: rows of shape {tail}; got {checked[name].shape[1:]}")
         return checked
 
     def encode(self, columns: Columns) -> bytes:

@@ -194,7 +194,7 @@ class Log:
         for index, column in enumerate(values):
             if not all(isinstance(value, int if index < numbers else str) for value in column):
                 kind = "whole numbers" if index < numbers else "text"
-                raise LogError(f"{self.path}: group {name}: column {columns[index]} holds no {kind}")
+                raise LogError(f"{self.path}: group {name}: column {columns[index]} does not hold {kind}")
         return values
 
     def _group(self, name: str) -> Any:

@@ -124,11 +124,11 @@ class SensorLog:
                     raise LogError(f"{self.where}: column {name} is missing")
                 continue
             if not isinstance(dataset, DATASET) or dataset.dtype.kind not in kind:
-                raise LogError(f"{self.where}: column {name} is no column of whole numbers")
+                raise LogError(f"{self.where}: column {name} is not a column of whole numbers")
             if dataset.shape[:1] != self._group["time"].shape[:1]:
                 raise LogError(f"{self.where}: column {name} has another length than time")
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
-            raise LogError(f"{self.where}: column counts is no (n, 3) table")
+            raise LogError(f"{self.where}: column counts is not an (n, 3) table")
         for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # all of it is for `verify` to read
             try:
                 times = self._group["time"][edge]

@@ -172,7 +172,7 @@ class _DesignTable(BaseModel):
     def _possible(self) -> Self:
         if self.chip not in TRIADS and (self.chip in CHIPS or self.unit is None):
             raise ValueError(
-                f"chip {self.chip!r}: allowed are {', '.join(TRIADS)}; another has to say its unit, g, dps or gauss"
+                f"chip {self.chip!r}: allowed are {', '.join(TRIADS)}; another chip needs a unit: g, dps or gauss"
             )
         if self.chip not in TRIADS:
             return self

@@ -50,7 +50,7 @@ def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
     for folder in folders:
         places = _places(folder)
         if not places:
-            raise ConfigError(f"{folder}: no cases: NAME/*.h5 beside {SEALED}/NAME.json are required")
+            raise ConfigError(f"{folder}: no cases: NAME/*.h5 and {SEALED}/NAME.json are required")
         for number, place in enumerate(places, first + len(cases)):
             cases.append(Case(number, half, "none", "", (), number, world=FOREIGN, source=str(place.resolve())))
     return cases
@@ -155,7 +155,7 @@ def _control(case: Case, place: Path, name: str) -> str:
     """Return the name of the control case, which is in the same folder."""
     names = [path.name for path in _places(place.parent)]
     if name not in names:
-        raise ConfigError(f"{place}: no case {name!r} beside it, which is said to be its control")
+        raise ConfigError(f"{place}: no case {name!r} in the same folder, but it is named as the control")
     return replace(case, number=case.number + names.index(name) - names.index(place.name)).name
 
 

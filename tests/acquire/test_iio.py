@@ -314,7 +314,7 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
         ({}, BUFFERED.replace("rate_hz = 50", "rate_hz = 60"), r"rate_hz 60: allowed are 10, 50, 100, 200"),
         ({}, BUFFERED + "range = 17\n", r"range 17: allowed are up to 1.999, 3.998, 7.995, 15.99 g"),
         ({}, BUFFERED.replace("specific_force", "angular_rate"), r"has no in_anglvel_x, .*; it has specific_force"),
-        ({}, BUFFERED + 'trigger = "t0"\n', r"trigger 't0': this device has its own pace"),
+        ({}, BUFFERED + 'trigger = "t0"\n', r"trigger 't0': this device samples by itself"),
         ({"trigger/current_trigger": ""}, BUFFERED, r"no trigger starts its samples; give trigger"),
         ({"in_accel_scale": "0"}, ACC, r"in_accel_scale is 0; a positive number is required"),
         ({"in_accel_scale": "-1"}, ACC, r"in_accel_scale is -1; a positive number is required"),
@@ -323,9 +323,9 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
         ({"in_accel_scale_available": "1e999 2"}, ACC + "range = 4\n", r"a finite number is required"),
         ({"in_accel_offset": "1e30"}, ACC, r"in_accel_offset is 1e.30; counts of a log are below 2.31"),
         ({"in_accel_offset": "2e9"}, ACC, r"counts of 32 bits; a log holds at most 31"),
-        ({"mount_matrix": "0.6, 0.8, 0; -0.8, 0.6, 0; 0, 0, 1"}, ACC, r"no rotation by quarter turns; give axes"),
-        ({"mount_matrix": "1, 0, 0; 0, 1, 0; 0, 0, -1"}, ACC, r"no rotation by quarter turns"),
-        ({"mount_matrix": "1;2"}, ACC, r"no rotation by quarter turns"),
+        ({"mount_matrix": "0.6, 0.8, 0; -0.8, 0.6, 0; 0, 0, 1"}, ACC, r"not a rotation by quarter turns; give axes"),
+        ({"mount_matrix": "1, 0, 0; 0, 1, 0; 0, 0, -1"}, ACC, r"not a rotation by quarter turns"),
+        ({"mount_matrix": "1;2"}, ACC, r"not a rotation by quarter turns"),
         ({"scan_elements/in_accel_y_type": "le:s16/24>>0"}, BUFFERED, r"in_accel_y_type is 'le:s16/24>>0': allowed is"),
         ({"scan_elements/in_accel_y_index": "0"}, BUFFERED, r"in_accel_x_index and in_accel_y_index are both 0"),
         ({"scan_elements/in_accel_x_type": "le:s64/64>>0"}, BUFFERED, r"counts of 64 bits; a log holds at most 31"),
@@ -410,7 +410,7 @@ def test_two_devices_of_one_name_are_told_apart_by_their_place(machine: KernelMa
             errno.EBUSY,
             r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Device or resource busy; another program captures",
         ),
-        (errno.EACCES, r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Permission denied; let your group"),
+        (errno.EACCES, r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Permission denied; give your group"),
     ],
 )
 def test_a_buffer_that_cannot_be_had_is_named(
@@ -518,7 +518,9 @@ def test_detect_writes_a_configuration_that_logs(machine: KernelMachine, capsys:
     }
     assert main(["detect", str(path)]) == 0
     assert main(["simulate", str(path), "--experiment", "static", "-o", str(machine.root / "s.h5")]) == 2
-    assert "IIO1_acc: what its counts mean is known to the kernel; record it, and use --like" in capsys.readouterr().err
+    assert (
+        "IIO1_acc: only the kernel knows the scale of its counts; record it and use --like" in capsys.readouterr().err
+    )
     for device in machine.root.glob("sys/bus/iio/devices/iio:device*"):
         device.unlink()
     assert main(["detect", "--bus", url, "-o", str(machine.root / "none.toml")]) == 2

@@ -80,7 +80,7 @@ def test_opposite_labels_exchanged_or_an_axis_mirrored(write_log: WriteLog) -> N
 
 
 def test_one_accelerometer_mounted_otherwise_is_named_and_not_the_faces(write_log: WriteLog) -> None:
-    with pytest.raises(CalibrationError, match=r"sensor A1: axis x .*'-Y-X-Z' says; the faces say '-X\+Y-Z'") as caught:
+    with pytest.raises(CalibrationError, match=r"sensor A1: axis x .*'-Y-X-Z'; the faces indicate '-X\+Y-Z'") as caught:
         calibrate(write_log, {}, three((AXES[0], "-X+Y-Z", AXES[2])))
     assert "labels" not in str(caught.value)
 

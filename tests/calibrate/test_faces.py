@@ -234,13 +234,13 @@ def test_of_two_swapped_faces_one_is_named(write_log: WriteLog) -> None:
 
 def test_opposite_faces_swapped_look_like_a_mirrored_axis(write_log: WriteLog) -> None:
     path = sloppy(write_log, labels=relabel({"x_up": "x_down", "x_down": "x_up"}))
-    with open_log(path) as log, refused(r"axis x .*'\+X\+Y\+Z' says; the faces say '-X\+Y\+Z'"):
+    with open_log(path) as log, refused(r"axis x .*'\+X\+Y\+Z'; the faces indicate '-X\+Y\+Z'"):
         calibrate_tumble(log)
 
 
 def test_axes_that_do_not_fit_are_refused_with_what_the_faces_say(write_log: WriteLog) -> None:
     part = Part(accelerometer("A", "+X+Y+Z"), ideal("-Y+X+Z", 2048), np.zeros(3), 10.0)
-    with open_log(write_log.faces([part], rows=64)) as log, refused(r"'\+X\+Y\+Z' says; the faces say '-Y\+X\+Z'"):
+    with open_log(write_log.faces([part], rows=64)) as log, refused(r"'\+X\+Y\+Z'; the faces indicate '-Y\+X\+Z'"):
         calibrate_tumble(log)
 
 
@@ -272,7 +272,7 @@ def clipped(write_log: WriteLog, bias: float) -> Path:
 
 
 def test_a_face_that_only_clips_is_refused_and_named(write_log: WriteLog) -> None:
-    with open_log(clipped(write_log, 800.0)) as log, refused("no sound readings in phase 'z_up'"):
+    with open_log(clipped(write_log, 800.0)) as log, refused("no valid readings in phase 'z_up'"):
         fit_faces(log["A"], named_faces(log))
 
 

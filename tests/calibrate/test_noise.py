@@ -124,7 +124,7 @@ def test_progress_is_told_of_noise_that_a_technique_needs(
 
 def test_a_sensor_without_sound_readings_is_named(tmp_path: Path) -> None:
     path = write(tmp_path, white(100), [STILL], np.full(100, 32, np.uint16))
-    with open_log(path) as log, pytest.raises(CalibrationError, match="sensor G: no sound readings"):
+    with open_log(path) as log, pytest.raises(CalibrationError, match="sensor G: no valid readings"):
         calibrate_noise(log)
 
 

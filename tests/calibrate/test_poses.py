@@ -142,7 +142,7 @@ def test_an_accelerometer_that_read_nothing_does_not_hide_the_poses(write_log: W
     with open_log(path) as log:
         poses = find_poses(log)
         assert len(poses) == 14
-        with pytest.raises(CalibrationError, match="sensor A1: no sound readings in phase 'pose 1'"):
+        with pytest.raises(CalibrationError, match="sensor A1: no valid readings in phase 'pose 1'"):
             read_pose(log["A1"], poses[0])
 
 
@@ -213,7 +213,7 @@ def flagged(folder: Path, counts: npt.NDArray[np.int16], status: npt.NDArray[np.
 
 
 def test_saturated_and_suspect_readings_are_left_out_of_a_pose_and_stale_ones_are_not(tmp_path: Path) -> None:
-    """One clipped reading in more than a thousand is left out; more of them and there is no sound mean."""
+    """One clipped reading in more than a thousand is left out; more of them and there is no valid mean."""
     counts = np.tile(np.array([[1, 2, 3], [5, 6, 7]], np.int16), (600, 1))
     counts[10], counts[11] = (9999, 0, 0), (0, 9999, 0)
     status = np.zeros(1200, np.uint16)

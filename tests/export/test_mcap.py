@@ -215,7 +215,7 @@ def test_times_before_1970(tmp_path: Path) -> None:
         export(tmp_path / "a.h5", tmp_path / "a.mcap")
     with LogWriter(tmp_path / "b.h5", [ACC], source="imported", epoch="yesterday") as log:
         pass
-    with pytest.raises(ExportError, match="the epoch 'yesterday' is no date"):
+    with pytest.raises(ExportError, match="the epoch 'yesterday' is not a date"):
         export(tmp_path / "b.h5", tmp_path / "b.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.h5"]
 

@@ -181,9 +181,9 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
         ),
         "many attributes": (many_attributes, "attributes; at most 256"),
         "messages that are all one": (all_one_text, "events/message: texts of more than 16777216 bytes"),
-        "a name that steers a terminal": (named(b"\x1b[2J"), r"/\x1b[2J: a name that is no word"),
-        "a name that is no text": (named(b"\xff\xfe"), r"a name that is no word"),
-        "a name without end": (named(b"x" * 5000), "a name that is no word"),
+        "a name that steers a terminal": (named(b"\x1b[2J"), r"/\x1b[2J: an invalid name"),
+        "a name that is no text": (named(b"\xff\xfe"), r"an invalid name"),
+        "a name without end": (named(b"x" * 5000), "an invalid name"),
     }
 )
 

@@ -212,7 +212,7 @@ REFUSED = {
     "unknown table": (GOOD.replace("[sensor", "[sensors"), "sensors: unknown key .did you mean 'sensor'"),
     "unknown chip": (
         changed('chip = "bma180"', 'chip = "bma181"'),
-        "design 1: chip 'bma181': allowed are adxl345, bma180, .*, hmc5883; another has to say",
+        "design 1: chip 'bma181': allowed are adxl345, bma180, .*, hmc5883; another chip needs a unit",
     ),
     "another unit than the chip's": (
         changed('chip = "bma180"', 'chip = "bma180"\nunit = "dps"'),

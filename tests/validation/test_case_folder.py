@@ -102,7 +102,7 @@ def test_what_is_no_truth_is_refused(tmp_path: Path, table: dict[str, Any], said
 
 
 def test_a_folder_without_cases_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"no cases: NAME/\*\.h5 beside sealed/NAME\.json are required"):
+    with pytest.raises(ConfigError, match=r"no cases: NAME/\*\.h5 and sealed/NAME\.json are required"):
         cases_in([tmp_path], "sealed", 0)
 
 

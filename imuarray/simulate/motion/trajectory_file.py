@@ -133,5 +133,5 @@ def _number(column: Column, row: int) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= _LARGEST:
-        raise column.refuse(row, f"{column.texts[row][:40]!r} is no number between {-_LARGEST:g} and {_LARGEST:g}")
+        raise column.refuse(row, f"{column.texts[row][:40]!r} is not a number between {-_LARGEST:g} and {_LARGEST:g}")
     return value

@@ -142,9 +142,9 @@ ROW = "0,0,0,9.8,0,0,0"
         (f"{HEADER},rate_x_radps\n{ROW},0\n{ROW},0\n", "force_x_mps2, .* or .*temperature_degc if it is known"),
         (f"{HEADER},time_s\n{ROW},0\n{ROW},0\n", "line 3: several columns are called 'time_s'"),
         (f"{HEADER}\n{ROW}\n1,0,0,9.8,0,0\n", "line 3: 6 cells, the first row has 7"),
-        (f"{HEADER}\n# a comment\n{ROW}\n1,0,up,9.8,0,0,0\n", "line 4, column force_y_mps2: 'up' is no number"),
-        (f"{HEADER}\n{ROW}\n1,0,nan,9.8,0,0,0\n", "line 3, column force_y_mps2: 'nan' is no number"),
-        (f"{HEADER}\n{ROW}\n1,0,0,9.8,0,0,1e300\n", "line 3, column rate_z_dps: '1e300' is no number between"),
+        (f"{HEADER}\n# a comment\n{ROW}\n1,0,up,9.8,0,0,0\n", "line 4, column force_y_mps2: 'up' is not a number"),
+        (f"{HEADER}\n{ROW}\n1,0,nan,9.8,0,0,0\n", "line 3, column force_y_mps2: 'nan' is not a number"),
+        (f"{HEADER}\n{ROW}\n1,0,0,9.8,0,0,1e300\n", "line 3, column rate_z_dps: '1e300' is not a number between"),
         (f"{HEADER}\n{ROW}\n{ROW}\n", "line 3, column time_s: 0 is not later than the row before"),
         (f"{HEADER}\n{ROW}\nsoon,0,0,0,0,0,0\n", "line 3, column time_s: 'soon' is no number"),
         (
