@@ -25,7 +25,21 @@ _IN_OTHER_WORDS = {
     "float_type": "{came}: a number without quotes is required",
     "string_type": "{came}: a text in quotes is required",
     "list_type": "a list is required; an array of tables is written with two brackets, as in [[sensor]]",
+    "bool_type": "{came}: true or false is required",
     "missing": "is missing",
+    "model_type": "{came}: a table is required",
+    "dict_type": "{came}: a table is required",
+    "literal_error": "{came}: allowed are {expected}",
+    "greater_than": "{came}: allowed is anything above {gt:g}",
+    "greater_than_equal": "{came}: allowed is {ge:g} or more",
+    "less_than": "{came}: allowed is anything below {lt:g}",
+    "less_than_equal": "{came}: allowed is {le:g} or less",
+    "finite_number": "{came}: a finite number is required",
+    "too_short": "{actual_length} entries: {min_length} or more are required",
+    "too_long": "{actual_length} entries: {max_length} or fewer are required",
+    "string_too_short": "{came}: a text of {min_length} or more characters is required",
+    "string_too_long": "{came}: a text of {max_length} or fewer characters is required",
+    "string_pattern_mismatch": "{came}: allowed are a letter, then letters, digits and _, 32 characters at most",
 }
 """What pydantic says in the words of its own types."""
 
@@ -142,7 +156,7 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
         near = closest(str(key), allowed, cutoff=0.5)
         return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
     if mistake["type"] in _IN_OTHER_WORDS:
-        return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40])
+        return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
     if mistake["type"] == "value_error":
         return str(mistake["ctx"]["error"])
     return str(mistake["msg"])

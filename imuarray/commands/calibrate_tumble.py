@@ -181,7 +181,7 @@ def _print_residuals(report: dict[str, Any]) -> None:
         ]
         worst = max(report["pose_residuals_mg"][name].items(), key=lambda pair: abs(pair[1]))
         scales = zip(rows[name]["drift_lsb"], rows[name]["scale_lsb_per_g"], strict=True)
-        drift = " ".join(f"{-1e3 * change / scale:+.2f}" for change, scale in scales)
+        drift = " ".join(f"{-1e3 * change / scale + 0.0:+.2f}" for change, scale in scales)
         click.echo(f"{name:14} {' '.join(cells)}   {worst[0]} {worst[1]:+.3f}, {drift}")
     click.echo(
         "fitted: drift removed; others: each pose left out of its fit; steady: with the mean bias, which is stored"
@@ -189,6 +189,10 @@ def _print_residuals(report: dict[str, Any]) -> None:
 
 
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
+    """Print what opposing axes of one design would leave, but nothing of an axis that has no other of its design."""
+    pairs = [pair for pair in pairs if not _is_single(pair)]
+    if not pairs:
+        return
     click.echo("bias in the box frame: axes of one design along the box axis, axes against it, and the average of both")
     for pair in pairs:
         factor, unit = READABLE[pair["unit"]]
@@ -196,3 +200,9 @@ def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
         for key in ("along", "against", "opposed"):
             line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
         click.echo(f"{line}  single rms {factor * pair['single_rms']:9.2f} {unit}")
+
+
+def _is_single(pair: dict[str, Any]) -> bool:
+    """Return whether the row is of one axis: its mean is then as large as its rms."""
+    ways = [pair[key] for key in ("along", "against") if pair[key] is not None]
+    return len(ways) == 1 and bool(abs(abs(ways[0]) - pair["single_rms"]) <= 1e-9 * pair["single_rms"])

@@ -12,7 +12,7 @@ import click
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 from imuarray.importers import FORMATS
-from imuarray.printable import printable
+from imuarray.printable import counted, printable
 from imuarray.shipped import find_map
 
 if TYPE_CHECKING:
@@ -151,9 +151,8 @@ def _print_result(summary: Summary, output: Path, as_json: bool) -> None:
         return
     each = "each" if summary.same_rows else "at most"
     lost = "" if summary.lost is None else f", {summary.lost} lost"
-    click.echo(
-        f"{output}: {len(summary.sensors)} sensors, {summary.rows} rows {each} over {summary.seconds:.1f} s{lost}"
-    )
+    size = f"{counted(len(summary.sensors), 'sensor')}, {counted(summary.rows, 'row')} {each}"
+    click.echo(f"{output}: {size} over {summary.seconds:.1f} s{lost}")
     for kind, count in summary.events.items():
         click.echo(f"  {kind}: {count} (see events: imuarray info {output})")
     for mark, sentences in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration, cancellation
+from imuarray.commands.calibrate_tumble import _print_cancellation
 from imuarray.log import open_log
 from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
 
@@ -57,3 +58,15 @@ def test_quantities_of_one_chip_are_kept_apart(write_log: WriteLog) -> None:
         ("specific_force", "g", "Y"),
         ("specific_force", "g", "Z"),
     ]
+
+
+def test_an_axis_without_another_of_its_design_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """A chip of its own has nothing to oppose: 30 mg along X. Two parallel ones of 30 and 50 mg have a mean of 40."""
+    single = {"chip": "any", "quantity": "specific_force", "unit": "g", "box_axis": "X"}
+    alone = single | {"along": 0.03, "against": None, "opposed": None, "single_rms": 0.03}
+    parallel = single | {"along": 0.04, "against": None, "opposed": None, "single_rms": (0.0017) ** 0.5}
+    _print_cancellation([alone, alone | {"along": None, "against": -0.03}])
+    assert capsys.readouterr().out == ""
+    _print_cancellation([alone, parallel])
+    (_, line) = capsys.readouterr().out.splitlines()
+    assert "along     40.00" in line and "41.23 mg" in line
