@@ -24,6 +24,9 @@ _STEPS = 2000
 _CLEAR = 3.0
 """By so many nats a lag has to fit better than none."""
 
+_CLEAR_PART = 8.0
+"""By so many nats a lagging part has to improve the fit of an axis: the best of thirty lags on three axes."""
+
 _APART = 3.0
 
 
@@ -47,19 +50,21 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     for time_constant_s in (best_s, slow_s if not best_s or not 1 / _APART < slow_s / best_s < _APART else 0.0):
         if time_constant_s > 0:
             yield Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
-    if best_s > 0:
-        yield from _of_a_part(evidence, table, best_s)
+    yield from _of_a_part(evidence, table)
 
 
-def _of_a_part(evidence: Evidence, table: Levels, time_constant_s: float) -> Iterator[Hypothesis]:
+def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
     """A part of the bias lags, on the axes on which it is clear; the rest follows the temperature at once, by another
-    slope than was fitted without the lag.
+    slope than was fitted without the lag. What the thermometer feels does not lag with it.
     """
+    times_s = _times_s(table)
+    gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
+    if not (gains > _CLEAR_PART).any():
+        return
+    best, _ = np.unravel_index(int(gains.argmax()), gains.shape)
+    time_constant_s, clear = float(times_s[best]), gains[best] > _CLEAR_PART
     warm, lagged_warm = warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
     fit = fitted(np.stack([lagged_warm, warm], axis=1), table.mean, table.group)
-    clear = np.abs(fit.coefficient[0]) > _CLEAR * fit.error[0]
-    if not clear.any():
-        return
     slope, change = np.where(clear, fit.coefficient, 0.0)
     offset = np.median(table.mean - lagged_warm[:, None] * slope - warm[:, None] * change, axis=0)
     ordinary = evidence.fitted
@@ -73,12 +78,29 @@ def _of_a_part(evidence: Evidence, table: Levels, time_constant_s: float) -> Ite
     )
 
 
+def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
+    """(3,) nats by which levels over the temperature and over the lagged one are explained better than over the first
+    alone.
+    """
+    warm = centred(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
+    left = [
+        ((table.apart - some @ np.linalg.lstsq(some, table.apart, rcond=None)[0]) ** 2).sum(axis=0)
+        for some in (warm[:, :1], warm)
+    ]
+    return np.asarray(len(warm) / 2 * np.log((left[0] + 1e-30) / (left[1] + 1e-30)))
+
+
+def _times_s(table: Levels) -> Floats:
+    """The time constants that are tried; none where no log lasts."""
+    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
+    return np.geomspace(span_s / _STEPS * 2, span_s, _TRIED) if span_s > 0 else np.zeros(0)
+
+
 def _best(table: Levels) -> float:
     """0 if none is better than no lag."""
-    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
-    if span_s <= 0:
+    times = _times_s(table)
+    if not len(times):
         return 0.0
-    times = np.geomspace(span_s / _STEPS * 2, span_s, _TRIED)
     misfit = [_misfit(table, table.degc)] + [_misfit(table, lagged(table, time)) for time in times]
     best = int(np.argmin(misfit))
     return float(times[best - 1]) if best and misfit[best] < misfit[0] - _CLEAR else 0.0
