@@ -45,8 +45,6 @@ repeat its reading.
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """A sensor without a reading for so many seconds, and as long as so many readings take, gives none any more."""
-_VISITS = 3
-"""One reading on demand takes: temperature asked for, pressure asked for, both there."""
 HELD_S = 10.0
 """No row waits longer. One that nobody could vouch for in this time is written as suspect; where a sensor is read so
 seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""

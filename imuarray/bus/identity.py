@@ -14,7 +14,7 @@ shows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,10 +56,6 @@ class Entry:
     name: str
     mark: int
     identity: Identity
-
-
-Listing = Callable[[Path], Mapping[str, Entry]]
-"""From a folder of sysfs to its entries by name."""
 
 
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:

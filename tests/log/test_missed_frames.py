@@ -200,6 +200,22 @@ def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
     assert paces == [(12, 5.0), (12, 5.0), (9, 5.0), (0, 5.0)]
 
 
+@pytest.mark.parametrize(("recovered", "missed"), [(False, 2), (True, 3)])
+def test_events_of_a_complete_log_are_believed(tmp_path: Path, recovered: bool, missed: int) -> None:
+    """Rows at 0, 1, 2, 6, 7 and 8 periods: three are missing, of which the logger counted two. Events of a log that was
+    interrupted may be incomplete; then the rows are believed.
+    """
+    path = tmp_path / "run.h5"
+    with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=100.0) as writer:
+        times = np.array([0, 1, 2, 6, 7, 8]) * PERIOD_NS
+        writer.append("Acc", Block(times, np.zeros((6, 3), np.int16), np.zeros(6, np.uint16)))
+        writer.event(Event(6 * PERIOD_NS, "", "late", "2 frames missed: the one before ended too late"))
+        if recovered:
+            writer.event(Event(6 * PERIOD_NS, "", "recovered", "the log was cut short"))
+    with open_log(path) as log:
+        assert frame_timing(log).missed == missed
+
+
 def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="serial", epoch="2026-01-01T00:00:00Z", frame_rate_hz=10.0) as writer:
