@@ -55,7 +55,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
     """A part of the bias lags, on the axes on which it is clear; the rest follows the temperature at once, by another
-    slope than was fitted without the lag. What the thermometer feels does not lag with it.
+    slope than was fitted without the lag. What the thermometer feels does not lag with it. If all axes lag, it is the
+    element.
     """
     times_s = _times_s(table)
     gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
@@ -63,6 +64,8 @@ def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
         return
     best, _ = np.unravel_index(int(gains.argmax()), gains.shape)
     time_constant_s, clear = float(times_s[best]), gains[best] > _CLEAR_PART
+    if clear.all():
+        return
     warm, lagged_warm = warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
     fit = fitted(np.stack([lagged_warm, warm], axis=1), table.mean, table.group)
     slope, change = np.where(clear, fit.coefficient, 0.0)
