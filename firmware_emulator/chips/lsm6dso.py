@@ -111,9 +111,7 @@ class Lsm6dso(SixAxis):
         return sorted(due, key=lambda sample: sample[0])
 
     def _timestamp(self, at_ns: int) -> int:
-        """Ticks of the die's oscillator since the count was last reset, 0 while it is off (LSM-46)."""
-        if not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]):
-            return 0
+        """Ticks of the die's oscillator since the count was switched on or last reset (LSM-46)."""
         return int((at_ns - self._timestamp_from_ns) * self._oscillator / TIMESTAMP_NS) & 0xFFFFFFFF
 
     def _enqueue_timestamp(self, at_ns: int) -> None:
@@ -215,7 +213,7 @@ class Lsm6dso(SixAxis):
             return self._status()
         if address in FIFO_OUT:
             return self._out(address)
-        if address in _TIMESTAMP:
+        if address in _TIMESTAMP and facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]):
             return self._timestamp(at_ns) >> 8 * (address - _TIMESTAMP.start) & 0xFF
         if address not in _DATA:
             return self.page[address]
