@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from imuarray.gap.recording.recordings import Reference
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import OVERRUN, STALE, Phase
+from imuarray.log.writer import Block
 from imuarray.simulate import parse_model
 from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.own_clock import OwnClock
@@ -242,6 +244,16 @@ def test_white_noise_tells_no_filter() -> None:
     assert sum(math.isfinite(fitted.cutoff_hz) for fitted in each) < 3
 
 
+def test_a_faint_filter_shows_in_a_long_phase_beside_short_ones() -> None:
+    """90 Hz at 200 rows a second leave a correlation of 0.06, a third of which is chance in each of 20 phases of 400
+    rows, and a seventh in one of 12,000.
+    """
+    ends_s = [60, *range(62, 102, 2)]
+    noise = lfilter([1.0], [1.0, -0.06], np.random.default_rng(5).normal(size=(20_000, 3)), axis=0)
+    filtered = fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=70.0, ends_s=ends_s)
+    assert filtered.cutoff_hz == pytest.approx(90.0, rel=0.15)
+
+
 def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
     """Butterworth of 35 Hz, sampled 50 times as fast as the rows: after 5 ms 0.62, after 10 ms 0.19."""
     found = fitted_to_noise(*butter(2, 35.0, fs=10_000.0), every=50)
@@ -380,20 +392,26 @@ def fitted_to_rows(
     counts_rms: float = 20.0,
     stale: npt.NDArray[np.bool_] | None = None,
     overrun: npt.NDArray[np.bool_] | None = None,
+    ends_s: Sequence[int] = (100,),
 ) -> FittedParameters:
-    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3) of so many counts; the recorder
-    flags the rows that are `stale` and `overrun` (n,), or none.
+    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3) of so many counts, in logs up to
+    each of `ends_s`; the recorder flags the rows that are `stale` and `overrun` (n,), or none.
     """
     gyro = header("G", chip="l3g4200d", rate_hz=data_rate_hz, bandwidth_hz=bandwidth_hz)
     rows = block(np.rint(counts_rms * noise / noise.std()), 5_000_000)
     for flag, flagged in ((STALE, stale), (OVERRUN, overrun)):
         if flagged is not None:
             rows = rows._replace(status=rows.status | np.where(flagged, np.uint16(flag), np.uint16(0)))
-    whole = Phase(0, 100 * 10**9, "static", "+Z")
-    log = summarise_log(
-        "static", {"G": OneBlock(gyro, rows)}, [whole], Reference(lambda time_ns: np.full(len(time_ns), 25.0))
-    )
-    return fit(Campaign((log,)), [Still()]).fitted["G"]
+    logs = [
+        summarise_log(
+            "static",
+            {"G": OneBlock(gyro, Block(*(column[begin * 200 : end * 200] for column in rows[:3])))},
+            [Phase(begin * 10**9, end * 10**9, "static", "+Z")],
+            Reference(lambda time_ns: np.full(len(time_ns), 25.0)),
+        )
+        for begin, end in pairwise((0, *ends_s))
+    ]
+    return fit(Campaign(tuple(logs)), [Still()] * len(logs)).fitted["G"]
 
 
 def test_where_a_sensor_sits_is_known_of_its_header() -> None:

@@ -155,8 +155,11 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
             replace("sensors/Acc/temperature_counts", np.zeros(4, np.int16)),
             "sensor Acc: column temperature_counts has another length",
         ),
-        (replace("sensors/Acc/counts", np.zeros((5, 2), np.int16)), r"sensor Acc: column counts is no \(n, 3\) table"),
-        (replace("sensors/Acc/counts", np.zeros(5, np.int16)), r"sensor Acc: column counts is no \(n, 3\) table"),
+        (
+            replace("sensors/Acc/counts", np.zeros((5, 2), np.int16)),
+            r"sensor Acc: column counts is not an \(n, 3\) table",
+        ),
+        (replace("sensors/Acc/counts", np.zeros(5, np.int16)), r"sensor Acc: column counts is not an \(n, 3\) table"),
         (replace("sensors/Acc/counts", np.zeros((5, 3))), "sensor Acc: column counts is not a column of whole numbers"),
         (replace("sensors/Acc/time", np.arange(5.0)), "sensor Acc: column time is not a column of whole numbers"),
         (replace("sensors/Acc/status", np.full(5, -1)), "sensor Acc: column status is not a column of whole numbers"),

@@ -47,9 +47,9 @@ def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> 
         ("", "", "[::1]:8765", {"Sec-Fetch-Site": "none"}, None),
         ("", "", "[::1]", {}, None),
         ("", "", "127.0.0.2:8765", {}, None),  # no name, so that nobody can have made it lead here
-        ("", "", "[::ffff:192.168.1.5]:8765", {}, "foreign name"),
-        ("", "", "evil.example:8765", {}, "foreign name"),
-        ("", "", "127.0.0.1.evil.example", {}, "foreign name"),
+        ("", "", "[::ffff:192.168.1.5]:8765", {}, "another host name"),
+        ("", "", "evil.example:8765", {}, "another host name"),
+        ("", "", "127.0.0.1.evil.example", {}, "another host name"),
         ("", "", "127.0.0.1:8765", {"Sec-Fetch-Site": "cross-site"}, "another page"),
         ("", "", "127.0.0.1:8765", {"Sec-Fetch-Site": "same-site"}, "another page"),
         ("", "", "127.0.0.1:8765", {"Origin": "http://evil.example"}, "another page"),

@@ -354,8 +354,9 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
     samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
     are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
-    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`). Correlations no larger than
-    chance makes those of white noise tell no filter.
+    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`). Phases are weighted by their
+    rows. Correlations tell no filter if neither they nor their mean over the phases are larger than chance makes those
+    of white noise.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
@@ -372,9 +373,12 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     without_memory = _beyond_wander(correlations, np.zeros_like(correlations), least_wander)
     if np.abs(without_memory).max() < LEAST_CORRELATION:
         return None
-    chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
-    white = float(np.square(without_memory).sum())
-    if white <= chance:
+    rows = np.array([max(phase.rows, 1) for phase in rests])
+    weight = rows / rows.sum()
+    chance_of_mean = _BY_CHANCE * _LAGS / float(rows.sum())
+    chance = chance_of_mean * len(rests)
+    white = float(weight @ np.square(without_memory).sum(axis=1))
+    if white <= chance and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
         return None
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
@@ -382,7 +386,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
     for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
-        misfit = float(np.square(_beyond_wander(correlations, expected[of_kind], least_wander)).sum())
+        misfit = float(weight @ np.square(_beyond_wander(correlations, expected[of_kind], least_wander)).sum(axis=1))
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
