@@ -36,11 +36,26 @@ def test_a_place() -> None:
 def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) -> None:
     response = size * np.array([0.05, 0.02, 0.0, 0.0, -0.05, 0.0, 0.01, 0.0, 0.03])
     evidence = evidence_of(kind, "G1", {"G1": (GSensitivity(tuple(response.tolist())),)}, seed=7)
-    (trial,) = G_SENSITIVITY.guesses(evidence)
+    trials = list(G_SENSITIVITY.guesses(evidence))
+    for trial in trials:
+        (effect,) = trial.effects
+        assert isinstance(effect, GSensitivity)
+        np.testing.assert_allclose(effect.response, response, atol=2 * tolerance)
+        assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, as numbers cost that are refined
+    np.testing.assert_allclose(trials[0].effects[0].response, response, atol=tolerance)
+    assert len(trials) == (2 if kind == "tumble" else 1)
+
+
+@pytest.mark.slow
+def test_only_what_is_clear_of_a_force() -> None:
+    """One of nine responses, each of which has an error of its own."""
+    alone = GSensitivity((0.0,) * 5 + (0.05,) + (0.0,) * 3)
+    *_, trial = G_SENSITIVITY.guesses(evidence_of("tumble", "G1", {"G1": (alone,)}, seed=7))
     (effect,) = trial.effects
     assert isinstance(effect, GSensitivity)
-    np.testing.assert_allclose(effect.response, response, atol=tolerance)
-    assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, as numbers cost that are refined
+    assert np.flatnonzero(effect.response).tolist() == [5]
+    assert effect.response[5] == pytest.approx(0.05, abs=0.005)
+    assert trial.rarity == 1.0
 
 
 @pytest.mark.slow

@@ -18,10 +18,13 @@ _AT_REST = ("force_own", "force_next", "force_after", "mean")
 _IN_MOTION = ("motion_coupling", "motion_residual")
 _BEYOND = 2.7
 
+_CLEAR, _SMALL = 4.0, 0.2
+"""Standard errors from which on a response is clear, and its least share of the largest one."""
+
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Least squares of the levels over the force on each face; where there are no faces, of what the other sensors
-    don't explain in motion over the accelerometers' mean.
+    """Least squares of the levels over the force on each face, with all responses and with those alone that are clear;
+    where there are no faces, of what the other sensors don't explain in motion over the accelerometers' mean.
     """
     yield from with_removal(evidence, GSensitivity.name, _hypotheses(evidence))
 
@@ -29,33 +32,40 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.quantity != "angular_rate":
         return
-    response_g = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else None
-    if response_g is None and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
-        response_g = _from_motion(evidence)
-    if response_g is not None and response_g.any():
-        fitted = float(np.count_nonzero(response_g))  # numbers, whose cost none of them being refined doesn't save
-        yield Hypothesis((GSensitivity(tuple(response_g.ravel().tolist())),), rarity=fitted)
+    responses_g = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else []
+    if not responses_g and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
+        responses_g = _from_motion(evidence)
+    for response_g in responses_g:
+        if response_g.any():
+            fitted = float(np.count_nonzero(response_g))  # numbers, whose cost none of them being refined doesn't save
+            yield Hypothesis((GSensitivity(tuple(response_g.ravel().tolist())),), rarity=fitted)
 
 
-def _from_faces(evidence: Evidence) -> Floats | None:
-    """(3, 3); None unless faces differ. Directions that were not felt get 0."""
+def _from_faces(evidence: Evidence) -> list[Floats]:
+    """(3, 3) each; none unless faces differ. Directions that were not felt get 0."""
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
-        return None
-    felt = table.felt_g[known] - table.felt_g[known].mean(axis=0)
+        return []
+    felt, mean = table.felt_g[known] - table.felt_g[known].mean(axis=0), table.mean[known]
     if not felt.any():
-        return None
-    beyond = np.linalg.lstsq(felt, table.mean[known], rcond=1e-6)[0].T
-    return np.asarray(beyond + np.where(beyond != 0, evidence.fitted.response, 0.0))
+        return []
+    beyond = np.linalg.lstsq(felt, mean, rcond=1e-6)[0].T
+    variance = (mean - mean.mean(axis=0) - felt @ beyond.T).var(axis=0)
+    inverse = np.diag(np.linalg.pinv(felt.T @ felt, rcond=1e-6, hermitian=True))
+    size = np.abs(beyond)
+    is_clear = (size > _CLEAR * np.sqrt(variance[:, None] * inverse)) & (size > _SMALL * size.max())
+    response_g = beyond + np.where(beyond != 0, evidence.fitted.response, 0.0)
+    clear_g = np.where(is_clear, response_g, 0.0)
+    return [response_g] if is_clear[beyond != 0].all() else [response_g, clear_g]
 
 
-def _from_motion(evidence: Evidence) -> Floats | None:
+def _from_motion(evidence: Evidence) -> list[Floats]:
     table = moments(evidence)
     if table is None:
-        return None
+        return []
     force, shared, _ = table.beside(FORCE)
-    return np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)
+    return [np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)]
 
 
 G_SENSITIVITY = Candidate(
