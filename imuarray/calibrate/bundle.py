@@ -1,13 +1,14 @@
-"""All triads and all poses at once: maximum likelihood for responses, biases and the directions of gravity.
+"""Joint fit of all triads in all poses: maximum likelihood for responses, biases and the directions of gravity.
 
-Every axis of every sensor is a straight line in a direction that all sensors share but nobody knows::
+Every axis of every sensor is a linear function of the direction of gravity, which all sensors share and which is
+unknown::
 
     reading = row @ up + bias (+ drift terms) + noise,      |up| = 1
 
-It is a bundle adjustment, as photogrammetry has it with cameras and points (Triggs et al., Vision Algorithms, LNCS
-1883, 2000): Gauss-Newton on the directions, the axes eliminated by their Schur complement. Turning all directions and
-all rows together changes nothing; the box frame is the one in which the mean response of all sensors, each turned by
-its configured axes, is symmetric: by and large they point where the configuration says.
+This is a bundle adjustment, as photogrammetry has it with cameras and points (Triggs et al., Vision Algorithms, LNCS
+1883, 2000): Gauss-Newton on the directions, the axes eliminated by their Schur complement. A common rotation of all
+directions and all rows changes nothing; the box frame is defined as the one in which the mean response of all sensors,
+each turned by its configured axes, is symmetric: on average they point where the configuration says.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Several calibrations of one array beside each other: what changed from one to the next and by how many standard
-errors, which part of it is common to the units of a design, and what opposing axes cancel of it.
+"""Comparison of several calibrations of one array: what changed between them, in standard errors.
 
-A figure that was measured n times with standard errors s_i is taken to have changed if ``sum of (x_i - mean)^2 /
-s_i^2`` about the weighted mean is more than chi-square of n - 1 degrees of freedom makes by chance, all figures allowed
-for (Holm). Biases are compared at one temperature where the calibrations know theirs and their slopes.
+A figure that was measured n times with standard errors s_i has changed if ``sum of (x_i - mean)^2 / s_i^2`` about the
+weighted mean exceeds what chi-square of n - 1 degrees of freedom gives by chance, corrected for the number of figures
+(Holm). Biases are compared at one temperature where the calibrations know theirs and their slopes.
 
-What changes alike in all U units of a design along one of their own axes, c_k in calibration k, is told from what each
-does alone by the analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest.
+The change that is common to all U units of a design along one of their own axes, c_k in calibration k, is separated
+from that of each unit by the analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest. The
+comparison also states what opposing axes cancel of it.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""Sums of squares under noise that remembers: white noise plus a first-order Gauss-Markov process.
+"""Least squares in correlated noise: white noise plus a first-order Gauss-Markov process.
 
-Means of segments of an inertial sensor's output are not independent: its bias wanders. Their covariance is taken as::
+Means of segments of an inertial sensor's output are not independent, because its bias wanders. Their covariance is
+modelled as::
 
     C[i, j] = (1 - white) exp(-|t_i - t_j| / correlation time) + white (i = j),     times an unknown variance
 
-Nobody knows correlation time and white share beforehand, and one pair that fits well makes uncertainties too small.
-So a grid of them is kept, drawn in around those that are likely, each as heavy as its restricted likelihood (Harville,
-J. Am. Stat. Assoc. 72, 1977, p. 320), and what the pairs disagree about is part of the variance.
+Correlation time and white share are unknown beforehand, and a single well-fitting pair of them makes uncertainties too
+small. A grid of pairs is therefore kept, refined around the likely ones, each weighted by its restricted likelihood
+(Harville, J. Am. Stat. Assoc. 72, 1977, p. 320); the disagreement between pairs is part of the variance.
 
-Neighbours' differences z_i = y_i - r_i y_(i-1), r_i = exp(-dt_i / correlation time), have a tridiagonal covariance, so
-that every pair costs no more than a pass over the data.
+The differences of neighbours z_i = y_i - r_i y_(i-1), r_i = exp(-dt_i / correlation time), have a tridiagonal
+covariance, so every pair costs one pass over the data.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""Drift of a bias while the box stands still: a first-order Gauss-Markov process under white noise, by likelihood.
+"""Drift of a bias while the box stands still: maximum likelihood of a first-order Gauss-Markov process in white noise.
 
-Means over segments of T seconds of a process with variance v and time constant tau have the variance
-``v 2 (tau/T)^2 (T/tau - 1 + exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``:
-those of a sampled process under white noise, so that a Kalman filter gives their exact likelihood. The level of each
-stretch is not known and is integrated out, which also corrects for the freedom it takes (restricted maximum likelihood:
-Patterson and Thompson, Biometrika 58, 1971). Several averaging times are in it at once: a process shows in means over
-long times, white noise in those over short ones.
+Means over segments of T seconds of a process with variance v and time constant tau have the variance ``v 2 (tau/T)^2
+(T/tau - 1 + exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``: those of a sampled
+process in white noise, so a Kalman filter gives their exact likelihood. The level of each stretch is unknown and is
+integrated out, which also corrects for the degree of freedom that it takes (restricted maximum likelihood: Patterson
+and Thompson, Biometrika 58, 1971). Several averaging times enter together: a process shows in means over long times,
+white noise in those over short ones.
 
-The filter runs for a grid of time constants and of ratios of drift to noise together, first a coarse one, then a fine
-one about the maximum. Standard errors and bounds weigh the grid by the likelihood, flat in the rms and in the log of
-the time constant.
+The filter runs for a grid of time constants and of ratios of drift to noise, first a coarse one, then a fine one about
+the maximum. Standard errors and bounds weigh the grid by the likelihood, with a prior that is flat in the rms and in
+the logarithm of the time constant.
 """
 
 from __future__ import annotations

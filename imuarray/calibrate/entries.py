@@ -1,7 +1,7 @@
 """Tables of the calibration file: written from dataclasses, read back key by key.
 
-A reader takes what stands in the file and the place where it stands, and gives the value or a CalibrationError; a table
-is read by a mapping from its keys to readers. The keys that a table must have are the fields without a default.
+A reader takes a value of the file with its place in it, and returns the value or raises a CalibrationError. A table is
+read by a mapping from its keys to readers. The keys that a table must have are the fields without a default.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Six faces of a box on a table (the paper's Appendix B): bias, response and g-sensitivity from known directions of
-gravity.
+"""Six faces of a box on a table (the paper's Appendix B): bias, response and g-sensitivity from known directions.
 
-Every axis is a straight line in the direction of gravity: ``mean counts = response_row @ up + bias``. With one
+Every axis is a linear function of the direction of gravity: ``mean counts = response_row @ up + bias``. With one
 reading of each of the six faces the least-squares solution is the appendix's: half differences and the mean of six. A
-face that was read again tells the drift and is not part of the fit, except in a gyroscope's bias, which the paper
-takes over all readings (Table 4).
+repeated face measures the drift and is not part of the fit, except in a gyroscope's bias, which the paper takes over
+all readings (Table 4).
 
-Readings may be off by more than noise: a table leans, a bias wanders. That shows in the two degrees of freedom that
-six faces leave an axis; where it is significant it is part of the standard errors, as much in every reading of a
-sensor. A leaning table is felt by all sensors: their errors are then alike.
+Readings may be off by more than noise, because a table leans or a bias wanders. That shows in the two degrees of
+freedom that six faces leave per axis; where it is significant it is part of the standard errors, equally in every
+reading of a sensor. A leaning table affects all sensors, so their errors are then correlated.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Effect of gravity on gyroscopes at rest: bias and g-sensitivity from any static poses (the method of the paper's
-Table 4, the whole matrix).
+"""Bias and g-sensitivity of gyroscopes from any static poses (the method of the paper's Table 4, the whole matrix).
 
-``mean counts = g_sensitivity @ up + bias (+ drift)``, in the directions of gravity that the accelerometers gave. The
-paper's caveat holds: what a bias does from pose to pose, by temperature above all, looks like g-sensitivity. A steady
-drift is fitted beside it where it is significant, and what is left raises the standard errors.
+The model is ``mean counts = g_sensitivity @ up + bias (+ drift)``, with the directions of gravity from the
+accelerometers. The paper's caveat holds: a change of the bias from pose to pose, by temperature above all, looks like
+g-sensitivity. A steady drift is part of the fit where it is significant, and the residuals raise the standard errors.
 """
 
 from __future__ import annotations

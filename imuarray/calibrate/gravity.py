@@ -1,17 +1,17 @@
-"""Direction of gravity, from nothing but its length: a start for the joint fit.
+"""Joint calibration of accelerometers and directions of gravity from static poses, by the known length of gravity.
 
-Per accelerometer, ``|shape @ (mean - bias)| = 1 g`` over all poses gives the bias (3) and a triangular shape matrix
-(6): an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). What is left, a turn per sensor, comes from
-the others: all felt the same, so their directions are turned onto each other.
+Any static poses will do, without a levelled table and without labels: in each of them the specific force is one g long,
+and all accelerometers sense the same vector.
 
-Any static poses, no table, no labels: in every one of them the specific force is one g long, and all accelerometers
-feel the same.
+The fit starts with each accelerometer alone. ``|shape @ (mean - bias)| = 1 g`` over all poses gives its bias (3) and a
+triangular shape matrix (6), an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). The rotation of each
+sensor, which the length leaves open, follows from the others: all sensed the same, so their directions are turned onto
+each other.
 
-From directions near the truth (`ellipsoid`) all sensors and all directions are fitted at once (`bundle`), biases that
-drift while the box is tumbled among them, and what no calibration explains is left out.
-
-Weights are those of the noise within poses; an axis whose readings scatter more from pose to pose than that gets a
-variance of its own, so large that its residuals are what they should be.
+From this start all sensors and all directions are fitted together (`imuarray.calibrate.bundle`), including the drift of
+biases while the box is tumbled. Poses that no calibration explains are left out. Weights are those of the noise within
+poses; an axis whose readings scatter more from pose to pose gets a variance of its own, as large as its residuals
+require.
 """
 
 from __future__ import annotations

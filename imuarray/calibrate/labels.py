@@ -1,8 +1,8 @@
-"""Faces against their labels: which box axis the accelerometers felt upwards, and which the phase says.
+"""Verification of face labels: the box axis that the accelerometers felt upwards against the one that the phase states.
 
-A face that most accelerometers contradict has the wrong label; a sensor that contradicts them otherwise than the rest
-is mounted otherwise than the log says. Where one and the same turn, or mirror, of the box explains all faces, it may be
-either, and the error says so.
+A face that most accelerometers contradict has the wrong label; a sensor that contradicts the labels otherwise than the
+rest is mounted otherwise than the log says. Where a single rotation, or mirroring, of the box explains all faces,
+either may be the case, and the error says so.
 """
 
 from __future__ import annotations

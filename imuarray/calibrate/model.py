@@ -1,16 +1,15 @@
-"""The parameters of each sensor, and the file that keeps them (`stored.py` reads it back).
+"""Parameters of each sensor, and the calibration file that keeps them (`imuarray.calibrate.stored` reads it back).
 
 Measurement model of a triad, counts of one reading::
 
     counts = response @ stimulus_box + bias + noise           accelerometer, gyroscope
     counts = ... + g_sensitivity @ (specific force in g)      gyroscope only
 
-`stimulus_box` is the specific force in g or the angular rate in dps in the box frame; row k of `response` (counts per
-unit) is what the sensor's axis k answers to each box axis, so that scale factor, misalignment and orientation are all
-in it.
+`stimulus_box` is the specific force in g or the angular rate in dps in the box frame. Row k of `response` (counts per
+unit) is the response of the sensor's axis k to each box axis; it includes scale factor, misalignment and orientation.
 
-Figures that one measurement gives together are a group (`GROUPS`): they are replaced together, and each group says
-where it came from.
+Figures that result from one measurement form a group (`GROUPS`): they are replaced together, and each group states its
+origin.
 """
 
 from __future__ import annotations

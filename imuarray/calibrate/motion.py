@@ -1,6 +1,7 @@
-"""A stretch of a log at rest where no phase says that there is one.
+"""Rest and motion of the box in a log: the longest rest where no phase notes one, and signs that the box moved.
 
-Whether the box stood still where a calibration needs it to: a figure that is made of motion is none of a sensor.
+A calibration at rest refuses stretches in which the box moved: a figure computed from motion is not a property of the
+sensor.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""Periodic parts of a sensor's noise: lines of its spectrum, steady ones and ones that wander.
+"""Noise of inertial sensors at rest: scatter of single readings, spectral lines, and the drift of the bias.
 
-A steady line is looked for in the mean spectrum of all stretches, where it stands out most. One that wanders (an
-interference between two clocks that warm up apart, say) is smeared there: it is looked for window by window, and what
-is found in one window continues what was found near by in the one before.
+`calibrate noise` measures, for each axis while the box stands still, the standard deviation of single readings about
+the means of segments, the correlation of neighbouring readings, the lines of the spectrum, and how the bias drifts
+(`imuarray.calibrate.drift`).
 
-How single readings scatter at rest, and the colour of it: size, correlation from one reading to the next, lines.
-
-`calibrate noise`: what a sensor reads while the box stands still, per axis: how much single readings scatter and of
-what colour that is, and how the bias wanders.
+A steady line is detected in the mean spectrum of all stretches, where it stands out most. A line whose frequency
+wanders (an interference between two clocks that warm up independently, for example) is smeared there. It is detected
+window by window, and a line in one window continues the line at a nearby frequency in the window before.
 """
 
 from __future__ import annotations

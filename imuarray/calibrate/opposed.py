@@ -1,14 +1,13 @@
-"""The part of biases that pairing anti-parallel axes of one design would cancel (the paper's section 2.1).
+"""Cancellation of biases and temperature drift by anti-parallel axes of one design (the paper's section 2.1).
 
-An error that all units of a design share adds up among axes that point the same way and cancels between opposite
-ones. Here it is looked at where it shows first: in the calibrated biases, turned into the box frame.
+An error that all units of a design share adds up among axes that point the same way and cancels between opposite ones.
+Here it is evaluated in the calibrated biases, turned into the box frame, where it shows first (`cancellation`), and in
+the slopes with temperature (`opposed_slopes`).
 
-What a pair of opposing axes of one design cancels of its temperature drift (section 2.1 of the paper).
-
-In the box frame one axis of the pair counts with the other's sign, so that their mean drifts with half the difference
-of their slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2, 0.263 had both pointed the same way.
-Opposing them is better than not exactly when the slopes have the same sign. That both have it for sure is the test: the
-larger of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
+In the box frame one axis of a pair counts with the other's sign, so the mean of the pair drifts with half the
+difference of the two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; it would be 0.263 if both
+pointed the same way. Opposed axes drift less than parallel ones exactly when the two slopes have the same sign. Whether
+both certainly have it is tested by the larger of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Orientation of every sensor, from a few poses held by hand: signed axes, so that nobody fills in a sign.
+"""Orientation of every sensor as signed axes, from a few poses held by hand, so that nobody has to fill in a sign.
 
-Nothing is believed of the axes that a log says. Of 24 proper turns of a sensor in the box (no chip is a mirror image)
-the one is taken that explains best
+The axes that a log states are ignored. Of the 24 proper rotations of a sensor in the box (no chip is a mirror image)
+the one that explains the data best is taken
 
-* an accelerometer: gravity in the poses, of which it is known which box axis was up;
-* a gyroscope: how it turned from one pose to the next, carrying gravity with it;
-* a magnetometer: a field that stays where it is in the world while the box turns as the gyroscopes say, and an offset.
+* for an accelerometer: gravity in the poses, of which it is known which box axis was up;
+* for a gyroscope: how it turned from one pose to the next, carrying gravity with it;
+* for a magnetometer: a field that is fixed in the world while the box turns as the gyroscopes say, and an offset.
 
-The next best turn must explain it clearly worse; a sensor of which that is not so isn't told.
+The second best rotation must explain the data clearly worse; otherwise the sensor's orientation is not reported.
 """
 
 from __future__ import annotations

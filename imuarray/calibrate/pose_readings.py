@@ -1,14 +1,12 @@
-"""Static poses: stretches in which the box did not move, and what every sensor read in them.
+"""Static poses of the box in a log, and the readings of every sensor in them.
 
-A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
-windows of half a second in which the accelerometers hardly move and no gyroscope turns, joined as long as their means
-agree. In a log without accelerometers its gyroscopes tell, or else its magnetometers (`find_rests`).
+The phases of a log may name the faces (`z_up`, `x_down`, ...) and thus the poses. In any other log poses are detected:
+windows of half a second in which the accelerometers hardly move and no gyroscope turns are joined as long as their
+means agree. In a log without accelerometers the gyroscopes are used, or else the magnetometers (`find_rests`).
 
-Readings of many sensors over many poses as arrays, and how well their means are known.
-
-The readings of a sensor at rest that count, a block at a time, and where they follow one another without a gap.
-
-Stale, saturated and suspect rows are left out; readings on either side of a gap are no neighbours.
+Readings at rest are taken a block at a time. Stale, saturated and suspect rows are left out; readings on either side of
+a gap do not count as neighbours. `PoseReadings` holds the means of many sensors over many poses as arrays, with their
+standard errors.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
-"""Accelerometers from a box that is tumbled slowly by hand and never rests: gravity's length along the path.
+"""Accelerometers calibrated from a box that is tumbled slowly by hand and never rests: gravity's length along the path.
 
-A hand that turns a box slowly adds tens of mg to gravity, as often to it as against it. The path is cut into stretches
-of half a second. In each, what every axis reads in the middle is taken from a parabola through its readings (a mean
-would be too short, by the turn within it), and all sensors are fitted to one g as static poses are (`gravity.py`).
+A hand that turns a box slowly adds tens of mg to gravity, as often with its sign as against it. The path is cut into
+stretches of half a second. In each, the reading of every axis in the middle is taken from a parabola through its
+readings (a mean would be too short, by the turn within it), and all sensors are fitted to one g as static poses are
+(`imuarray.calibrate.gravity`).
 
-A stretch weighs by its motion q: what its readings scatter about the parabola beyond the noise, and what a turn about
-a wrist makes, ``r w^2``. The length of the force is off by ``a q`` (one sigma); a is told by the lengths themselves.
-It is the same error in all sensors, so that more of them don't make the lengths better known.
+The weight of a stretch depends on its motion q: the scatter of its readings about the parabola beyond the noise, and
+the acceleration of a turn about a wrist, ``r w^2``. The length of the force is off by ``a q`` (one sigma), where a is
+estimated from the lengths themselves. The error is the same in all sensors, so more of them don't make the lengths
+better known.
 """
 
 from __future__ import annotations

@@ -1,15 +1,18 @@
-"""Runs that came up wrong, and one state or two of the others: from run means, all axes together.
+"""Runs of a turn-on series: their mean readings, the runs that came up wrong, and one state or two of the others.
 
-Two states: with the scatter of all runs made round (the same in all directions, which takes nothing away: a common
-covariance is not known anyway), the split into two groups that leaves the least scatter within them is the likeliest
-one. The share of the scatter that it explains does not depend on scale or correlation of the axes, so how large it gets
-by chance follows from the number of runs alone and is drawn: for normal scatter and for heavy tails (Student's t with
-three degrees of freedom), and it has to beat both.
+A run is a phase or a whole short log. `read_runs` gives what a sensor read in each: the mean, the temperature, and
+means of segments, which show how the reading wandered meanwhile. Runs that came up wrong and states are detected in the
+run means, all axes together.
 
-With temperatures each group is a line in temperature and both have the same slope, so that a warm-up is not called a
-state: scatter is what a line leaves, and a split explains ``|sum of one group|^2 / |its membership less a line|^2``.
+For the test of two states the scatter of all runs is made round, that is, the same in all directions; no information is
+lost, because a common covariance is unknown anyway. The likeliest split into two groups is then the one that leaves the
+least scatter within them. The share of the scatter that it explains does not depend on the scale or correlation of the
+axes, so its distribution by chance follows from the number of runs alone. It is simulated, for normal scatter and for
+heavy tails (Student's t with three degrees of freedom), and the share has to exceed both.
 
-Many short logs as runs: what each sensor read in each, how warm it was, and how its reading wandered meanwhile.
+With temperatures each group is a line in temperature, and both lines have the same slope, so that a warm-up is not
+taken for a state: scatter is the residual from a line, and a split explains ``|sum of one group|^2 / |its membership
+less a line|^2``.
 """
 
 from __future__ import annotations

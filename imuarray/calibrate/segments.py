@@ -1,6 +1,6 @@
-"""A long log in a few numbers: means over segments of some seconds, and what the thermometer said beside them.
+"""Means of a long log over segments of some seconds, with the temperatures that the thermometer read meanwhile.
 
-Rows are read a block at a time; what is kept is a row a segment.
+Rows are read a block at a time; one row per segment is kept.
 """
 
 from __future__ import annotations

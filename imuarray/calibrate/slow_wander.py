@@ -1,17 +1,17 @@
-"""Least squares for slow regressors, such as a temperature, in noise whose slow part is not known: in cosines.
+"""Least squares for slow regressors, such as a temperature, in noise whose slow part is unknown, by cosine transform.
 
-The noise of the rows (means of segments, a step apart) is taken as white plus a wander: a random walk, or a
+The noise of the rows (means of segments, a step apart) is modelled as white noise plus a wander: a random walk, or a
 Gauss-Markov process of some correlation time. Cosines of the row number (DCT-II) are the principal components of a
 random walk with unknown level (its increments' Neumann boundary), and nearly those of the others; the constant is the
 zeroth of them and drops out. With ``lambda_k = 2 - 2 cos(pi k / n)`` a cosine then has the variance::
 
     S_k = 1 + a^2 / (n (lambda_k + (step / correlation time)^2)),     times an unknown variance
 
-Slopes depend on the few slowest cosines. The restricted likelihood of a whole log knows little about these, so it
-only decides how they are weighed. What an estimate is uncertain by is scaled by the residuals of the slow cosines
-themselves, with the few degrees of freedom that they have (as in Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat.
-36, 2018). Intervals of 95 % then held the truth in 97 to 98 % of logs with white noise, and in 90 to 99 % of those with
-wander, random walks and flicker noise of any size; the likelihood alone held it in 76 to 93 % of the latter two.
+Slopes depend on the few slowest cosines. The restricted likelihood of a whole log says little about these, so it only
+determines their weights. The uncertainty of an estimate is scaled by the residuals of the slow cosines themselves, with
+the few degrees of freedom that they have (as in Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36, 2018).
+Intervals of 95 % then held the truth in 97 to 98 % of logs with white noise, and in 90 to 99 % of those with wander,
+random walks and flicker noise of any size; the likelihood alone held it in 76 to 93 % of the latter two.
 
 A gap between rows counts as a step.
 """

@@ -1,17 +1,16 @@
-"""One sensor through one heating: a parabola in its lagged temperature and a line in time, in noise that wanders.
+"""Thermal calibration: slopes of counts over temperature from heatings, with curvature, drift and thermal lag.
 
-Per axis ``counts = offset + slope (T - reference) + quadratic (T - reference)^2 + drift t + noise``, T behind a
-first-order lag that the three axes share. The lag has no closed form: a grid of lags is fitted and each is as heavy as
-its likelihood, so that not knowing it is part of a slope's standard error. `imuarray.calibrate.slow_wander` fits.
+The model of one axis in one heating is ``counts = offset + slope (T - reference) + quadratic (T - reference)^2 + drift
+t + noise``, where T passes a first-order lag that the three axes share and the noise wanders. The lag has no closed
+form: a grid of lags is fitted, each weighted by its likelihood, so that the uncertainty of the lag is part of a slope's
+standard error. `imuarray.calibrate.slow_wander` fits.
 
-The curvature is in every fit, significant or not. Without it a ramp that spent most of its time at one end would tell
-the slope at that end, with an error that knows nothing of the rest, and a lag would be taken for the curve.
+The curvature is in every fit, significant or not. Without it a ramp that spent most of its time at one end would give
+the slope at that end, with a standard error that ignores the rest, and a curvature would be taken for a lag.
 
-`calibrate thermal`: counts against temperature, with drift and thermal lag allowed for; what the slope of an axis
-that carries 1 g is, where that can be told; and what opposing axes cancel.
-
-A slope of an axis that carries g gs of gravity is ``bias slope + g * sensitivity * scale slope``. One orientation gives
-one such equation and two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
+An axis that carries g gs of gravity has the slope ``bias slope + g * sensitivity * scale slope``. One orientation gives
+one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both. The result also
+states what pairs of opposing axes cancel (`imuarray.calibrate.opposed`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""`calibrate turn-on`: how much a bias changes from one switch-on to the next, beyond what it does within a run.
+"""`calibrate turn-on`: change of a bias from one switch-on to the next, beyond its change within a run.
 
-Runs that came up wrong are set apart first; then the others are asked for two states; what is left about the states,
-and about a line in temperature (a warm-up is no turn-on), is compared with what the scatter within runs makes of a
-run's mean: for each noise that those may have, the ratio of the two variances follows an F distribution if switching
-on changes nothing.
+Runs that came up wrong are set apart first; the others are then tested for two states. The remaining scatter about the
+states, and about a line in temperature (a warm-up is no turn-on), is compared with the variance of a run's mean that
+the scatter within runs predicts: for each noise that the runs may have, the ratio of the two variances follows an F
+distribution if switching on changes nothing.
 """
 
 from __future__ import annotations

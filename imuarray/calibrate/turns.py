@@ -1,15 +1,17 @@
-"""Gyroscopes from the turns between poses, with the accelerometers as reference: scale factors and axes.
+"""Scale factors and axes of gyroscopes from the turns between poses, with the accelerometers as reference.
 
 A gyroscope's rates, integrated from one pose to the next, must carry gravity's direction before the turn into that
-after it. Each turn says two things (a turn about the vertical is not seen) of nine, the response's inverse::
+after it. Each turn gives two equations (a turn about the vertical is not seen) for the nine elements of the response's
+inverse::
 
     rate_box = inverse @ (counts - bias - g_sensitivity @ force)
 
-The bias over a turn is what the gyroscope read in the poses before and after it, so that drift does not matter. Rates
-are linear between readings; their rotation is that of the mean rate and the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz,
-IEEE Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). Nonlinear least squares; the noise that the poses show, carried
-through a turn, is the weight, raised where residuals say so. The data sheet's response with its tolerance is one more
-measurement: what turns about too few axes leave open is known as well as the data sheet promises, and no better.
+The bias over a turn is taken from the poses before and after it, so that drift does not matter. Rates are linear
+between readings; their rotation is that of the mean rate and the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz, IEEE
+Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). The fit is nonlinear least squares, weighted by the noise of the
+poses, carried through a turn, and raised where residuals require it. The data sheet's response with its tolerance is
+one more measurement: directions that turns about too few axes leave open are known as well as the data sheet promises,
+and no better.
 """
 
 from __future__ import annotations
