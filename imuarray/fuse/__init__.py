@@ -1,9 +1,9 @@
-"""One specific force and one angular rate from all sensors of an array: the simple average, the paper's three
-techniques, and the estimator of the whole array that contains them.
+"""Fusion of all sensors of an array into one specific force and one angular rate.
 
-`imuarray.fuse(log, calibration, technique)` does all of it and returns a `FusedResult` (`imuarray.analysis.fuse`);
-the function `fuse` below gives the frames block by block. The names below are loaded when first used: half of a
-second is saved by a command that needs few of them.
+The techniques are the simple average, the paper's three techniques, and the estimator of the whole array that contains
+them. `imuarray.fuse(log, calibration, technique)` does all of it and returns a `FusedResult`
+(`imuarray.analysis.fuse`); the function `fuse` below gives the frames block by block. The names below are loaded when
+first used, which saves half a second in a command that needs few of them.
 """
 
 from __future__ import annotations

@@ -1,22 +1,21 @@
-"""Rows of one sensor as they come, kept as long as they are required.
+"""Alignment of all sensor axes of one quantity to one time grid, as a pure function of the readings around it.
 
-The times of the frames: those of a sensor that is read in the middle of them, and of others while it is silent.
+`Rows` holds the rows of one sensor as they arrive, as long as they are required. `choose` selects the times of the
+frames: those of a sensor that is read in the middle of them, and those of others while it is silent. `align` computes
+the frames.
 
-Cubic splines that know where their data pauses.
+Each sensor contributes its nearest reading within half a frame. A reading belongs to an instant some time before it was
+read; the change of the motion between that instant and the frame's is removed with the slope of the array's own mean.
+The mean is far quieter than one sensor, so no reading is smoothed by its neighbours, and it is robust against a sensor
+that fails (`imuarray.fuse.least_squares.consensus`). Its derivatives are those of cubic splines that do not reach
+across gaps. Values are calibrated, in SI, along each sensor axis, with the bias at the temperature of the reading where
+that is known.
 
-All sensor axes of one quantity on one time grid: a pure function of the readings around it.
-
-Each sensor gives its nearest reading within half a frame, which was made some time before it was read; what the motion
-did between the instant of the frame and that one is taken out with the slope of the array's own mean, which is far
-quieter than one sensor, so that no reading is smoothed by its neighbours (and of which a sensor that fails does not get
-hold: `consensus.py`). Values are calibrated, in SI, along each
-sensor axis, with the bias at the temperature of the reading where that is known.
-
-The slope m' of a spline through white noise scatters by 1.18 a frame, and makes the mean of readings whose mean delay
-is d noisier by ``9 (2 / sqrt 3 - 1) d^2`` of its variance, d in frames. The curvature m'' goes against the noise of the
-mean itself, by ``-6 (sqrt 3 - 1)`` of its variance: a part ``K d^2 m''`` of the second order of Taylor's series, whose
-half is required, with ``K = 3/8 (1 - 1 / sqrt 3)``, takes back what the slope added, but for terms in d^4, and the
-motion is followed the better for it.
+The slope m' of a spline through white noise has 1.18 times the standard deviation of the noise, per frame, and
+increases the variance of the mean of readings with the mean delay d, in frames, by ``9 (2 / sqrt 3 - 1) d^2`` of its
+value. The curvature m'' is correlated with the noise of the mean itself, by ``-6 (sqrt 3 - 1)`` of its variance. The
+second order of Taylor's series requires ``d^2 m'' / 2``; a smaller part of it, ``K d^2 m''`` with ``K = 3/8 (1 - 1 /
+sqrt 3)``, compensates the noise that the slope added, except for terms in d^4, and also follows the motion better.
 """
 
 from __future__ import annotations

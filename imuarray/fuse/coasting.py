@@ -1,9 +1,9 @@
 """Effect of errors of rate and of specific force on a navigator that coasts: heading and velocity after a minute.
 
-The box stands still for some seconds, in which the mean errors are taken out; then nothing is corrected any more. Over
-a minute the small errors of a strapdown navigator follow, in the level frame in which the box stood (Titterton and
-Weston, Strapdown Inertial Navigation Technology, 2nd edition, chapter 12; the Earth's rate and curvature and the
-change of gravity with height are left out, which add less than 1 % in a minute)::
+The box stands still for some seconds, in which the mean errors are removed; after that nothing is corrected. Over a
+minute the small errors of a strapdown navigator follow, in the level frame in which the box stood (Titterton and
+Weston, Strapdown Inertial Navigation Technology, 2nd edition, chapter 12; the Earth's rate and curvature and the change
+of gravity with height are left out, which add less than 1 % in a minute)::
 
     d tilt / dt     = C rate_error
     d velocity / dt = C force_error + tilt x (C force)

@@ -1,11 +1,12 @@
-"""Every technique on one log that knows the truth, with the same calibration: errors, how they compare with the simple
-average of the same sensors, whether covariances hold, and what a navigator makes of it.
+"""Comparison of every technique on one log with known truth: errors, gains over the simple average, and covariances.
 
-Frames count that the average and the technique both know. An interval tells how far chance within this log could
-change a ratio; how a sensor came up this time is the same in all of it.
+All techniques use the same sensors and the same calibration. Only frames that both the average and the technique
+estimate are counted. The errors of a navigator that coasts on each result are compared as well
+(`imuarray.fuse.coasting`). The interval of a ratio covers chance within this log; how a sensor came up this time is the
+same in all of it.
 
-An estimator of the whole array takes longer than all simple techniques together: with an executor another process makes
-its frames in the meantime. Both processes do what one would do, so that the figures are the same.
+An estimator of the whole array takes longer than all simple techniques together. With an executor another process
+computes its frames in the meantime; the figures are the same as from one process.
 """
 
 from __future__ import annotations

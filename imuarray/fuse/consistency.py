@@ -1,11 +1,11 @@
-"""Whether errors are as large as their covariances say: the normalised error squared against its chi-square interval.
+"""Consistency of errors with their covariances: the normalised error squared against its chi-square interval.
 
 ``e' P^-1 e / 3`` has mean 1 if P is right (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
 Navigation, 2001, section 5.4). Its mean over n frames would be chi-square of 3 n degrees of freedom over 3 n if the
-errors forgot from frame to frame. They don't: biases stay. The variance of the mean of normal errors with lagged
-correlations C(k) (3, 3) is ``2 / n sum over k of (1 - |k| / n) |C(k)|^2``, |.| the Frobenius norm, so that the interval
-is taken for the degrees of freedom of a chi-square with that variance. C(k) is about zero, not about the mean: a
-constant error correlates with itself for ever, and a log of it counts little.
+errors of different frames were independent. They are not: biases persist. The variance of the mean of normal errors
+with lagged correlations C(k) (3, 3) is ``2 / n sum over k of (1 - |k| / n) |C(k)|^2``, |.| the Frobenius norm, so the
+interval is that of a chi-square with this variance. C(k) is about zero, not about the mean: a constant error stays
+correlated at every lag, and many frames of it count as few.
 """
 
 from __future__ import annotations

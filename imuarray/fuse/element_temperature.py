@@ -1,11 +1,11 @@
-"""The temperature of each sensor's element, which its bias follows where the calibration has slopes, and the
-uncertainty of a calibration that was made at another temperature.
+"""Temperature of each sensor's element, which its bias follows, and the uncertainty of a bias from another temperature.
 
-`element_temperatures` reads a finished log. `causal_temperatures` uses only rows that were read before the frame: a
-temperature is the mean over the last complete segment of `SEGMENT_S`, extrapolated from its middle along the line
-through the segments of the last `TREND_S`, because a barometer's value of 20 s ago is degrees behind while a box is
-heated. Behind a first-order lag, the element follows straight lines between the middles of segments, and that line
-after the last of them. Before the first segment is complete its rows so far are averaged.
+Biases follow the temperature where the calibration has slopes. `element_temperatures` reads a finished log.
+`causal_temperatures` uses only rows that were read before the frame: a temperature is the mean over the last complete
+segment of `SEGMENT_S`, extrapolated from its middle along the line through the segments of the last `TREND_S`, because
+a barometer's value of 20 s ago is degrees behind while a box is heated. An element with a first-order lag follows
+straight lines between the middles of segments, and the extrapolated line after the last of them. Before the first
+segment is complete its rows so far are averaged.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
-"""Weighted least squares of axis values, frame by frame: ``values = directions @ truth_box + errors``.
+"""Weighted least squares of axis values, frame by frame, and a robust mean of the sensors (`consensus`).
 
-Errors are noise and what a calibration leaves unknown: biases, and responses times the stimulus.
+The model is ``values = directions @ truth_box + errors``. Errors are noise and what a calibration leaves unknown:
+biases, and errors of the responses times the stimulus.
 
-What an array agrees on before anybody has looked for faults: the mean, in which none weighs more than a little who
-is far from the rest.
-
-Where all readings of a frame are about what their mean says, it is the mean. Else each sensor's difference from the
-median of their triads is limited, on its worst axis, to `TOLERATED_SI` and some times the median of all differences (in
-a fast motion sensors that are read one after the other differ, by as much as they are apart in time), and the mean is
-that of the readings so limited: Huber's estimator of location, one step from the median (P. J. Huber, Annals of
-Mathematical Statistics 35, 1964). What is far off is drawn in and not thrown away, so that nothing jumps when somebody
-passes the limit.
+The robust mean is the value on which the sensors agree before any of them has been tested for faults; a sensor that is
+far from the others has little influence on it. Where all readings of a frame are near the values that their mean
+predicts, it is that mean. Otherwise each sensor's difference from the median of the triads is limited, on its worst
+axis, to `TOLERATED_SI` plus a multiple of the median of all differences (in a fast motion sensors that are read one
+after the other differ in proportion to the time between their readings), and the mean is that of the limited readings:
+Huber's estimator of location, one step from the median (P. J. Huber, Annals of Mathematical Statistics 35, 1964). A
+distant reading is limited and not discarded, so that the result does not jump when a reading passes the limit.
 """
 
 from __future__ import annotations

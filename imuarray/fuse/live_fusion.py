@@ -1,10 +1,10 @@
-"""Fusion while recording, in a thread of its own: the recording neither waits for it nor notices its failure.
+"""Fusion during a recording, in a thread of its own: the recording neither waits for it nor is affected by its failure.
 
-Rows go through a bounded queue. If it is full, rows are dropped until half of it is free again, and counted: the log
-has them, so that `imuarray fuse` will not miss them.
+Rows pass through a bounded queue. If it is full, rows are dropped until half of it is free again, and counted; the log
+has them all, so `imuarray fuse` will have them later.
 
-Nothing is fused before the first inertial rows. Where a calibration knows the states in which sensors start, these rows
-come as soon as the states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor
+Fusion starts with the first inertial rows. Where a calibration knows the states in which sensors start, these rows
+arrive as soon as the states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor
 that has to be set up again later keeps its first state.
 """
 

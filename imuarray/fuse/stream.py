@@ -1,12 +1,12 @@
-"""The short way from counts to triads, where there is nothing to think about: every reading was taken at its frame's
-time, none is in doubt, and the technique weighs its axes alike in every frame. Then the result is one matrix times the
-counts, less a constant.
+"""Fusion of rows as they arrive, sensor by sensor, in pieces of any length.
 
-Fusion of rows as they come, sensor by sensor, in pieces of any length: every frame as soon as nothing that comes
-later can change it.
+A frame is fused as soon as nothing that arrives later can change it: it waits for the rows of all sensors up to some
+frames beyond it. A sensor that is silent for longer than a time-out is not waited for; the array is fused without it
+until its rows arrive again.
 
-A frame waits for the rows of all sensors up to some frames beyond it. A sensor that is silent for longer than a
-time-out is not waited for: the array is fused without it until its rows come again.
+Direct combination is a short cut for blocks in which every reading was taken at the time of its frame, none is in
+doubt, and the technique gives the axes the same weights in every frame. The result is then one matrix times the counts,
+less a constant.
 """
 
 from __future__ import annotations

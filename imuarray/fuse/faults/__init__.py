@@ -1,4 +1,4 @@
-"""Sensors that fail: found, told and left out while the others go on.
+"""Fault detection and isolation: sensors that fail are detected, reported and left out while the others go on.
 
 ::
 

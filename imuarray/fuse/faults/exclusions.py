@@ -1,7 +1,4 @@
-"""Axes that are left out, and the conditions for their return.
-
-Puts what was decided into events.
-"""
+"""Exclusions: the axes that are left out, the conditions for their return, and the events that report both."""
 
 from __future__ import annotations
 

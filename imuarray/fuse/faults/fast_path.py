@@ -1,15 +1,15 @@
-"""The short way through decision windows in which nothing happens, which is nearly all of them.
+"""A fast path through decision windows without faults, which are nearly all of them.
 
-Every reading is there, so that what does not depend on what is learnt from window to window is worked out
-for many windows at once: parity is linear, and a residual is that of the readings less that of what the normal model
-makes of seven courses, a constant, the triad and its slope. In a window remain the states of the normal model and
-bounds, each of which costs less than what it stands for: no error of an axis or a sensor gains more than the whole sum
-of squares of the mean residuals; no energy is more than that over the noise alone; no limit of an energy is less than
-that of white noise; and who is left out does not agree if one of its axes is off. Where a bound does not settle it, the
-window is judged the long way, and nothing was done.
+It applies where every reading is present. Quantities that do not depend on what is learnt from window to window are
+computed for many windows at once: parity is linear, and a residual is that of the readings less that of the normal
+model's contribution from seven time courses (a constant, the triad and its slope). What remains per window are the
+states of the normal model and four bounds, each cheaper than the quantity that it bounds: no error of an axis or a
+sensor gains more than the whole sum of squares of the mean residuals; no energy exceeds that sum over the noise alone;
+no limit of an energy is below that of white noise; and an excluded sensor does not agree if one of its axes is off.
+Where the bounds do not settle a window, it is judged in full, and the fast path has changed nothing.
 
-Consecutive windows are passed through by compiled code, where that was built (`_windows.c`). It does the same window by
-window in a small part of the time: NumPy's calls cost more than the few numbers of a window.
+Consecutive windows are processed by compiled code (`_windows.c`) where it was built. It computes the same in a small
+part of the time: a call to NumPy costs more than the few numbers of a window.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Sensors whose readings the log's own flags rule out, or that are not there at all, for long enough to be told.
+"""Fault isolation for one quantity: which sensors are left out in each decision window, why, and when they return.
 
-Triads whose readings don't change: stuck, or so coarse that their noise has vanished.
-
-The decisions: window by window, who is left out, why, and who comes back.
+The decisions rest on the hypotheses of `imuarray.fuse.faults.hypotheses` and on two kinds of evidence from single
+sensors. `Silence` counts the windows in which a sensor is missing or ruled out by the log's own flags, until it has
+lasted long enough to be reported. `Stillness` detects triads whose readings do not change: stuck, or so coarse that
+their noise has vanished.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
-"""Hypotheses of which axis, or which whole sensor, explains best what a window shows: generalised likelihood ratios.
+"""Hypotheses of which axis, or which whole sensor, explains a window best: generalised likelihood ratios.
 
 Two tests, for every axis and for every sensor as a whole:
 
 - mean: the window's mean is off by a constant;
-- energy: single readings scatter about their mean by more than their noise, whatever the course (spikes, noise, a
+- energy: single readings scatter about their mean by more than their noise, whatever the waveform (spikes, noise, a
   fault that begins within the window, another scale).
 
-The hypothesis with the largest gain wins; it is isolated if no other sensor gains nearly as much.
-
-How far each axis has slowly departed from where it began: drift may go so far, a walk-off goes farther.
-
-Which of several sensors that parity can't tell apart is the one: by what only a faulty sensor does by itself.
+The hypothesis with the largest gain wins; it is isolated if no other sensor gains nearly as much. Sensors that parity
+cannot separate are separated by symptoms that a faulty sensor shows on its own (`separate_rivals`). `Baseline` measures
+how far each axis has slowly departed from its starting point: a drift stays within its limit, a walk-off exceeds it.
 """
 
 from __future__ import annotations

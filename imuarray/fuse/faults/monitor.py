@@ -1,10 +1,11 @@
-"""A stage between alignment and technique that leaves out the axes of one quantity that have failed.
+"""Fault monitors: a stage between alignment and technique that leaves out the axes of one quantity that have failed.
 
 Frames are judged in decision windows of a tenth of a second, counted from the first frame, so that the cuts between
-blocks leave no trace. Frames are given back one window late: the window in which a fault is found, and the one before,
-in which it may have begun, are already without it.
+blocks have no effect. Frames are returned one window late: a faulty axis is thus already missing in the window in which
+the fault is detected and in the one before, in which it may have begun.
 
-A pipeline that is given frames without the axes that failed.
+`MonitoredPipeline` puts monitors before another pipeline. `MaskedPipeline` gives a pipeline the frames of a log a
+second time, without the axes that were left out the first time.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Normal behaviour of each axis of an array: noise, slow bias, and errors of calibration that show in motion only.
 
-An axis reads ``value = row @ triad + regressors @ state + noise``: the state holds a bias, three errors of its response
-(what share of each box component it reads too much) and a delay. Each axis' state is a small Kalman filter of its own
-on what parity leaves, so that errors of calibration, delays between chips and drift are learnt and no faults; what is
-not known yet counts as uncertainty. How far the noise is from white is learnt from the change between windows.
+An axis reads ``value = row @ triad + regressors @ state + noise``. The state holds a bias, three errors of its response
+(the share of each box component by which it reads too much) and a delay. The state of each axis is followed by a small
+Kalman filter of its own, fed with the parity residuals: errors of calibration, delays between chips and drift are
+learnt and are not taken for faults, and what is not known yet counts as uncertainty. The colour of the noise is learnt
+from the change between windows.
 """
 
 from __future__ import annotations

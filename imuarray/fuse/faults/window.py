@@ -1,14 +1,14 @@
-"""Size effect: what sensors feel besides the box's origin because they sit elsewhere on a turning box.
+"""Decision windows of an array: their readings, their parity residuals, and the size effect.
 
-Parity space of an array: what its axes say that no motion of the box can explain.
+The parity space of an array is the part of its readings that no motion of the box can explain. Readings of one instant
+are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis that is left out), ``A = W
+- W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` depends on the errors only. The
+generalised likelihood ratio of "these axes F have an error, of any size" against "none has" is ``d_F' A_FF^-1 d_F``,
+chi-square with as many degrees of freedom as axes (Daly, Gai and Harrison, Journal of Guidance and Control 2, 1979;
+Sturza, Navigation 35, 1988).
 
-Readings of one instant are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis
-that is left out), ``A = W - W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` is what
-the readings say of errors only. The generalised likelihood ratio of "these axes F have an error, of any size" against
-"none has" is ``d_F' A_FF^-1 d_F``, chi-square with as many degrees of freedom as axes (Daly, Gai and Harrison,
-Journal of Guidance and Control 2, 1979; Sturza, Navigation 35, 1988).
-
-One decision window of an array: its readings, and what is seen in them when some of the axes are believed.
+The size effect (`lever_arms`) is the additional specific force at sensors away from the origin of a box that turns.
+`WindowResiduals` is one window as the axes that are believed see it.
 """
 
 from __future__ import annotations

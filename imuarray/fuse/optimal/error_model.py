@@ -1,18 +1,17 @@
-"""Prior knowledge of the errors of an array: the model that `Optimal` weighs its readings by.
+"""Prior error model of an array, by which `Optimal` weighs its readings: standard deviations of every error.
 
 A reading of axis i of a sensor, along that axis, in SI::
 
     y = (s + d) . u + bias + drift + c + (slope + common slope) (T - T_bias) + noise
 
-u is the specific force or angular rate at the sensor's place, s the axis's calibrated direction and d what is wrong
-with it: scale along s, misalignment across it. c and the common slope belong to a design: all its sensors share them
-along the same own axis, whichever way that points in the box (paper, section 2.1).
+u is the specific force or angular rate at the sensor's place, s the axis's calibrated direction and d the error of it:
+scale along s, misalignment across it. c and the common slope belong to a design: all its sensors share them along the
+same own axis, whichever way that points in the box (paper, section 2.1).
 
-The error model of an array from its calibration; where that has nothing, what such sensors are usually like.
-
-The usual figures are those of the paper's array, of 2013's consumer sensors: standard deviations over its units, as
-`configs/models/martin2013.toml` derives them from the paper's tables. What goes with a unit's noise (it is larger where
-the measuring range is) is given as a share of the noise of its readings.
+`error_model` takes the standard deviations from a calibration, and where the calibration has none, those that are usual
+for such sensors. The usual figures are those of the paper's array, consumer sensors of 2013: standard deviations over
+its units, as `configs/models/martin2013.toml` derives them from the paper's tables. A figure that grows with a unit's
+noise (which is larger where the measuring range is) is given as a share of the noise of its readings.
 """
 
 from __future__ import annotations

@@ -1,20 +1,17 @@
-"""The part of slow errors that goes with the change of the stimulus, not with the stimulus: no reading's time is known
-exactly.
+"""Kalman filter of the slow errors of an array, segment by segment, from the parities of the frames.
 
-A reading that is late by t errs by t times the stimulus's change in a second. While a box is moved to and fro that
-comes and goes as noise does: where the change is fast frames teach less about slow errors, what is told of their own
-errors is wider, and gains are those of noise that is larger by the mean square of the change over the segment before.
+The stimulus of every frame is unknown, so only the parities of a frame, the combinations of its readings that no
+stimulus changes, carry information about errors. Slow errors are constant during a segment, so sums over its frames
+(`Evidence`) hold all that the frames say.
 
-What the frames of a segment say of the slow errors, whatever the box felt.
+Segments are counted from the first frame and have 1, 1, 2, 4, 8, ... frames, up to the full length. The frames of a
+segment are solved with the estimate from the segments before it. The cuts between blocks have no effect.
 
-The stimulus of every frame is unknown, so that only the parities of a frame tell anything: the combinations of its
-readings that no stimulus changes. Slow errors stay as they are during a segment, and sums over its frames hold all
-that the frames say.
-
-The recursive part: what is known of the slow errors grows from segment to segment.
-
-Segments are counted from the first frame: of 1, 1, 2, 4, 8, ... frames, up to the full length. Frames of one are solved
-with what those before it told; slow errors stay as they are during one. Where a block ends makes no difference.
+One part of the slow errors acts on the change of the stimulus instead of the stimulus, because no reading's time is
+known exactly: a reading that is late by t is off by t times the stimulus's change per second. While a box is moved to
+and fro, that error comes and goes as noise does. Where the change is fast, frames therefore teach less about slow
+errors, the covariances of the frames are larger, and gains are those of a noise that is increased by the mean square of
+the change over the segment before.
 """
 
 from __future__ import annotations

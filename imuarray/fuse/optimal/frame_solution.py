@@ -1,14 +1,13 @@
-"""The slow errors as the frames of one segment feel them, and the gains that go with them.
+"""Solution of frames: triads by generalised least squares, given the estimated slow errors of the current segment.
 
-What a clipped axis still says: that its reading would have been beyond the end of the range.
+The covariance of the readings follows the signal. `SegmentView` holds the slow errors as the rows of one segment feel
+them, `NominalGain` the gain that most of its frames share.
 
-The unknowns and the reading that was not to be had are jointly normal before; given that the reading lies beyond a
-bound it is a truncated normal, and the unknowns follow it by linear regression. Mean and covariance of that are exact
-for one clipped axis; several are taken one after the other, each time with a normal of the same mean and covariance
-(assumed density filtering; Maybeck, "Stochastic models, estimation and control", volume 2, 1982, section 12.7).
-
-Frames to triads, with what is believed of the slow errors: generalised least squares with a covariance that follows
-the signal, and bounds where axes are clipped.
+A clipped axis is a bound: its reading would have been beyond the end of the range. The unknowns and the reading that is
+missing are jointly normal before that is used. Given that the reading lies beyond a bound it is a truncated normal, and
+the unknowns follow it by linear regression. Mean and covariance are then exact for one clipped axis; several are
+treated one after the other, each time with a normal of the same mean and covariance (assumed density filtering;
+Maybeck, "Stochastic models, estimation and control", volume 2, 1982, section 12.7).
 """
 
 from __future__ import annotations

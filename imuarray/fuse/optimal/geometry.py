@@ -1,6 +1,7 @@
-"""Sensitivity of an array's rows to the unknowns of a frame, and their noise.
+"""Geometry and readings of an array: the sensitivity of its rows to the unknowns of a frame, their noise and validity.
 
-Frames made ready: what is a value, what is only a bound, and what is left out.
+`readings_of` prepares frames: it decides which readings are values, which are only bounds (clipped axes), and which are
+left out.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The size effect: accelerometers away from the origin of the box frame feel it turn.
+"""The size effect: specific force at accelerometers away from the origin of the box frame while the box turns.
 
-A sensor at r feels f + alpha x r + omega x (omega x r) (rigid-body kinematics): the last term is taken out with the
-angular rate of the gyroscopes, and the angular acceleration alpha is three unknowns more in every frame, along s of a
-sensor alpha . (r x s). The angular rate of three neighbouring frames gives a reading of it, too: the slope, at the last
-of them, of the parabola through them, which lags behind no steady change of alpha as a plain difference does.
+A sensor at r feels f + alpha x r + omega x (omega x r) (rigid-body kinematics). The last term is removed with the
+angular rate of the gyroscopes, and the angular acceleration alpha adds three unknowns to every frame, along s of a
+sensor alpha . (r x s). The angular rate of three neighbouring frames gives an additional reading of alpha: the slope,
+at the last of them, of the parabola through them, which unlike a plain difference does not lag behind a steady change
+of alpha.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
-"""Estimates that an array makes of its own slow errors: for reports.
+"""`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
 
-How much warmer the axes are than they were when their biases were measured.
+The differences between the axes, which no stimulus explains, reveal their slow errors: a Kalman filter over segments of
+frames follows them (`imuarray.fuse.optimal.filter`, with the states of `imuarray.fuse.optimal.states`). Each frame is
+then solved by generalised least squares with the remaining uncertainty of these errors
+(`imuarray.fuse.optimal.frame_solution`). With equal noise and no other errors the result is the mean; with noise alone
+it weighs by inverse variance, as `planes` and `ranges` do; states that a design shares make it `opposed`.
 
-`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
-
-What the axes have in common beyond the stimulus tells their slow errors (a Kalman filter over segments of frames, whose
-states are `states.py`'s); each frame is then solved by generalised least squares with what is left unknown of them
-(`solve.py`). With equal noise and nothing else it is the mean; with noise alone it weighs by inverse variance, as
-`planes` and `ranges` do; states that a design shares make it `opposed`.
-
-`optimal` between aligned frames and the result: as the frames come, or, with all of them there, smoothed.
+`Optimal` is causal and solves frames as they arrive; `smoothed` solves each frame of a log with the information of all
+of them. Biases follow the temperature of the axes relative to that at which they were measured (`BiasTemperature`). The
+estimated slow errors are reported as notes.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""A stack of arrays on the disk: what a smoother has to keep of a log does not stay in memory.
+"""Smoother of the slow errors of a log: a backward pass over the steps of the filter, with its data on the disk.
 
-The slow errors of a log with all that its frames say: back over the filter's steps.
-
-The filter puts its steps on a spool, with what it believed at every `_STRIDE`th; from there the beliefs between are
-worked out again on the way back, so that memory holds those of one stride. The results lie on a second spool, the
-first segment on top.
+The filter puts its steps on a spool (`Spool`, a stack of arrays in a temporary file), with the estimate at every
+`_STRIDE`th. On the way back the estimates between are recomputed from there, so that memory holds those of one stride.
+The results are put on a second spool, the first segment on top.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""The steps of a Kalman filter whose states decay each by itself, and its smoother.
+"""Slow errors of an array as the states of a Kalman filter, with the steps of the filter and of its smoother.
 
-Measurements come whitened: ``values = rows @ states + errors`` of unit variance. The smoother is that of Bierman
-("Fixed interval smoothing with discrete measurements", International Journal of Control 18, 1973): it goes back over
-the innovations and inverts no covariance of states, so that states known without doubt do no harm.
+There is one state for each error whose standard deviation is not zero: bias, drift, slope and response of every axis,
+common wander and slope of every design. Each state decays independently. They are independent beforehand, except for
+biases that were calibrated together.
 
-The slow errors of an array as the states of a Kalman filter.
-
-One state for each error whose spread is not zero: bias, drift, slope and response of every axis, common wandering and
-slope of every design. They are independent beforehand but for biases that were calibrated together.
+Measurements are whitened: ``values = rows @ states + errors`` of unit variance. The smoother is that of Bierman ("Fixed
+interval smoothing with discrete measurements", International Journal of Control 18, 1973): it goes back over the
+innovations and inverts no covariance of states, so that states known without doubt do no harm.
 """
 
 from __future__ import annotations

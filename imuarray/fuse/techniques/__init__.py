@@ -1,9 +1,8 @@
-"""Techniques: ways in which the axes of an array become one triad. the simple average and the paper's three techniques,
-each alone.
+"""Techniques that combine the axes of an array into one triad: the simple average and the paper's three techniques.
 
-All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects
-the values before, `planes` chooses the weights, `ranges` does both. None of them, the average included, uses a reading
-whose flags say that it is clipped.
+All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects the
+values before, `planes` chooses the weights, `ranges` does both; each is applied alone. None of them, the average
+included, uses a reading whose flags say that it is clipped.
 """
 
 from __future__ import annotations

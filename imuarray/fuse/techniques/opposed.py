@@ -1,26 +1,23 @@
-"""Errors that anti-parallel axes of one design can cancel, pair by pair, as a calibration tells it.
+"""`opposed`: the error that all units of a design share, estimated from anti-parallel axes and removed.
 
-The mean of a pair, one axis counted with the other's sign, keeps half the difference of the two errors (paper, section
-2.1): of the slopes with temperature, and of the biases.
+Axes along a box axis read ``truth + c + own error``, axes against it ``-truth + c + own error``, so half the sum C of
+the two means is c whatever the truth is. The same holds for even-order terms, which have no sign (paper, section 2.1);
+odd-order terms do not contribute. c is slow (temperature, supply), so it is low-passed and adds no noise.
 
-The error that all units of one design share along one box axis, as its anti-parallel axes show it.
+It is used only as far as units that point the same way agree. With `n+` and `n-` axes and a within-way variance s2 of
+the slow errors, C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``: where units share nothing, ``F = C^2 / (s2
+(1/n+ + 1/n-))`` follows Fisher's law with 1 and n+ + n- - 2 degrees of freedom. c is used from the F that chance
+exceeds with twice the probability `significance`, and in full from the F that chance exceeds with that probability; its
+value is C/2 times ``1 - 1/F``, the share of C^2 that is due to the common part. Where units share nothing this costs
+the average's drift less than 1 % (three axes).
 
-Axes along the box axis read ``truth + c + own error``, axes against it ``-truth + c + own error``: half the sum C of
-the two means is c whatever the truth is. So are even-order terms, for these have no sign (paper, section 2.1), and
-odd-order ones are no part of it. c is slow (temperature, supply), so it is low-passed and costs no noise.
+The level of the errors at the start (the rest of turn-on biases) and their change since then are tested separately,
+because units with different initial biases may well drift alike. For the change, C^2 and s2 are variances over the
+whole time since the start.
 
-It is believed only as far as units that point the same way agree. With `n+` and `n-` axes and a within-way variance s2
-of the slow errors, C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``: where units share nothing,
-``F = C^2 / (s2 (1/n+ + 1/n-))`` follows Fisher's law with 1 and n+ + n- - 2 degrees of freedom. c is used from where F
-would be larger by chance with twice the probability `significance`, and in full from where it would be with that
-probability; and as C/2 times ``1 - 1/F``, the share of C^2 that the common part has in it. Where units share nothing
-this costs the average's drift less than 1 % (three axes).
-
-The level of the errors at the start (what is left of turn-on biases) and their change since then are judged apart:
-units that came up with biases of their own may well drift alike. Of the change, C^2 and s2 are variances in time, all
-since the start.
-
-`opposed`: anti-parallel axes of one design show the error that all its units share; it is taken out.
+`capabilities` states for every pair of anti-parallel axes, from a calibration, which errors it can cancel: the mean of
+a pair, one axis counted with the other's sign, keeps half the difference of the two errors, of the slopes with
+temperature and of the biases.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""`planes`: in-plane against out-of-plane axes, by their measured noise and stability; the worse ones stand watch.
+"""`planes`: in-plane and out-of-plane axes, weighed by measured noise and stability; the worse ones serve as a check.
 
-Noise and slow error ask for different weights unless their ratios are alike. The weights here are those of least error
-in the mean of `AVERAGED` readings: ``noise^2 / AVERAGED + stability^2``, with the stability (from run to run and within
-a run) where the calibration knows it of every axis of a design, else by the noise alone. However alike the slow errors
-are, the noisier kind never weighs so much that one axis of each together are noisier than the quieter alone.
+Noise and slow error require different weights unless their ratios are alike. The weights are those of least error in
+the mean of `AVERAGED` readings: ``noise^2 / AVERAGED + stability^2``, with the stability (from run to run and within a
+run) where the calibration knows it of every axis of a design, else by the noise alone. However alike the slow errors
+are, the weight of the noisier kind is limited so that one axis of each kind together are not noisier than the quieter
+one alone.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The interface of a technique, and its queries to the axes that some of them weigh.
-
-`mean`: every axis weighs the same.
-"""
+"""The interface of a technique, the noise of its axes, and `mean`, the technique that weighs every axis the same."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""`ranges`: low and high measuring ranges blended, of one design or several, without a trace of the low one's end.
+"""`ranges`: low and high measuring ranges blended, of one design or several, without a step at the low range's end.
 
-`fading` says how far a low-range sensor may be trusted (off the end of its range, its filter settled), `relative`
-tracks what the sensors read differently while all of them are trusted, `blend` puts the two together.
+`fading` determines how far a low-range sensor may be trusted (away from the end of its range, its filter settled),
+`relative` tracks the differences between the sensors while all of them are trusted, `blend` combines the two.
 """
 
 from imuarray.fuse.techniques.ranges.blend import RangeBlend, changes, range_weights, ranges

@@ -1,20 +1,18 @@
-"""The weighted means of any set of an array's axes, and what shows of each axis' error against them.
+"""Tracking of the differences between each axis and the blend of all axes: a bias, a scale and a delay.
 
-Sums over segments of frames that tell what each axis reads otherwise than the blend of all.
-
-What each axis reads otherwise than the blend of all: a bias, a scale and a delay, tracked while all are trusted.
-
-Of an axis along ``r`` the residual against the blend B of all axes is ::
+`Blends` are the weighted means of any set of an array's axes, with the share of each axis' error that shows against
+them. For an axis along ``r`` the residual against the blend B of all axes is ::
 
     value - r.B = bias + scale (r.B) - delay d(r.B)/dt + noise
 
-A Kalman filter for each axis follows the three. Rows are gathered in segments of `SEGMENT` frames, counted from the
-first; a frame is corrected by what the segments before its own have told. Bias, scale and delay walk at random, the
-bias so that the filter's memory is `MEMORY_S` at rest. Motion tells scale and delay; a segment without enough of it
-tells the bias alone, and at the start the scales of two axes differ by 0 +- 1 %, their delays by 0 +- that of a
-second-order low-pass of their bandwidth, ``1 / (sqrt(2) pi bandwidth)``. Weighted by the blend, the residuals add up to
-nothing: only differences between axes can be seen, and the blend's own level is kept. While a sensor is out nothing is
-learned; what was known stays, and grows uncertain.
+A Kalman filter for each axis tracks the three while all sensors are trusted. Rows are summed in segments of `SEGMENT`
+frames, counted from the first (`moments`); a frame is corrected by the estimate from the segments before its own. Bias,
+scale and delay are random walks, the bias such that the filter's memory is `MEMORY_S` at rest. Motion determines scale
+and delay; a segment without enough of it determines the bias alone. At the start the scales of two axes differ by 0 +-
+1 %, their delays by 0 +- that of a second-order low-pass of their bandwidth, ``1 / (sqrt(2) pi bandwidth)``.
+
+Weighted by the blend, the residuals add up to zero: only differences between axes are observable, and the blend's own
+level is kept. While a sensor is out nothing is learned; its last estimate is kept, and its uncertainty grows.
 """
 
 from __future__ import annotations
