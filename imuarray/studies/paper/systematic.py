@@ -1,32 +1,24 @@
 """Systematic errors: Tables 1, 3 and 4 recomputed from Table 10, Tables 2 and 9 in degrees per second, and Appendix B.
 
-Table 3 from Table 10: bias, scale factor and direction of every accelerometer axis, from six faces of a box.
-
-Up and down readings of a face differ by 2 g along that box axis, so half their difference is the response in counts
-per g along it; the three of them are the axis' sensitivity vector in the box frame. Its norm is the scale factor, its
-direction the sensitive axis. The bias is the mean of the six faces (section 5.2.1, Appendix B).
-
-Found by trying: the printed scale factor is that norm with the sign of the half-difference along box X, whatever axis
-the sensor points along. The true sign is that of the main axis, given here as an extra column.
-
-Table 1 against Table 10: which way every triad points, and whether such a triad can exist.
-
 Table 1 names, for each box axis, the sensor axis along it. The three names make a signed permutation; its determinant
-is +1 for a right-handed triad, the only kind that is sold, and -1 for a mirrored one. For accelerometers Table 10
-tells the same independently: each channel's largest response. Nothing in Table 10 tells it for gyroscopes.
+is +1 for a right-handed triad, the only kind that is sold, and -1 for a mirrored one. For accelerometers Table 10 gives
+the same information independently, by each channel's largest response. For gyroscopes Table 10 has no such information.
 
-Table 4 from Table 10, and the degrees per second of Tables 2 and 9 from their counts.
+Table 3 has bias, scale factor and direction of every accelerometer axis, from six faces of a box. Up and down readings
+of a face differ by 2 g along that box axis, so half their difference is the response in counts per g along it; the
+three of them are the axis' sensitivity vector in the box frame. Its norm is the scale factor, its direction the
+sensitive axis. The bias is the mean of the six faces (section 5.2.1, Appendix B). The printed scale factor is that norm
+with the sign of the half-difference along box X, whatever axis the sensor points along; this rule was established by
+trial. The true sign is that of the main axis, given here as an extra column.
 
-Unlike Table 3's, Table 4's bias is the mean of all seven readings, the repeated first face counted. Its differences
-are up minus down and its drift first minus last, all with the typical sensitivities 0.07 and 0.00875 dps per count
-(L3G-40, L3G-42).
+Table 4's bias, unlike Table 3's, is the mean of all seven readings, the repeated first face counted. Its differences
+are up minus down and its drift first minus last. Here and in the degrees per second of Tables 2 and 9 the sensitivities
+are the typical ones, 0.07 and 0.00875 dps per count (L3G-40, L3G-42).
 
-Appendix B evaluated as it is printed, and with its slips mended, one at a time.
-
-The appendix turns the three half-differences of a channel into azimuth, elevation and a scale factor averaged over
-the six faces. Two slips stand in it: the azimuth's quotient is upside down, and the factor cos(azimuth) of the first
-term of the six belongs to it but stands in the third. Both are switches here, so that it can be counted which form
-made Table 3.
+Appendix B turns the three half-differences of a channel into azimuth, elevation and a scale factor averaged over the
+six faces. It has two slips: the quotient of the azimuth is upside down, and the factor cos(azimuth), which belongs to
+the first of the six terms, stands in the third. The formulas are evaluated as printed and with each slip corrected, to
+count which form reproduces Table 3.
 """
 
 from __future__ import annotations

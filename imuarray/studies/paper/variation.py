@@ -1,38 +1,27 @@
 """Variation of biases, noise and logging rate: Tables 5 to 7, and columns of Tables 2, 9, 10 and 11.
 
-Tables 5 and 11: how far biases wander within a run and from one switch-on to the next.
+Biases (Tables 5 and 11) wander within a run and from one switch-on to the next. Table 5 averages Table 11's in-run
+column over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1 and Gyro3 its run-to-run columns follow
+from the single runs of Tables 6 and 7. A sample of n numbers that spread over a range R can't have any standard
+deviation: it lies between R sqrt(1 / (2 (n - 1))) (all but two in the middle) and R sqrt(floor(n/2) ceil(n/2) / (n (n -
+1))) (half at either end). Table 11 prints both columns, so each can be checked against the other.
 
-Table 5 averages Table 11's in-run column over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1
-and Gyro3 its run-to-run columns follow from the single runs of Tables 6 and 7.
+A boot fault (Table 6) is a run in the wrong range. The channel that carries gravity is the one with the largest median
+over the runs. Each run's reading over that median, times the configured sensitivity, is the sensitivity that the run
+appears to have had; the nearest of the chip's ranges (nearest in ratio) is the range it was really in. A run is faulty
+when that is not the configured range, so the threshold is the chip's own range table and not a number chosen here.
 
-A sample of n numbers that spread over a range R can't have any standard deviation: it lies between R sqrt(1 / (2 (n -
-1))) (all but two in the middle) and R sqrt(floor(n/2) ceil(n/2) / (n (n - 1))) (half at either end). Table 11 prints
-both columns, so each can be checked against the other.
+Two bias states (Table 7) are separated with the three axes together: runs are sorted along the principal axis of their
+scatter and cut at the place that leaves the least scatter within the two parts, over all three axes.
 
-Tables 6 and 7: which run came up in the wrong range, and which runs came up in which of two bias states.
+Blending of two ranges (Table 10): two readings of one quantity with independent noise s_low and s_high are best
+averaged with weights proportional to 1 / s^2; the mean then has 1 / s^2 = 1 / s_low^2 + 1 / s_high^2. The plain average
+has sqrt(s_low^2 + s_high^2) / 2. In-plane and out-of-plane axes are compared by columns of Tables 8, 10 and 11.
 
-Boot fault (Table 6). The channel that carries gravity is the one with the largest median over the runs. Each run's
-reading over that median, times the configured sensitivity, is the sensitivity that the run appears to have had; the
-nearest of the chip's ranges (nearest in ratio) is the range it was really in. A run is faulty when that is not the
-configured range, so the threshold is the chip's own range table and not a number chosen here.
-
-Two states (Table 7). The three axes are taken together: runs are sorted along the principal axis of their scatter and
-cut at the place that leaves the least scatter within the two parts, over all three axes.
-
-Noise from Tables 9, 10 and 11: blending two ranges, in-plane against out-of-plane axes, and the logging rate.
-
-Blending. Two readings of one quantity with independent noise s_low and s_high are best averaged with weights
-proportional to 1 / s^2; the mean then has 1 / s^2 = 1 / s_low^2 + 1 / s_high^2. The plain average has sqrt(s_low^2 +
-s_high^2) / 2.
-
-Logging rate. A table that prints a standard deviation and the standard error of the mean tells how many samples there
-were, n = (std / sem)^2; over a known duration that is a rate.
-
-Columns of Tables 2, 9 and 11 that follow from others in other ways than by a unit or a quotient.
-
-Table 2 repeats Table 9. A standard error is a standard deviation over the root of the number of readings. All channels
-of one log were read equally often, so one number has to explain a whole column of standard errors: `admitted` says
-which numbers do, whatever the rounding, and the middle one recomputes the column.
+The logging rate follows from a standard deviation and the standard error of the mean: the number of samples is n = (std
+/ sem)^2, and over a known duration that is a rate. All channels of one log were read equally often, so one number has
+to explain a whole column of standard errors of Tables 2, 9 and 11: `admitted` says which numbers do, whatever the
+rounding, and the middle one recomputes the column. Table 2 repeats Table 9.
 """
 
 from __future__ import annotations
