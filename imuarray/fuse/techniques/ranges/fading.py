@@ -3,9 +3,8 @@
 A reading near the end of the range is less linear, and one at the end is no measurement. For a while after it the
 output of the sensor's low-pass still depends on the input that was clipped: an input that was too small by up to the
 difference of the ranges. The response of a second-order low-pass (damping 1/sqrt 2) to it decays at least as fast as
-``exp(-sqrt(2) pi bandwidth t)``; that of a first-order one decays faster (``exp(-2 pi bandwidth t)``). The settling
-time that a BMA180's data sheet prints is not longer: 7.5 ms at 150 Hz (BMA-85), where this formula gives 14 ms for an
-excess of 14.5 g.
+``exp(-sqrt(2) pi bandwidth t)``; that of a first-order one decays faster (``exp(-2 pi bandwidth t)``). A BMA180's own
+figures are not longer: 7.5 ms at 150 Hz (BMA-85), where this formula gives 14 ms for an excess of 14.5 g.
 """
 
 from __future__ import annotations
