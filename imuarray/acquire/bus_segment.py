@@ -1,8 +1,8 @@
 """One segment of the bus (a multiplexer channel, or a bus of its own): its adapter, its sensors, and its identity.
 
-`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long a clock
-of it takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row with no answer in
-between are blamed on the bus and not on a sensor; the bus is then tried ever less often until something answers. An
+`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and the duration of
+its clock. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row with no answer in
+between are attributed to the bus and not to a sensor; the bus is then tried ever less often until something answers. An
 unplugged adapter ends every transaction with ENODEV and is looked for at a steady rate.
 
 `Channel` verifies that the selected channel is the one that is connected. A multiplexer that missed its command leaves

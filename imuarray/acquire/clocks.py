@@ -1,9 +1,9 @@
-"""The clocks of the machine beside each other, now and then: samples are timed by one that never steps.
+"""Clocks of the machine, recorded side by side at intervals; samples are timed by one that never steps.
 
 A single-board computer has no clock that survives a night without power: its wall clock is set some time after it has
-started, and may be set again. From rows of (monotonic, wall) the wall time of every sample can be had afterwards, and
-the steps seen. CLOCK_MONOTONIC is slewed with the network's time, CLOCK_MONOTONIC_RAW is not: their quotient is the
-crystal's error. CLOCK_BOOTTIME also counts what the machine slept.
+started, and may be set again. Rows of (monotonic, wall) give the wall time of every sample afterwards, and the steps of
+the wall clock. CLOCK_MONOTONIC is slewed with the network's time, CLOCK_MONOTONIC_RAW is not: the quotient of the two
+gives the crystal's error. CLOCK_BOOTTIME includes the time that the machine slept.
 """
 
 from __future__ import annotations

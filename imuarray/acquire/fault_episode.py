@@ -1,7 +1,7 @@
-"""Episodes of faults, reported by two events: one when it begins, one with count and duration when it is over.
+"""Episodes of faults, reported by two events: one when an episode begins, one with count and duration when it is over.
 
 An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before it counts as
-over. So no fault, however persistent, fills a log with events: see `MOST_EVENTS_AN_HOUR`.
+over. The number of events is thus limited however long a fault persists: see `MOST_EVENTS_AN_HOUR`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The poll loop: frame after frame at a steady rate, bursts kept raw, decoded and written many at a time.
 
-A sensor that does not answer, has lost its configuration or stands still gets well in its own place of the frame
-(`imuarray.acquire.sensor_health`); the others are read as ever.
+A sensor that does not answer, has lost its configuration or stands still is recovered in its own place of the frame
+(`imuarray.acquire.sensor_health`); the others are read as before.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The recovery of a sensor, one step per frame in its own place in the frame, so that no other sensor waits for it.
 
-Ask whether it is there and ours, again and again, ever less often while it isn't; look whether it still is as it was
-configured; if not, set it up from the start, and let its filters settle while the others are read.
+The steps are: ask for its identity, ever less often while it does not answer; compare its configuration with the
+intended one; if they differ, set it up from the start, and let its filters settle while the others are read.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""The health of polled sensors: silence, lost configuration, frozen readings, a wrong start, and what is done about
-each.
+"""The health of polled sensors: silence, lost configuration, frozen readings, a wrong start, and the response to each.
 
 Rows that are in doubt wait or are flagged; the sensor is looked for or configured again (`imuarray.acquire.recovery`);
 events report it.
@@ -7,8 +6,8 @@ events report it.
 `Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
 reading since the last read. Two reads may follow each other closely (a late frame, a burst of frames after a stall); an
 old reading is then normal. It is an error when more time has passed since the last new reading than the chip needs for
-one at the slow end of its oscillator. Chips without such a flag can't be judged so: two equal readings may be chance;
-`SampleBuffer.frozen_since` tests for those.
+one at the slow end of its oscillator. Chips without such a flag can't be judged so, because two equal readings may be
+chance; `SampleBuffer.frozen_since` tests for those.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""A recording as a service: systemd is notified when it has begun, that rows still reach the disk, and when it ends.
+"""A recording as a service: notifies systemd when it has begun, while rows reach the disk, and when it ends.
 
 The protocol is one datagram of `NAME=value` lines to the socket in `NOTIFY_SOCKET` (sd_notify(3)); without that
-variable nothing is sent. The watchdog is fed by rows that are stored, by nothing else: a recording that runs and keeps
-nothing is started anew.
+variable nothing is sent. Only stored rows feed the watchdog: a recording that runs but stores nothing is restarted.
 """
 
 from __future__ import annotations

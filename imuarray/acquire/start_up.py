@@ -1,7 +1,7 @@
-"""The start-up states of sensors: first seconds are held back until a judge who knows the states has given a verdict.
+"""Start-up states of sensors: the first seconds are held back until a `Judge` who knows the states has given a verdict.
 
 Some chips start with another bias than last time (the paper's Gyro3 has two), or in another range, and do not report
-it. The states of a sensor are in its calibration, which this package does not read: it asks a `Judge`.
+it. The states of a sensor are in its calibration, which this package does not read: the judge does.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Records an array on a microcontroller, which polls by itself and sends what it reads.
+"""Records an array on a microcontroller, which polls the sensors and sends what it reads.
 
-The host tells it once what to read in which frame (`stream_plan`), takes what comes in bulk, and decodes it with the
+The host tells it once what to read in which frame (`stream_plan`), receives the data in bulk, and decodes it with the
 drivers that configured the chips (`stream_rows`). A row is written once every register of its chip was read back right
 after it (`stream_health`). To set a chip up again the stream is stopped for a moment, which costs the others a few
-readings; so it is when the microcontroller falls silent or its port disappears.
+readings; the same is done when the microcontroller falls silent or its port disappears.
 """
 
 from __future__ import annotations

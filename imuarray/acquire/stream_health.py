@@ -1,7 +1,7 @@
 """The health of the chips of a streamed array: registers read back in turn, frozen readings, start-up states.
 
-The microcontroller reads the registers among its lists; two wrong reads in a row count. A chip that is found `ill` is
-set up again while the stream is stopped.
+The microcontroller reads the registers among its lists; two wrong reads in a row count. A chip that is `ill` is set up
+again while the stream is stopped.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The plan of what a microcontroller reads in which frame, and the conversion of its answers into rows of the sensors.
 
 Sensors that are read in the same frames share a list; a chip slower than the frames is read as often as it has a new
-value. Every list selects its own channels: a lost switch spoils one list only. Registers are read back in turn, each
-twice in `SWEEP_S`, so that two wrong reads in a row are at most a second apart.
+value. Every list selects its own channels: a lost switch command spoils one list only. Registers are read back in turn,
+each twice in `SWEEP_S`, so that two wrong reads in a row are at most a second apart.
 
 A chip that converts on demand is visited several times for one reading. Where frames are so rare that a result would be
 too old by the next one, the microcontroller is given shorter periods, several to a frame (`Plan.split`): the other
