@@ -1,16 +1,16 @@
 """A bus of Linux: /dev/i2c-N through I2C_RDWR. Facts LNX-*.
 
-One call is one transaction with one STOP at its end (LNX-06), one read message at most, and last: i2c-bcm2835, the
-Raspberry Pi's adapter, refuses anything else (LNX-10). The poll loop repeats the same few transactions for ever, so
-their C structures are kept: a transaction is one ioctl on a block built long before. smbus2 opens the device and knows
-the structures.
+One call is one transaction with one STOP at its end (LNX-06), with at most one read message, as the last: i2c-bcm2835,
+the Raspberry Pi's adapter, refuses anything else (LNX-10). The poll loop repeats the same few transactions, so their C
+structures are kept: a transaction is one ioctl on a prepared block. smbus2 opens the device and defines the structures.
 
-I2C_RDWR asks neither whether a kernel driver owns an address (LNX-12) nor whether another program is on the bus:
-`claim` asks the one, a lock on the device keeps out the other. A bus belongs to one thread.
+I2C_RDWR checks neither whether a kernel driver owns an address (LNX-12) nor whether another program uses the bus:
+`claim` checks the former, a lock on the device excludes the latter. A bus belongs to one thread.
 
-An adapter that is unplugged while it is open is noticed by its entry in sysfs, after a transaction that failed. The
-descriptor is closed, without which the kernel could not finish the removal; every transaction then ends with ENODEV,
-and now and then looks for the adapter by what it is (`imuarray.bus.identity`). When it is there again the bus goes on.
+An adapter that is unplugged while it is open is noticed by its missing entry in sysfs, after a transaction that failed.
+The descriptor is closed, without which the kernel could not finish the removal. From then on every transaction ends
+with ENODEV, and from time to time the adapter is looked for by its identity (`imuarray.bus.identity`). When it is there
+again the bus works as before.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Decides which frames of the link belong to the running stream, by their numbers, times and lists.
 
 A whole frame with a good checksum may still be old, repeated, out of order or of an earlier boot of the
-microcontroller: a driver or a hub sends a buffer twice, a buffer survives a reset. The link says enough to tell:
+microcontroller: a driver or a hub sends a buffer twice, a buffer survives a reset. Four properties identify the frames
+of the stream:
 
 * Time. A frame arrives after it was sent, and the host knows how the microcontroller's counter runs. A frame whose
   counter lies ahead of what the counter can show by now (`serial_session`) was not sent by this boot.
@@ -10,11 +11,11 @@ microcontroller: a driver or a hub sends a buffer twice, a buffer survives a res
 * List. In frame k the lists with ``k mod every == offset`` are sent, with a known length.
 * Order. Number and list increase from frame to frame. Frames that arrive together are put in order first.
 
-A frame of an earlier boot is admitted if all of this agrees: its stream's START was answered at the same count of the
-microcontroller as this one's, from `EARLY_US` before to one period (at least 10 ms, `serial_session.EARLY_NS`) after
-it, and the frame stands for one that is due now. So is a frame exactly one turn of the counter (71.6 minutes) old where
-the frame numbers make whole turns in that time too (a period of 65536 us divided by a whole number). Nothing on the
-link tells such a frame from the true one, which is refused if it arrives second.
+A frame of an earlier boot is admitted only if all of this agrees: its stream's START was answered at the same count of
+the microcontroller as this one's, from `EARLY_US` before to one period (at least 10 ms, `serial_session.EARLY_NS`)
+after it, and the frame stands for one that is due now. The same holds for a frame exactly one turn of the counter (71.6
+minutes) old where the frame numbers make whole turns in that time too (a period of 65536 us divided by a whole number).
+Nothing on the link distinguishes such a frame from the true one, which is refused if it arrives second.
 """
 
 from __future__ import annotations

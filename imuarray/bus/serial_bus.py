@@ -1,8 +1,8 @@
 """An array on a microcontroller, over the link of `imuarray.bus.serial_link`.
 
-As a `Bus` it has the microcontroller carry out one transaction after the other: drivers configure and check their
-chips through it as through any other. `start` hands it lists to go through by itself, and `receive` takes what it
-sends in bulk: the port is read seldom and in large pieces, and the frames of a list become the rows of a matrix.
+As a `Bus` it has the microcontroller carry out one transaction after the other: drivers configure and check their chips
+through it as through any other bus. `start` hands it lists to work through on its own, and `receive` collects its data
+in bulk: the port is read seldom and in large pieces, and the frames of a list become the rows of a matrix.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Converts the microcontroller's counters to the host's clock.
 
-Counters on the link are 16 and 32 bits wide and start over; `nearest` says which turn is meant.
+Counters on the link are 16 and 32 bits wide and wrap; `nearest` determines the turn.
 
-A frame can arrive late but never early, so that of all straight lines through (sent, arrived) the right one lies under
-every point, and close to the earliest: the edge of the lower convex hull that spans the middle of the data, which is
-the line under all points with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation and removal of
-clock skew from network delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the hull). Late
-deliveries, however many and however late, don't move it.
+A frame can arrive late but never early. The true straight line through (sent, arrived) therefore lies under every
+point, and close to the earliest: it is estimated by the edge of the lower convex hull that spans the middle of the
+data, which is the line under all points with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation
+and removal of clock skew from network delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the
+hull). Late deliveries, however many and however late, don't move it.
 """
 
 from __future__ import annotations

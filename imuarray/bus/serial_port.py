@@ -1,4 +1,4 @@
-"""The port behind which a microcontroller is: pyserial opens it, and is asked for large pieces only.
+"""The serial port of a microcontroller, opened by pyserial and read in large pieces only.
 
 `read_until` and `readline` of pyserial fetch one byte a system call; a read of all that waits is several hundred times
 faster.

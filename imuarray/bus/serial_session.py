@@ -1,10 +1,10 @@
-"""One conversation with a microcontroller: commands and their answers, and whatever else comes in between.
+"""One session with a microcontroller: commands and their answers, and the data that arrives in between.
 
-What is read is sorted as it arrives: answers wait for whoever asked, data for whoever collects it, with the counter's
-time widened by the host's clock. A frame that this boot of the microcontroller can't have sent by now is refused, and
-so is data that the running stream does not contain (`serial_admission`). Every frame that is taken tells something
-about the microcontroller's clock. Data that is missing is asked for again before later data is handed out, where the
-firmware keeps it.
+Received frames are sorted as they arrive: answers are kept for the caller of the command, data for `receive`, with the
+counter's time extended by the host's clock. A frame that this boot of the microcontroller can't have sent by now is
+refused, and so is data that the running stream does not contain (`serial_admission`). Every accepted frame contributes
+to the estimate of the microcontroller's clock. Missing data is requested again before later data is handed out, where
+the firmware keeps it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """SPI of Linux: /dev/spidevN.M through SPI_IOC_MESSAGE, one device file for each chip select. Facts LNX-50 ... LNX-53.
 
 `SpiChip` makes a chip select a `Bus`: a register is read and written by the same calls as on I2C, so that drivers do
-not know which of the two they are on. Nobody acknowledges on SPI: a chip that is missing reads 00 or ff, and only its
-identity or its configuration tells. The structure of each message is kept, as those of I2C are
-(`imuarray.bus.linux`): the poll loop repeats the same few for ever.
+not depend on the kind of bus. SPI has no acknowledge: a chip that is missing reads 00 or ff, and only its identity or
+its configuration reveals that. The structure of each message is kept, as those of I2C are (`imuarray.bus.linux`),
+because the poll loop repeats the same few.
 """
 
 from __future__ import annotations

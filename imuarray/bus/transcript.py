@@ -1,14 +1,13 @@
 """Transcripts: every transaction of a bus as one line of JSON, and a bus that plays them back.
 
-A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 94950}``, bytes as hexadecimal digits;
-a transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus had words of its own
-for it. A question whose an address is (`claim`) is
-``{"claim": "53", ...}``, with what was answered as ``"errno"`` or ``"error"`` if it was not "yours". ``"seen"`` are the
-times at which the program looked at the clock before that line, in ns before its ``at_ns``: what it decided by them it
-decides again. ``{"epoch": "2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began;
-``{"stopped": 2, ...}`` says that the program was told to stop when it asked for the second time since the line before.
-A replayed bus refuses the first transaction that differs, naming the line, so that a user's transcript can become a
-test.
+A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 94950}``, bytes as hexadecimal digits. A
+transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus gave a message of its
+own. A query for the owner of an address (`claim`) is ``{"claim": "53", ...}``, with the answer as ``"errno"`` or
+``"error"`` if it was not "yours". ``"seen"`` are the times at which the program read the clock before that line, in ns
+before its ``at_ns``: a replay gives the same times, so that the program takes the same decisions. ``{"epoch":
+"2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` says that the program was
+told to stop when it asked for the second time since the line before. A replayed bus refuses the first transaction that
+differs, naming the line, so that a user's transcript can become a test.
 """
 
 from __future__ import annotations
