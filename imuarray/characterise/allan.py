@@ -5,8 +5,9 @@ With the running sum x of a series y of n values, at averaging factor m and so t
     adev(tau)^2 = 1 / (2 m^2 M) * sum over i of (x[i+2m] - 2 x[i+m] + x[i])^2,     M = n + 1 - 2m terms
 
 (IEEE Std 952, annex C; Riley, NIST SP 1065, "Overlapping Allan variance"). The sums of whole numbers are exact. Beside
-the running sum (8 bytes a value, one column at a time) only small blocks are needed. The decimated estimator takes
-every m/8-th term: as sure, several times faster, and in memory that does not grow with the series (`allan_stream`).
+the running sum (8 bytes a value, one column at a time) only small blocks are needed. The decimated estimator
+(`allan_stream`) takes every m/8-th term: it has nearly the same confidence, is several times faster, and needs memory
+that does not grow with the series.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Noise coefficients fitted to an Allan curve, with intervals and a verdict on the fit.
 
-The Allan variance of a sum of independent noises is the sum of theirs (IEEE Std 952, annex C; coefficients squared are
-what is fitted, none below zero)::
+The Allan variance of a sum of independent noises is the sum of theirs (IEEE Std 952, annex C; the squares of the
+coefficients are fitted, none below zero)::
 
     avar(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3 + R^2 tau^2 / 2
 
@@ -9,10 +9,10 @@ Q, quantisation, is that of an integrating sensor that counts increments of angl
 a rate to whole counts adds to N instead. N is white noise (angle random walk), B flicker noise (bias instability), K a
 random walk of the reading (rate random walk), R a ramp.
 
-Estimates at neighbouring tau see the same rows. They are weighted by the inverse of their covariance under the fitted
-noise (generalised least squares, weights and fit in turn until they agree). A sum of squared residuals that is nearly
-chi-squared, and its tail probability, tell a curve that is no such sum: of good fits 1 % are called bad, of short or
-long series, in simulations.
+Estimates at neighbouring tau are computed from the same rows. They are weighted by the inverse of their covariance
+under the fitted noise (generalised least squares; weights and fit alternate until they agree). The sum of squared
+residuals is nearly chi-squared; its tail probability identifies a curve that is no such sum. In simulations 1 % of good
+fits are called bad, of short or long series.
 """
 
 from __future__ import annotations

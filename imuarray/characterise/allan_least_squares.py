@@ -1,7 +1,7 @@
-"""The least squares behind a noise fit: squared coefficients from Allan variances, weighted by how these scatter.
+"""The least squares behind a noise fit: squared coefficients from Allan variances, weighted by their covariance.
 
-Weights follow from the fit and the fit from the weights, in turn until they agree; no square is negative (Lawson and
-Hanson, "Solving Least Squares Problems", 1974). Terms are numbers, their places in `TERMS`.
+Weights follow from the fit and the fit from the weights, alternately until they agree; no square is negative (Lawson
+and Hanson, "Solving Least Squares Problems", 1974). Terms are numbers, their places in `TERMS`.
 """
 
 from __future__ import annotations

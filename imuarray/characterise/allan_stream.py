@@ -1,9 +1,9 @@
-"""Allan deviation of a series that comes in blocks, in memory that does not grow with it.
+"""Allan deviation of a series that arrives in blocks, in memory that does not grow with it.
 
 The decimated estimator starts its second differences not at every row but at every `stride_of(m)`-th, an eighth of the
-averaging factor m. Neighbouring ones are so much alike that this costs no more than a hundredth or two of the degrees
-of freedom (which `AllanCurve.freedom` counts), and the running sum is then needed at multiples of the stride alone: a
-pyramid of coarser and coarser running sums, each of which keeps its latest values.
+averaging factor m. Neighbouring differences are so strongly correlated that this costs one or two hundredths of the
+degrees of freedom (which `AllanCurve.freedom` counts), and the running sum is then needed at multiples of the stride
+alone: a pyramid of coarser and coarser running sums, each of which keeps its latest values.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Codes that a converter gives, and their density: only even ones, codes that never come, clipped ends.
+"""Codes of a converter and their density: only even ones, codes that never come, clipped ends.
 
-The probabilities here take readings for independent. Of noise that is correlated over many rows (a drift of several
-codes) they come out too small: shares and counts stand beside them.
+The probabilities assume independent readings. For noise that is correlated over many rows (a drift of several codes)
+they are too small; shares and counts are therefore given as well.
 """
 
 from __future__ import annotations

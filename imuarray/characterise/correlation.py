@@ -1,8 +1,8 @@
-"""Autocorrelation of a series at its first lags, fed block by block, and whether it is white.
+"""Autocorrelation of a series at its first lags, computed block by block, and a test for whiteness.
 
-The series is cut into segments of N rows, which lose their mean: what changes over more than a segment is drift and
-isn't counted. Taking a mean off makes white noise seem to correlate by -1 / N at every lag; that is put back. What is
-left is a bias of coloured noise, about its power at frequency 0 over N.
+The series is cut into segments of N rows, whose means are removed: a change over more than a segment is drift and is
+not counted. Removing the mean makes white noise seem to correlate by -1 / N at every lag, which is corrected. The
+remaining bias for coloured noise is about its power at frequency 0 over N.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ gazebo     sensor of an .sdf        standard deviation N sqrt(f), and K as `dyna
 px4        plugin of an .sdf        N and K (`gazebo_imu_plugin.cpp` of PX4-SITL_gazebo-classic)
 ========== ======================== ==========================================================================
 
-These tools have one figure for all three axes: the largest of them. Where no random walk is seen there is no figure,
-only a comment with the bound that the record allows: what a program reads is measured.
+These tools have one figure for all three axes: the largest of them is written. Where no random walk is seen there is no
+figure, only a comment with the bound that the record allows, so that every figure in a file was measured.
 """
 
 from __future__ import annotations

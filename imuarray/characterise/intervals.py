@@ -1,12 +1,13 @@
-"""Sampling times of a log's rows: interval, jitter, two intervals in turn, and gaps with their places; block by block.
+"""Sampling times of a log's rows: interval, jitter, alternating intervals, and gaps with their places, block by block.
 
-Intervals are counted in a histogram of fixed size, its bins 2^-16 of a typical interval (1 ns at least): so sure are
-medians. A gap is an interval longer than 1.5 times the upper quartile: that is about the median, but of two intervals
-in turn the longer one, however short the other is.
+Intervals are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval (1 ns at least) are the
+resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper quartile is about the
+median, but for alternating intervals the longer of the two, however short the other is.
 
-Sensors that are polled there and back have a short and a long interval in turn: mean -+ a. Then intervals correlate by
-a^2 at even lags and -a^2 at odd ones. Neither independent jitter of the intervals nor of the stamps, which correlates
-neighbouring intervals only, reaches beyond lag 1: a^2 is half the difference of the covariances at lags 2 and 3.
+Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
+correlate by a^2 at even lags and -a^2 at odd ones. Neither independent jitter of the intervals nor of the stamps, which
+correlates neighbouring intervals only, reaches beyond lag 1: a^2 is half the difference of the covariances at lags 2
+and 3.
 """
 
 from __future__ import annotations

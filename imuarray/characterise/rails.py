@@ -1,10 +1,10 @@
-"""Clipping of readings: the codes beyond which a sensor gives none, by its range and by what it gave.
+"""Clipping of readings: the codes beyond which a sensor gives none, from its range and from its readings.
 
 A rail is an end of the codes' bits; the code of range times sensitivity, where readings reach it and none is beyond; or
-a pile of readings at the largest code, for a range, a filter or a driver may end elsewhere. A density falls towards its
-ends, so that the last code comes no more often than any of those before it; a pile that this law excludes is a rail
-if it stands near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles
-up its readings, too: then nothing else moves.)
+a pile of readings at the largest code, because a range, a filter or a driver may end elsewhere. A density falls towards
+its ends, so the last code is no more frequent than any of those before it; a pile that this law excludes is a rail if
+it is near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles up its
+readings, too, but then the other axes don't move.)
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Readings that are the one before once more in all their columns, and how often the chip so seems to make new ones.
+"""Repeated readings: rows that equal the one before in all columns, and the rate of new readings that they imply.
 
-A chip that is read more often than it measures gives each reading several times. New readings are equal by chance too,
-all columns at once, if noise is small against a count; how often is seen from rows that lie `APART` rows apart, where
-neither holding nor the correlation of filtered noise reaches. (Noise that changes by less than a count from row to row
-over longer times, in all columns, can't be told from repeats.)
+A chip that is read more often than it measures gives each reading several times. New readings may also be equal by
+chance, all columns at once, if noise is small against a count; that probability is estimated from rows that are `APART`
+rows apart, beyond the reach of holding and of the correlation of filtered noise. (Noise that changes by less than a
+count from row to row over longer times, in all columns, can't be distinguished from repeats.)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Result of a characterisation: everything that is known of a log's sensors at rest, as one JSON-ready object.
+"""The result of a characterisation: all estimates for a log's sensors at rest, as one JSON-ready object.
 
 Values are in counts; `unit_per_count` turns them into the sensor's unit and `si_per_count` into SI, by a calibration or
-else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients stand in all
+else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients are given in all
 three.
 """
 

@@ -1,4 +1,4 @@
-"""Readings that stand still where a rate passes 100 dps: an ICM-42688-P whose adaptive range is on (TDK-18).
+"""Frozen readings where a rate passes 100 dps: an ICM-42688-P whose adaptive range is on (TDK-18).
 
 With that range the chip gives nothing new for 1 to 2 ms at each passage, so that the row before the passage equals the
 row before that in all axes.

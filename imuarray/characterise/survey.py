@@ -1,7 +1,7 @@
-"""One pass over a sensor's rows for all that is told of them, block by block: memory doesn't grow with the log.
+"""A survey of a sensor's rows: all statistics in one pass, block by block, in memory that does not grow with the log.
 
 Rows are cut into runs wherever one doesn't continue the one before: at a gap, where readings were lost, where the chip
-was set up again or is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats never look across a
+was set up again or is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats never reach across a
 cut.
 """
 

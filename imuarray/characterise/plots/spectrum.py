@@ -1,7 +1,7 @@
 """The amplitude spectral density of every sensor axis: a panel per quantity, log-log, with the lines marked.
 
-Towards high frequencies the bins of a sixth of an octave are averaged, without those of lines, so that many curves
-beside each other stay curves. Lines stand above them as they were found.
+Towards high frequencies the bins of a sixth of an octave are averaged, without those of lines, so that many curves in
+one panel remain legible. Each line is drawn from the curve up to its peak.
 """
 
 from __future__ import annotations
