@@ -1,8 +1,8 @@
-"""The commit table of an HDF5 file that is being written: a row for every commit says how far the file is good.
+"""The commit table of an HDF5 file that is being written: each row records how far it is good.
 
-A row is written after its data are on the disk, and says: where the journal stood (position, CRC), the CRC of the rows
-that this commit added, the number of rows of every group, and its own CRC, which goes on from the log's identity. Rows
-are given out only after their commit was checked; those of a bad one are read from the journal.
+A row is written after its data are on the disk. It holds the state of the journal (position, CRC), the CRC of the rows
+that this commit added, the number of rows of every group, and its own CRC, which continues from the log's identity.
+Rows are given out only after their commit was checked; those of a bad one are read from the journal.
 """
 
 from __future__ import annotations

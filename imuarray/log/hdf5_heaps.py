@@ -1,11 +1,11 @@
-"""A file as HDF5 reads it while it is looked through: every heap of texts is checked before HDF5 believes it.
+"""Checks of the text heaps of an HDF5 file that is being inspected: each is validated before HDF5 reads it.
 
-Texts of varying length stand in global heaps, which have no check sum. HDF5 (2.0 and before) goes through a bad one
-for ever: an object of no size, or of nearly 2^64 bytes, leads it back to where it was. So the bytes are read here, and
-a heap that does not add up is an error of the disk.
+Texts of varying length are stored in global heaps, which have no check sum. A damaged heap sends HDF5 (2.0 and before)
+into an endless loop: an object of no size, or of nearly 2^64 bytes, leads it back to where it was. The bytes are
+therefore read here first, and an inconsistent heap is reported as an error of the disk.
 
-What can't be seen from here: how long the place that points to a text says it is (32 bits). HDF5 asks for so much
-memory, and only then finds that the text is shorter, which is an error.
+One length is not visible here: the one that the reference to a text states (32 bits). HDF5 allocates that much memory
+before it finds that the text is shorter, which is an error.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""An HDF5 file that was never closed, opened for reading and left as it is.
+"""An HDF5 file that was never closed, opened for reading and left unchanged.
 
-Its superblock says that it is open for writing, so HDF5 refuses it, unless it is opened as a reader beside a living
-writer (SWMR). But such a reader waits for damage to go away, twice as long each time, for ever in the end; and after a
-power cut nobody is there to repair it. So HDF5 is shown the file with that one flag cleared, and with the end that it
-really has: the superblock tells the one that it had at the last flush of the whole file, and behind that may stand a
-chunk that was flushed alone.
+Its superblock says that it is open for writing, so HDF5 refuses it unless it is opened as a reader beside a living
+writer (SWMR). Such a reader waits for damage to go away, twice as long each time and in the end for ever; after a power
+cut nobody is there to repair it. HDF5 is therefore shown the file with that one flag cleared, and with its actual end:
+the superblock states the end at the last flush of the whole file, and a chunk that was flushed alone may follow it.
 """
 
 from __future__ import annotations

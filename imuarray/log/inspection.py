@@ -1,8 +1,8 @@
-"""A file from elsewhere is looked through before anything in it is believed.
+"""Inspection of a file from elsewhere before anything in it is trusted.
 
 Nothing in a log may lead outside it (links, external storage, virtual datasets, references), hide behind a filter that
 would have to be loaded, declare more than it can hold, or be reached twice. Links, headers, declared sizes and texts
-are looked at here; no number is read.
+are inspected here; no number is read.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A log that is being written, or whose writing was cut short, read as if it were whole; nothing is changed.
 
-What such a log holds stands twice: in the HDF5 file up to its last commit, and in the journal. Both have the preamble,
-with check sums. So each makes good what is damaged in the other: attributes come from the preamble; rows from the HDF5
-file, commit by commit, each checked before it is given out; rows of a bad commit, and all behind the last one, from the
-journal. Where HDF5 can't read its file at all, the whole log is made again from the journal, in a temporary file.
+Such a log is stored twice: in the HDF5 file up to its last commit, and in the journal. Both have the preamble, with
+check sums, so each replaces what is damaged in the other. Attributes come from the preamble. Rows come from the HDF5
+file, commit by commit, each checked before it is given out; rows of a bad commit, and all after the last one, come from
+the journal. Where HDF5 can't read its file at all, the whole log is rebuilt from the journal, in a temporary file.
 """
 
 from __future__ import annotations

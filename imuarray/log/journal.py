@@ -1,14 +1,13 @@
-"""The journal beside a log that is being written: blocks of rows in the order of their arrival, appended and never
-changed.
+"""The journal of a log that is being written: blocks of rows in the order of their arrival, appended and never changed.
 
 ::
 
     "imuarray journal 2\\n"  length u32  preamble (JSON)  crc32 u32                         twice
     group u16  tag u16  rows u32  crc32 u32  rows of the group (imuarray.log.layout)      again and again
 
-All little-endian. Each block's CRC goes on from the one before it (the first from the preamble's), so that what a crash
-or a power cut leaves behind the last good block is not believed. Behind damage in the middle blocks are good again from
-where the chain goes on in blocks of this log: the tag comes from its identity. Journals of earlier versions
+All little-endian. Each block's CRC continues from the one before it (the first from the preamble's), so that stale data
+behind the last good block after a crash or a power cut is rejected. Behind damage in the middle, blocks are good again
+from where the chain continues in blocks of this log: the tag comes from its identity. Journals of earlier versions
 ("imuarray journal 1") have their preamble once, and the oldest bear the tag 0; they are read as well.
 """
 

@@ -1,9 +1,9 @@
 """A log while it is recorded: `RUN.h5`, an uncompressed single-writer/multiple-reader file, and its journal.
 
-Blocks go through a bounded queue to a thread, which appends them to the journal (from then on they are acknowledged:
+Blocks pass through a bounded queue to a thread, which appends them to the journal (from then on they are acknowledged:
 they survive the process), syncs the journal every second (then they survive a power cut), and whenever a chunk is full
-adds all that waits to the HDF5 file: rows, sync, then a row of the commit table. Nothing is compressed yet: a chunk has
-its place from the start and is filled in it. A full disk ends the log before anything is lost.
+adds all waiting rows to the HDF5 file: rows, sync, then a row of the commit table. Nothing is compressed yet: a chunk
+has its place from the start and is filled in it. A full disk ends the log before anything is lost.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
-"""The duration of a recording and the number of frames that the logger missed, as the logger counts and from its log.
+"""The duration of a recording and the number of missed frames, as the logger counts them and as its log shows them.
 
-A recording lasts as long as its frames, those that were missed included: a period each. Making and finishing files
-belongs to no frame. The logger counts missed frames and tells them in events of the kind "late"; where a log's events
-are not complete (it was cut short, or is a part of a longer one) they are told from the times of its rows.
+A recording lasts as long as its frames, missed ones included, of one period each. Time for making and finishing files
+is not part of any frame. The logger counts missed frames and reports them in events of the kind "late"; where a log's
+events are not complete (it was cut short, or is a part of a longer one) they are derived from the times of its rows.
 
-A logger begins frames on a grid: frame k is due k periods behind the first one. A frame whose time has passed before
-the one before it has ended is missed; the grid stays. So the frames that are missing between two rows of a sensor that
-is read once a frame are the periods between them less the rows: however many, and however evenly the others come.
+A logger begins frames on a grid: frame k is due k periods after the first one. A frame whose time has passed before the
+one before it has ended is missed; the grid stays. The number of missing frames between two rows of a sensor that is
+read once a frame is therefore the number of periods between them less the rows, however many are missing and however
+evenly the others arrive.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Reading a log: lazily, a slice at a time, and only if it is one; finished or not.
+"""Reading a log, finished or not: validated first, then read lazily, a slice at a time.
 
-A file from elsewhere is checked before anything in it is believed: it must be a log of a known format, nothing in it
-may lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
+A file from elsewhere is checked before anything in it is trusted: it must be a log of a known format, nothing in it may
+lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
 length.
 """
 

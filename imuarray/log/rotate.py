@@ -1,7 +1,7 @@
 """A long recording cut into parts of equal time: `RUN_001.h5`, `RUN_002.h5`, ..., logs of their own with one epoch.
 
 A part is begun in the background, shortly before it is required, and finished there as soon as every sensor has rows
-behind its end: files take time, and sensors don't wait. Nothing is lost in between.
+after its end, because opening and finishing files takes time for which sensors don't wait. Nothing is lost in between.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The search for good blocks behind damage in a journal.
 
-A block found by the search must not be a stale sector of another log that had the same shape. So a block counts if the
-check sum of the block before leads on to it, and that check sum is this log's; or if the block bears this log's tag and
-its check sum leads to the next one.
+A block that the search finds must not be a stale sector of another log of the same shape. It counts if the check sum of
+the block before leads on to it, and that check sum is this log's; or if the block bears this log's tag and its check
+sum leads to the next one.
 
-Damage costs only what it hit: where the bad bytes are one block whose head alone is wrong, the head is worked out again
-(the check sum of the block covers head and payload), and where the block behind goes on from the check sum that the
-payload should have, the stored check sum alone was wrong.
+Damage costs only the data that it hit: where the bad bytes are one block whose head alone is wrong, the head is
+reconstructed (the check sum of the block covers head and payload), and where the next block continues from the check
+sum that the payload should have, the stored check sum alone was wrong.
 
 Each reader has a budget of bytes that it searches and checks, so that no journal takes longer than about a second.
 """

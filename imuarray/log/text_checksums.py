@@ -1,8 +1,8 @@
-"""Check sums of what HDF5 does not guard in a finished log: texts, and the tables of phases and events.
+"""Check sums of the parts of a finished log that HDF5 does not protect: texts, and the tables of phases and events.
 
-HDF5 guards its own structures, and `fletcher32` the chunks of columns. Texts of varying length stand in heaps without a
-check sum, and short tables in plain stretches of the file. So a finished log says what the check sums of these were
-when it was written. Attributes that other programs add are not counted.
+HDF5 protects its own structures, and `fletcher32` the chunks of columns. Texts of varying length are stored in heaps
+without a check sum, and short tables in plain stretches of the file. A finished log therefore records the check sums of
+these at the time when it was written. Attributes that other programs add are not counted.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Reading from a file that may be anything: opened, or one clear line; texts by the piece; notes checked.
+"""Reading from untrusted files: opened or refused with one clear line; texts are read in pieces, notes checked.
 
-What is looked at before anything in it is believed: `imuarray.log.inspection`.
+`imuarray.log.inspection` checks the structure of a file before anything in it is trusted.
 """
 
 from __future__ import annotations

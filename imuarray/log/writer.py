@@ -1,8 +1,8 @@
-"""Writing a log.
+"""The writer of a log: a draft until it is worth keeping, then a live file with a journal.
 
-Until somebody says that it is worth having (`keep`), a log is a draft: a compressed file under a temporary name that
-takes its own name when it is complete, and of which nothing is left if that never happens. From `keep` on it is live:
-`RUN.h5` and its journal are there before the first row, and whatever happens then, every acknowledged row can be read
+Until the caller decides to keep it (`keep`), a log is a draft: a compressed file under a temporary name that takes its
+own name when it is complete, and of which nothing remains if that never happens. From `keep` on it is live: `RUN.h5`
+and its journal exist before the first row, and whatever happens then, every acknowledged row can be read
 (`imuarray.log.live`). A clean end makes both the same finished file (`imuarray.log.finish`).
 """
 
