@@ -1,8 +1,8 @@
-"""MATLAB, version 5: a struct for each sensor, a column a field, n-by-3 as in MATLAB; `load run.mat` is all it takes.
+"""MATLAB, version 5: a struct for each sensor, a column a field, n-by-3 as in MATLAB; read by `load run.mat` alone.
 
 `time_ns` is int64, exact; `time_s` beside it is double. Times count from `imuarray.epoch`. One sensor at a time is in
-memory. An array of 2 GB or more does not fit the format; there is no need to export it: a log is HDF5, and MATLAB reads
-it as it is, `h5read("run.h5", "/sensors/Gyro1/counts")`, 3-by-n there, because HDF5 counts dimensions the other way.
+memory. An array of 2 GB or more does not fit the format. Such a log need not be exported: it is HDF5, which MATLAB
+reads with `h5read("run.h5", "/sensors/Gyro1/counts")`, there 3-by-n, because HDF5 counts dimensions the other way.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The container of an MCAP file (mcap.dev/spec): chunks of many messages at once, their index, and the summary.
 
-The package `mcap` has the records and writes every one of them; its own writer takes one message at a time, which costs
-more than all that is in it.
+The package `mcap` defines and writes all record types; its own writer takes one message at a time, which costs more
+than all other steps of an export.
 """
 
 from __future__ import annotations

@@ -4,8 +4,9 @@ Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages ar
 chunks that are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`
 or, in a file for the tool "ros2", `imuarray.export.ros2_messages`.
 
-A message of JSON is a form that all rows share in which the same values are known, and the values' texts: of equal
-length within a block, as JSON lets spaces stand before and after a number, so that numpy puts the rows together.
+A JSON message consists of a template, shared by all rows in which the same values are known, and the texts of the
+values. These are padded to equal length within a block, as JSON lets spaces stand before and after a number, so that
+numpy assembles the rows together.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The messages of an MCAP file: JSON, each kind with its JSON Schema, as Foxglove reads them.
 
-A sensor's message has its time, its frame and a field a column: ``{"x", "y", "z"}`` for a triad. What has both specific
-force and angular rate (a fused result, the truth) is named as in ROS's sensor_msgs/Imu: covariances row by row, with -1
-first where there is no such estimate, which then is left out; `linear_acceleration` is specific force, as it is there.
-Events are foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that its Log panel shows them.
+A sensor's message has its time, its frame and a field a column: ``{"x", "y", "z"}`` for a triad. Messages with both
+specific force and angular rate (a fused result, the truth) have the names of ROS's sensor_msgs/Imu: covariances row by
+row, with -1 first where there is no such estimate, which then is left out; `linear_acceleration` is specific force, as
+it is there. Events are foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that its Log panel shows them.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""npz: numpy's archive, one array a column, and a header; nothing in it is an object: `allow_pickle=False` will do.
+"""npz: numpy's archive, one array a column, and a header; no objects, so that it loads with `allow_pickle=False`.
 
 `Gyro1_time` (ns) and `Gyro1_counts` are two of the arrays; `header` holds the bytes of a JSON object, which
-`json.loads(run["header"].item())` gives, with everything that is no column. `arrays` in it says by table and column
-what each array is called, should two names be alike. Arrays are written a stretch of rows at a time: memory doesn't
-grow with the log.
+`json.loads(run["header"].item())` gives, with everything that is no column. `arrays` in it states by table and column
+the name of each array, in case two names would be the same. Arrays are written a stretch of rows at a time: memory
+doesn't grow with the log.
 """
 
 from __future__ import annotations

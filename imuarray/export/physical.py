@@ -1,7 +1,7 @@
 """Counts as physical values: specific force, angular rate and magnetic flux density in the box frame, degrees, pascals.
 
-A calibration's bias follows the temperature that the log tells, where it says how, as in fusion. What else it knows
-(g-sensitivity, the state in which a gyroscope came up) is not taken out.
+A calibration's bias follows the temperature recorded in the log, where the calibration has slopes, as in fusion. Its
+other corrections (g-sensitivity, the state in which a gyroscope came up) are not applied.
 """
 
 from __future__ import annotations

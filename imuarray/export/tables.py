@@ -1,4 +1,4 @@
-"""Tables of an export: tables of equally long columns, read a stretch of rows at a time, and what they are.
+"""Tables of an export: groups of equally long columns, read a stretch of rows at a time, with their descriptions.
 
 Every writer takes the same tables, whether they come from a log, in counts or in physical units, or from a fused file.
 """
