@@ -1,5 +1,4 @@
-"""Builds a snapshot from the rows that were read: sensors in the units of their data sheets, frames, disk space, fused
-output.
+"""Composition of a snapshot from rows that were read: sensors in data sheet units, frames, disk space, fused output.
 
 The fused output of the last seconds is the result that is written next to the log, else the average of the rows at
 hand.

@@ -1,5 +1,4 @@
-"""The page's figures, drawn by Bokeh in the browser: axes and colours are defined here, the data come from the
-snapshots.
+"""The page's figures, drawn by Bokeh in the browser: axes and colours are defined here, the data are in the snapshots.
 
 The page labels the curves next to the numbers above, in the same colours.
 """
