@@ -1,6 +1,6 @@
-"""One page from any mix of files: each is told by what is in it, and says its part.
+"""One page from any mix of files: each kind is recognised by its content and contributes its own sections.
 
-To add a kind: how it is recognised and what it says, and a line in `KINDS`.
+To add a kind: a function that recognises it, one that describes it, and a line in `KINDS`.
 """
 
 from __future__ import annotations

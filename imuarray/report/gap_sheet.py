@@ -1,4 +1,4 @@
-"""Paper and pens of the gap page's drawings: an empty panel, colours, logarithmic axes with plain numbers, safe names.
+"""Drawing style of the gap page: an empty panel, colours, logarithmic axes with plain numbers, safe names.
 
 Black is the recording, orange the simulation before the causes were added, blue after.
 """

@@ -1,8 +1,8 @@
-"""The recording itself on a page: every sensor over time as an envelope, with the stretches that are out of bounds.
+"""The recording on a page: every sensor over time as an envelope, with the stretches that are out of bounds.
 
 An envelope is the least and the greatest value of each stretch of rows, so that a spike of one reading is seen however
-long the log is. The page draws it twice: as SVG, which needs no script and is what is printed, and by BokehJS, which
-zooms (`recording.js`).
+long the log is. The page draws it twice: as SVG, which needs no script and is printed, and by BokehJS, which zooms
+(`recording.js`).
 """
 
 from __future__ import annotations

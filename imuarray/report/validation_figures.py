@@ -1,4 +1,4 @@
-"""Drawings of a validation's page: false alarms, detection, what is taken for what, probabilities, closure.
+"""Drawings of a validation's page: false alarms, detection, confusion of effects, probabilities, closure.
 
 Whiskers are 95 % intervals; grey bands and lines are bars.
 """
