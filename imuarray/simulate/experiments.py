@@ -1,7 +1,7 @@
-"""The experiments by name: what happens to the box in each, made to last as long as is required.
+"""The experiments by name, each a motion and environment of the box with a configurable length.
 
-The five of the paper's section 4 and after: a box at rest, tumbled, heated, switched on again and again, moved. Without
-a length each lasts as long as its own description says.
+They are the five of the paper's section 4 and after: a box at rest, tumbled, heated, switched on again and again,
+moved. Without a length each lasts as long as its own description says.
 """
 
 from __future__ import annotations

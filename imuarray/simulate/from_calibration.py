@@ -1,8 +1,8 @@
-"""A calibrated array as a model: what was measured of each unit, as the effects that make it.
+"""A model made from a calibration: the measured parameters of each unit as effects.
 
-The calibration's affine map, counts = response @ stimulus_box + g_sensitivity @ force_box + bias, is taken apart, in
-the sensor's nominal axes and with its nominal sensitivity, into `axis_error`, `misalignment`, `scale`, `g_sensitivity`
-and `bias`; run one after the other they make the same map again. Slopes with temperature become `thermal_bias` and
+The calibration's affine map, counts = response @ stimulus_box + g_sensitivity @ force_box + bias, is decomposed, in the
+sensor's nominal axes and with its nominal sensitivity, into `axis_error`, `misalignment`, `scale`, `g_sensitivity` and
+`bias`; applied in this order they give the same map again. Slopes with temperature become `thermal_bias` and
 `thermal_lag`.
 """
 

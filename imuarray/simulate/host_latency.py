@@ -1,9 +1,9 @@
-"""Delays of the host that read an array, as the times of all its sensors' rows in a log tell.
+"""Delays of the host that read an array, estimated from the times of all its sensors' rows in a log.
 
-The sensors of a frame are read one after the other, as fast as the bus gives their bytes. Where another program had the
-processor before one of them, it and all that follow it come late by that. Of a reading that took longer than its bits
-need a recorder knows no more than between which two times it was on the wire, and says the middle (it is wrong by half
-of the wait at most): so a wait lies half before the time of the row that waited, half behind it.
+The sensors of a frame are read one after the other, as fast as the bus transfers their bytes. If another program had
+the processor before one of them, it and all that follow it are late by that time. Of a reading that took longer than
+its bits need, a recorder knows only the two times between which it was on the wire, and stores the middle (with an
+error of half the wait at most): half of a wait is therefore before the time of the row that waited, half after it.
 """
 
 from __future__ import annotations

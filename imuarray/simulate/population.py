@@ -1,9 +1,8 @@
-"""Scatter between the units of one design: a parameter is a number, or a population from which every unit draws its
-own.
+"""Populations of parameters: a number, or a distribution from which every unit of a design draws its own value.
 
 In a model file a population is a table: ``offset_g = { mean = 0.0, sigma = 0.03, limit = 0.06, shared = 0.5 }``, drawn
 anew for each axis, or a list with one such table or number for each axis. Draws are keyed by (seed, sensor, effect,
-parameter): what another parameter, effect or sensor draws changes none of them, and neither does the measuring range.
+parameter): they do not depend on the draws of another parameter, effect or sensor, nor on the measuring range.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Slow random processes that can be had for any stretch of rows alone: Gauss-Markov, random walk.
+"""Slow random processes that can be generated for any stretch of rows alone: Gauss-Markov, random walk.
 
-A process lives on knots, every `spacing` rows, and is linear in between. Where knots are rows it is exact; knots lie
-at most a five hundredth of a time constant apart (a tenth of a second for a random walk), or one row. That leaves out
-less than 0.1 % of a Gauss-Markov process's variance, at frequencies where every sensor's white noise is many thousand
-times stronger.
+A process is generated on knots, every `spacing` rows, and is linear in between. Where knots are rows it is exact; knots
+are at most a five hundredth of a time constant apart (a tenth of a second for a random walk), or one row. That leaves
+out less than 0.1 % of a Gauss-Markov process's variance, at frequencies where every sensor's white noise is many
+thousand times stronger.
 
-Knots come in chunks. What a chunk begins and ends with is drawn first, from a stream of its own and with the exact law
-x[end] = phi**KNOTS x[begin] + w; its inside is drawn from another stream as if free, x' = phi x' + innovation, and then
-corrected to meet that end (conditioning of jointly normal numbers). So any chunk costs the same.
+Knots are grouped in chunks. The values at the begin and end of a chunk are drawn first, from a stream of its own and
+with the exact law x[end] = phi**KNOTS x[begin] + w; its inside is drawn from another stream as if free, x' = phi x' +
+innovation, and then corrected to meet that end (conditioning of jointly normal numbers). Any chunk thus costs the same.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""One simulated sensor: any stretch of its rows, the same whatever is asked for, in whatever order.
+"""One simulated sensor: any stretch of its rows, independent of the order and extent of requests.
 
-Rows are worked out in chunks of `CHUNK`, each with as many rows before it as its effects look back. Blocks are cut from
-chunks: their length can't change a result.
+Rows are computed in chunks of `CHUNK`, each with as many rows before it as its effects look back. Blocks are cut from
+chunks, so their length can't change a result.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A whole simulated array: every sensor's timeline, effects and streams over one motion.
 
-Same seed, same result, whatever the block size or number of workers. Nothing here is as long as the log.
+The result depends on the seed and not on the block size or number of workers. No array in memory is as long as the log.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Random numbers that can be had for any stretch of rows alone, the same whatever was asked for before.
+"""Random numbers that can be generated for any stretch of rows alone, independent of earlier requests.
 
 Every stream is named (seed, boot, sensor, effect, purpose): leaving one effect out changes no draw of any other, and a
 run is another `boot` of the same units. A stream is cut into chunks of `CHUNK` rows, each with a generator of its own

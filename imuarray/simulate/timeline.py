@@ -1,8 +1,9 @@
-"""Times at which each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a
-log, with or without the rows that it lost.
+"""Times at which each row of each sensor is read: by a poll loop, by a chip's own queue, or as in a given log.
 
-A frame visits the segments of the bus there and, the next time, back (one switch of the multiplexer a frame), so that a
-sensor's readings lie alternately a little nearer and a little farther apart. A burst takes its clocks at 400 kHz.
+A poll loop is like the recorder's. A frame visits the segments of the bus in one order and the next frame in the
+reverse order (one switch of the multiplexer a frame), so that a sensor's intervals are alternately a little shorter and
+a little longer. A burst takes its clocks at 400 kHz. The times of a log can be used with or without the rows that it
+lost.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A box that stands on one of its faces, and what the world is like around it.
+"""A box that stands on one of its faces, and its environment.
 
 Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R with ``vector_level = R @ vector_box``.
 """
