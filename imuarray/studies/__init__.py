@@ -1,4 +1,4 @@
-"""Evidence beside the product: the paper recomputed and replicated, what fusion gains, and a demonstration.
+"""Studies with the product: the paper recomputed and replicated, the gain of fusion, and a demonstration.
 
-Nothing of the product imports these packages; the commands `imuarray paper`, `study` and `demo` do, when they run.
+The product does not import these packages; the commands `imuarray paper`, `study` and `demo` do, when they run.
 """
