@@ -1,11 +1,11 @@
-"""Folders of cases that anybody wrote: logs, and apart from them what is true of each.
+"""Folders of cases from any source: logs, and apart from them the truth of each case.
 
 ::
 
     FOLDER/000/*.h5           the logs of case 000, in the order of their epochs
     FOLDER/sealed/000.json    its truth
 
-A truth is one object of JSON; what is in brackets may be missing:
+A truth is one object of JSON; keys in brackets are optional:
 
     kind         "control": nothing is wrong; "effect"; "unknown": an effect that no library names; "pair": two effects
     effects      a list (empty of a control) of
@@ -18,7 +18,8 @@ A truth is one object of JSON; what is in brackets may be missing:
     [experiments]  a list of names, which makes the plan; [sensors]: chips by the names of sensors; [strata]: words
     [control]    the number of the case that is the same recording before anything was put into it
 
-Others are kept and not looked at. Effects whose only names are those of nuisance quantities are what parts may have.
+Other keys are kept and ignored. Effects whose only names are those of nuisance quantities are within what parts may
+have.
 """
 
 from __future__ import annotations
