@@ -1,7 +1,7 @@
 """AK8975 magnetometer, as it is in the MPU-9150; facts AKM-21 ... AKM-28.
 
-It measures only when it is asked to: a call takes what was measured and starts the next measurement, so that a reading
-was measured right after the call before, at most 100 times a second. In all else it is the AK8963
+It measures only when it is asked to: a call takes the last measurement and starts the next, so that a reading was
+measured right after the call before, at most 100 times a second. Otherwise it is like the AK8963
 (`imuarray.drivers.ak8963`): behind the bypass of the MPU, with a fuse ROM, and with the same axes.
 """
 

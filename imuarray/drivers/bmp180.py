@@ -1,8 +1,8 @@
 """BMP180 barometer. Bosch data sheet v2.8 (2015); facts BMP-*.
 
-It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). Nobody waits for it:
-each call of `fetch` looks whether a conversion that was started earlier must be over by now, and starts the next. What
-its words mean in degrees and pascals is in `imuarray.barometer`.
+It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). No call waits for it:
+each call of `fetch` checks whether a conversion that was started earlier must be over by now, and starts the next. The
+conversion of its words to degrees and pascals is in `imuarray.barometer`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Estimates when the samples of a chip's queue were taken, from their numbers and the times of counting.
 
-A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them). A count says two things of
-it: the newest sample that was counted was there by the end of the count, and the next one was not before its beginning.
+A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them). A count gives two bounds:
+the newest sample that was counted was there by the end of the count, and the next one was not before its beginning.
 Each is a bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region
 of possible lines (offset and period), a convex polygon that every count cuts; the estimate is its centre, the
-uncertainty its extent. A host that is late by milliseconds leaves wide bounds, which cut nothing, and harms nothing.
-The method is set-membership estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be
+uncertainty its extent. A host that is late by milliseconds gives wide bounds, which cut nothing and do no harm. The
+method is set-membership estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be
 known.
 """
 

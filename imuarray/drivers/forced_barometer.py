@@ -1,7 +1,7 @@
-"""Barometers that measure temperature and pressure once when they are told to ("forced mode"), and sleep otherwise.
+"""Barometers that measure temperature and pressure once on command ("forced mode"), and sleep otherwise.
 
-Nobody waits for a measurement: each call of `fetch` looks whether the one that was started must be over by now, and
-starts the next when it is due. So every reading is new, and belongs to an instant that the log knows.
+No call waits for a measurement: each call of `fetch` checks whether the one that was started must be over by now, and
+starts the next when it is due. Every reading is therefore new, and belongs to an instant that the log knows.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Common parts of the drivers of six-axis chips: accelerometer and gyroscope of one die, two sensors in one place.
 
-Each half is a driver of its own that sets what both need to the same values (the configuration is refused if they
+Each half is a driver of its own that sets the shared registers to the same values (the configuration is refused if they
 differ) and never resets the die, which would take the other half's range. A burst holds both triads and the
 thermometer. The data-ready bits of these chips are cleared by whoever reads them, or reads the data, and can't serve
 two readers: a reading is not new if its bytes are those of the burst before, which noise in six axes prevents. That is

@@ -1,7 +1,7 @@
-"""The transactions of one reading, for a microcontroller that knows no chips.
+"""The transactions of one reading, for a microcontroller that has no drivers.
 
-Most readings are one transaction, those of an LIS3MDL two at once; the driver fetches once from a bus that notes them.
-A barometer is asked two or three times, with waits in between. What comes back is put together to the burst that the
+Most readings are one transaction, those of an LIS3MDL two at once; the driver fetches once from a bus that records
+them. A barometer is asked two or three times, with waits in between. The answers are put together to the burst that the
 driver's `decode` reads.
 """
 
