@@ -1,4 +1,4 @@
-"""The map of a recording: which column is what. Read from TOML; whatever can't be meant is refused with its place.
+"""The map of a recording: the meaning of its columns, read from TOML; what is invalid is refused with its place.
 
 ::
 
@@ -14,8 +14,8 @@
                   time_column   kind
     [[phase]]     name  up = "+Z"   rows = [first, last] | seconds = [begin, end]
 
-A column is a name (then the first row is a header) or an index counted from 0. Phases count data rows
-from 0, last included, or seconds from the first row.
+A column is a name (then the first row is a header) or an index counted from 0. Phases count data rows from 0, last
+included, or seconds from the first row.
 """
 
 from __future__ import annotations
