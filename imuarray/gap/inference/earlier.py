@@ -1,23 +1,23 @@
 """Earlier recordings of the same array in the simulator's place: what changed since then.
 
-The method is a calibration of the simulator at every statistic. The parameters of the base model (noise, bias, slope)
-are fitted to the earlier recordings, and nothing is fitted to the new one. Of each statistic of the new recording the
-earlier ones have counterparts: the same probe of the same sensor and axis, in a phase of the same name of a log of the
-same kind, else in a phase of that name, else in any phase at rest. The *discrepancy* of a statistic is how far its
-counterparts lie from the middle of their own replicates (the median over them); it is what the simulator lacks of this
-array, and is taken off the new recording. A line, a correlation or a coarse code that was there before is so no
-difference now, and an axis that leans leans as before.
+The method calibrates the simulator at every statistic. The parameters of the base model (noise, bias, slope) are fitted
+to the earlier recordings, and nothing is fitted to the new one. Each statistic of the new recording has counterparts in
+the earlier ones: the same probe of the same sensor and axis, in a phase of the same name of a log of the same kind,
+else in a phase of that name, else in any phase at rest. The *discrepancy* of a statistic is the distance of its
+counterparts from the middle of their own replicates (the median over them). It is the error of the simulator for this
+array, and is subtracted from the new recording. A line, a correlation or a coarse code that was there before is then no
+difference, and an axis that leans leans as before.
 
-Phases at rest are looked at in pieces of one length on both sides, so that a long one shows nothing that a short one
+Phases at rest are evaluated in pieces of one length on both sides, so that a long phase shows nothing that a short one
 can't.
 
 Both sides scatter. A replicate of the comparison is one of the new recording less one of the counterparts, each about
-its own middle, of the same drawn units and with independent noise. So what units have (scale, misalignment) cancels as
-it does between the recordings, and noise adds in quadrature: sqrt(2) times that of one recording where both are as
-long. What one side lacks is missing: a statistic without a counterpart is left out.
+its own middle, of the same drawn units and with independent noise. Properties of the units (scale, misalignment) cancel
+as they do between the recordings, and noise adds in quadrature: sqrt(2) times that of one recording where both are as
+long. A statistic without a counterpart is left out.
 
-A discrepancy is a shift. Where a new effect and an old one act on the same statistic not by addition (a noise that
-doubles hides half of an old line), what the old one shows is taken off as it was.
+A discrepancy is a shift. Where the effect of a new cause and that of an old one on a statistic do not add (a noise that
+doubles hides half of an old line), the shift is subtracted as it was measured.
 """
 
 from __future__ import annotations

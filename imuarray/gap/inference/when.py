@@ -1,4 +1,4 @@
-"""When a hypothesis holds: always, from a moment on, in some logs, or during stretches of logs."""
+"""Times at which a hypothesis holds: always, from a moment on, in some logs, or during stretches of logs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""Allan variances at octaves, and the kurtosis of differences of means, at a fixed cost: four starts in an averaging
-time, three axes at once. Sums over two, four, ... rows are sums of pairs of those before, so whole numbers stay exact.
+"""Allan variances at octaves, and the kurtosis of differences of means, at a fixed cost.
+
+There are four starts in an averaging time, and three axes are computed at once. Sums over two, four, ... rows are sums
+of pairs of those before, so whole numbers stay exact.
 
 `imuarray.characterise.allan_stream` also gives confidence limits. Here only the values are needed, thousands of times,
 and its identification of noise types would cost more than short series themselves.

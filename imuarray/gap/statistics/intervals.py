@@ -1,4 +1,4 @@
-"""What a log records about its rows apart from the values: times, flags, and words that no sensor sends."""
+"""Records of a log about its rows apart from the values: times, flags, and words that no sensor sends."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The ordinary parameters behind codes of which some never come: bias, slope and noise that a converter without some of
-its codes turns into what is recorded.
+"""Ordinary parameters behind missing codes: bias, slope and noise before a converter without some of its codes.
 
-A fit takes means and variances as they come. Where readings leap over a stretch that never comes, a few of them in a
-hundred are a stretch away from where they belong: the variance is that of the leaps, and a bias that warms up towards
-the stretch seems to have another slope.
+A fit takes means and variances as they are. Where readings leap over a stretch of codes that never come, a few of them
+in a hundred are a stretch away from where they belong: the variance is that of the leaps, and a bias that warms up
+towards the stretch seems to have another slope.
 """
 
 from __future__ import annotations

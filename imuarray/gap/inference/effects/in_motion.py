@@ -1,4 +1,4 @@
-"""How a sensor's readings in motion hang together with what it should feel, with rotation and with force."""
+"""Relation of a sensor's readings in motion to what it should feel, with rotation and with force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a sensor is behind the motion of the others, phase by phase, also where that is no small part of a period."""
+"""Lag of a sensor behind the motion of the others, phase by phase, also where it is no small part of a period."""
 
 from __future__ import annotations
 

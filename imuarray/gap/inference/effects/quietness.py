@@ -1,7 +1,7 @@
-"""How quiet a sensor is beside its data sheet: a filter takes noise away, a reading that is merely late does not.
+"""Noise of a sensor relative to its data sheet: a filter reduces noise, a reading that is merely late does not.
 
-The noise of a sensor is fitted, so that no statistic shows its size. What the data sheet prints is typical: units are a
-third more or less, and many a part has more from elsewhere, so that it counts as much as a heavy tail lets it.
+The noise of a sensor is fitted, so no statistic shows its size. The figure of the data sheet is typical: parts differ
+from it by a third, and many have additional noise from elsewhere, so it enters with a heavy-tailed distribution.
 """
 
 from __future__ import annotations

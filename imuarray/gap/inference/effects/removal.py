@@ -1,4 +1,4 @@
-"""An effect that the model has and the sensor has not: taken out, or replaced by one of its kind."""
+"""Removal of an effect that the model has and the sensor has not, or its replacement by one of its kind."""
 
 from __future__ import annotations
 

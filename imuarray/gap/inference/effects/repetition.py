@@ -1,4 +1,4 @@
-"""How many rows repeat the one before them on all axes, and how many the model lets do so."""
+"""Rows that repeat the one before them on all axes: their number in the recording and in the model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a sensor's axes respond to what they should feel: to the faces that were up, and to the motion of the others."""
+"""Response of a sensor's axes to what they should feel: to the faces that were up, and to the motion of the others."""
 
 from __future__ import annotations
 

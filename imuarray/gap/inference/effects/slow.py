@@ -1,4 +1,4 @@
-"""How a bias wanders: sizes and times of slow processes by closed forms from Allan variances and levels."""
+"""Wander of a bias: sizes and times of slow processes by closed forms from Allan variances and levels."""
 
 from __future__ import annotations
 

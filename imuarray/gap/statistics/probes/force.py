@@ -1,4 +1,4 @@
-"""How readings follow gravity, face by face: what changes sign with it, and what does not.
+"""Probes of the dependence of readings on gravity, face by face: the part that changes sign with it, and the rest.
 
 The means of the phases on faces are fitted with sum over the sensor's axes k of odd_k f_k + even_k f_k^2, f in g along
 the sensor's nominal axes: on whole faces odd_k is half the difference of the two faces of axis k, and even_k half their
