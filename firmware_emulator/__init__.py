@@ -1,13 +1,13 @@
-"""A bus that behaves like the real one: chips, multiplexer, time and the world that they feel.
+"""An emulated bus that behaves like the real one: chips, multiplexer, time and the world that they feel.
 
 ::
 
     world (callable of time) -> element (one chip's imperfections) -> chip (registers, converter) -> mux -> wire
 
 It shares register facts with the drivers (`imuarray.facts`) and nothing else: byte order, signs, timing and every scale
-factor are worked out here a second time, so that a wrong driver is noticed.
+factor are implemented here a second time, so that a wrong driver is noticed.
 
-What can go wrong with such an array is in `firmware_emulator.mechanisms`; `firmware_emulator.cases` records it.
+The faults of such an array are in `firmware_emulator.mechanisms`; `firmware_emulator.cases` records logs with them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Cases: series of logs of an emulated array with mechanisms at work, and apart from them a sealed file that tells all.
+"""Cases: series of logs of an emulated array with mechanisms at work, and apart from them a sealed file with the truth.
 
-A case is what somebody brings home from a bench: units nobody has measured, a log for each experiment, no truth. It is
-polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs tell
-the mechanism, its severity or the seed.
+A case is like the data that a user brings from a bench: units nobody has measured, a log for each experiment, no truth.
+It is polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs
+reveal the mechanism, its severity or the seed.
 
 ::
 
@@ -10,7 +10,7 @@ the mechanism, its severity or the seed.
         --severity 2 --sensor Gyro2 --seed 7 --experiments static,tumble,heating,turn-on,motion
 
 Every log is a power-up of its own; units stay the same, noise does not. Time is emulated. `/reference` of a log holds
-what the bench was told to do: force, rate and temperature of the table, not of the sensors.
+the commanded force, rate and temperature of the bench, not those of the sensors.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A bad night, written down beforehand: faults of the emulated array by the clock, from a TOML file.
+"""A schedule of faults of the emulated array, from a TOML file.
 
-``emulated:?faults=night.toml`` makes them happen. Each is a table; times are seconds since the array was powered on::
+``emulated:?faults=night.toml`` applies it. Each fault is a table; times are seconds since the array was powered on::
 
     [[fault]]
     kind = "unplugged"     # see FAULTS
@@ -14,7 +14,7 @@
     reads_right = true     # wrong_channel: the control byte can be read back as ordered all the same
     bias = [4.0, 0.0, 0.0] # start_up: how far off it has come up, in g, dps or gauss
 
-What the program at the other end should make of them is not written down here.
+The file does not state the expected response of the program at the other end.
 """
 
 from __future__ import annotations

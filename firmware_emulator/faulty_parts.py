@@ -1,7 +1,7 @@
 """Parts that fail at given times: a chip behind its pins, a sensing element.
 
-Instants are in ns since power-on. What a fault does to a chip happens when the chip is next addressed, as of the
-instant at which it was due.
+Instants are in ns since power-on. A fault takes effect on a chip when the chip is next addressed, as of the instant at
+which it was due.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""The microcontroller's loop, without I/O: take commands, go through the lists, frame after frame.
+"""The microcontroller's loop, without I/O: takes commands and works through the lists, frame after frame.
 
-As the paper's firmware (section 3.2) it records a time and reads all sensors, again and again; which, and how, the host
-says. Commands are looked at between two frames. What it can't do with a command it says by a result, and goes on.
+As the paper's firmware (section 3.2) it records a time and reads all sensors, again and again; the host determines
+which, and how. Commands are processed between two frames. A command that it can't carry out is answered with a result
+that says so.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A session at a bench that somebody else drew: poses, temperature, motions, the room, the recorder, labels.
+"""A bench session that was drawn elsewhere: poses, temperature, motions, the room, the recorder, labels.
 
 ::
 

@@ -1,9 +1,9 @@
 """An emulated chip select: the bytes of one transfer, both ways, and how long they take.
 
-A transfer is: select, eight clocks a byte without a gap, release. The first byte tells the chip what is meant: bit 7
-reads, the rest is a register's address, of which some chips take one bit to count on. While that byte is sent the chip
-says nothing, and later nothing while it is written to. Faster than the chip bears, or in a mode that it does not know,
-each byte of an answer comes one bit late, and nothing that is written is understood (DEC-110).
+A transfer is: select, eight clocks a byte without a gap, release. The first byte is the command: bit 7 reads, the rest
+is a register's address, of which some chips use one bit to request auto-increment. The chip sends nothing during that
+byte, nor while it is written to. With a faster clock than the chip bears, or in a mode that it does not know, each byte
+of an answer comes one bit late, and nothing that is written is understood (DEC-110).
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Stimulus of the box, as a function of time alone.
 
-A world is a callable ``at_ns -> Stimulus`` plus the phases that a person with a stopwatch would note. Any callable
-will do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame:
-specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density
-in gauss.
+A world is a callable ``at_ns -> Stimulus`` plus the phases that a person with a stopwatch would note. Any callable will
+do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame: specific
+force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density in gauss.
 
-The worlds here begin at 0 ns and last for ever: what they show last, they go on showing.
+The worlds here begin at 0 ns and never end: they hold their last state.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """ADXL345 accelerometer: Analog Devices data sheet Rev. E (2015); ADX-01 ... ADX-69, DEC-24, DEC-25.
 
 Conversions fall on the chip's own grid: the first 1/ODR + 1.1 ms after measurement is switched on, then one every
-1/ODR. They are made up for when somebody looks, so a value that is read twice within a period is the same. Not
-modelled: tap, activity, inactivity and free-fall (their bits read 0) and the wake-up rates of sleep.
+1/ODR. They are computed when the chip is read, so a value that is read twice within a period is the same. Not modelled:
+tap, activity, inactivity and free-fall (their bits read 0) and the wake-up rates of sleep.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""What AKM's magnetometers have in common: identity, modes, and a fuse ROM whose values adjust the readings (AKM-13,
-AKM-16, AKM-24, AKM-27).
+"""Common parts of AKM's magnetometers: identity, modes, and a fuse ROM with the adjustment of the readings.
+
+Facts AKM-13, AKM-16, AKM-24, AKM-27.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""The BMA180 behind its registers: a sensing element, a converter that never stops, a filter that settles.
+"""The BMA180's signal path: a sensing element, a converter that never stops, a filter that settles.
 
-One cycle converts temperature, x, y, z, a quarter of a period each (BMA-94); this model looks at the element once
-per cycle, when x is ready, and publishes each axis when its own quarter is over; if quarters are so long that the box
-moves in them, once per axis, when that is ready. Cycles count from the last change
-of a setting; index -1 stands for what the registers held at that change. Codes are signed 14-bit integers (BMA-60).
+One cycle converts temperature, x, y, z, a quarter of a period each (BMA-94). The model evaluates the element once per
+cycle, when x is ready, and publishes each axis when its own quarter is over; if quarters are so long that the box moves
+in them, it evaluates the element once per axis, when that is ready. Cycles count from the last change of a setting;
+index -1 stands for what the registers held at that change. Codes are signed 14-bit integers (BMA-60).
 
-Choices where the data sheet is silent: the filter settles exponentially (DEC-14), in codes, at its cut-off
-frequency; with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stands still, so that nobody
-takes its codes for data; modes 01 and 10 act as 00 (BMA-96). The steps of the trims are choices too, see `Trims`.
+Choices where the data sheet is silent: the filter settles exponentially (DEC-14), in codes, at its cut-off frequency;
+with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stands still, so that nobody takes its codes
+for data; modes 01 and 10 act as 00 (BMA-96). The steps of the trims are choices too, see `Trims`.
 """
 
 from __future__ import annotations

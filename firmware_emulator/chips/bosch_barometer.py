@@ -1,7 +1,7 @@
 """The measurements of a Bosch barometer that sleeps, measures once in forced mode, or measures periodically.
 
-BMP280 and BMP388 differ in registers, times and formulas; when they measure, and what their filter remembers, is alike.
-Of measurements that nobody looked at, only the last 64 pass through the filter (DEC-91, DEC-222).
+BMP280 and BMP388 differ in registers, times and formulas; the times of their measurements and the memory of their
+filters are the same. Of measurements that were not read, only the last 64 pass through the filter (DEC-91, DEC-222).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A first-order high-pass that is asked now and then, as inputs of emulated filters are: only when somebody looks.
+"""A first-order high-pass that is evaluated at irregular times, whenever the emulated filter is read.
 
 Between two calls the input is taken to have stayed as it was at the earlier one. Any unit; times in integer
 nanoseconds.

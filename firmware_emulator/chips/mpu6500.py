@@ -1,8 +1,7 @@
-"""MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4; INV-70 ... INV-78,
-DEC-80 and -81.
+"""MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4.
 
-The die is awake after power-on; samples fall on its own grid from then on. Not modelled: the fifth slot of
-the auxiliary bus, motion detection, low-power cycle, the settling of the zero-rate level.
+Facts INV-70 ... INV-78, DEC-80 and -81. The die is awake after power-on; samples fall on its own grid from then on. Not
+modelled: the fifth slot of the auxiliary bus, motion detection, low-power cycle, the settling of the zero-rate level.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The master of the auxiliary bus of an MPU-6500 or MPU-9250 (INV-110 ... INV-116): at each sample it reads and writes
-registers of the devices behind it, by four slots, and shows what it read in EXT_SENS_DATA.
+"""The master of the auxiliary bus of an MPU-6500 or MPU-9250 (INV-110 ... INV-116).
 
-Not modelled: the fifth slot, of which only the delay that all others share is here; other masters; the time that
+At each sample it reads and writes registers of the devices behind it, by four slots, and shows the bytes that it read
+in EXT_SENS_DATA. Not modelled: the fifth slot, except for the delay that all others share; other masters; the time that
 transfers take.
 """
 

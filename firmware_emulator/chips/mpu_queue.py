@@ -1,8 +1,7 @@
-"""What the chips of the MPU family have in common: one grid of samples, flags, a queue of bytes (INV-26, INV-27,
-INV-98), and the bypass of the auxiliary bus (INV-97).
+"""Common parts of the chips of the MPU family: one grid of samples, flags, a queue of bytes, the auxiliary bus' bypass.
 
-A full queue loses its oldest bytes, one by one, so that a record may begin anywhere afterwards; an empty one repeats
-its last byte.
+Facts INV-26, INV-27 and INV-98 (queue), INV-97 (bypass). A full queue loses its oldest bytes, one by one, so that a
+record may begin anywhere afterwards; an empty one repeats its last byte.
 """
 
 from __future__ import annotations

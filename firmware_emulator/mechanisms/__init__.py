@@ -1,9 +1,9 @@
 """Mechanisms that make the emulated array differ from what its data sheets promise.
 
 Each is a piece of physics or a fault: heat that flows, a supply that hums, a cable that errs, a switch that hangs. It
-is put on an emulated chip, its wiring, the multiplexer or the host, and the real drivers poll what comes of it. They
-are a second source of logs for whoever has to tell the cause of a difference: written apart from the simulator, sharing
-with it neither code nor form, and some of them have no name there.
+acts on an emulated chip, its wiring, the multiplexer or the host, and the real drivers poll the result. Mechanisms are
+a second source of logs for the diagnosis of differences: they were written apart from the simulator, share neither code
+nor form with it, and some of them have no name there.
 
 `at(severity)` gives a mechanism of `severity` times a stated reference size. `resembles` is for the sealed truth: the
 names by which a diagnosis may rightly call it. See `firmware_emulator.mechanisms.query` for the bus URL, and

@@ -1,6 +1,6 @@
-"""The polling computer and the multiplexer as they may be: clocks that err, programs that wait, switches that hang.
+"""Imperfections of the polling computer and the multiplexer: clocks that err, programs that wait, switches that hang.
 
-Instants that mechanisms are asked about are in ns since power-on.
+Instants passed to mechanisms are in ns since power-on.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The line between a chip's converter and the two wires: the output latch, the contacts, the cable.
 
-`Line` stands where the chip would be and answers to its address. It knows by itself where each chip keeps its triad
-(ADX-27, BMA-12, BMA-60, L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
+`Line` takes the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27, BMA-12,
+BMA-60, L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
 """
 
 from __future__ import annotations
