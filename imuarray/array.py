@@ -1,7 +1,7 @@
-"""One array, as its TOML file describes it: which chip sits where, set how, pointing which way.
+"""The array description: which chip sits where, with which settings, pointing which way, read from a TOML file.
 
-`load_array` reads the file and refuses what can't be meant; every refusal names the file, the sensor, the key and
-what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
+`load_array` reads the file and refuses what is invalid; every refusal names the file, the sensor, the key and what is
+allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Outputs that are whole or not there: written under a temporary name beside their own, which they take at the end.
+"""Atomic output: a file is written under a temporary name next to its own, and renamed when it is complete.
 
-Whatever goes wrong, a full disk above all, leaves nothing behind, and a file that stood there before as it was.
+Any failure, a full disk above all, leaves no partial file behind, and an older file of that name as it was.
 """
 
 from __future__ import annotations

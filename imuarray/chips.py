@@ -1,8 +1,8 @@
 """Settings of each chip and the nominal meaning of one count: shared by configuration, drivers and models.
 
-Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and
-never the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). What one sensor's count really
-means is found by `calibrate`.
+Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and never
+the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). The actual sensitivity of a sensor is
+measured by `calibrate`.
 """
 
 from __future__ import annotations
