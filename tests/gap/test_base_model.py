@@ -365,6 +365,18 @@ def test_polls_that_are_early_and_late_by_turns_tell_the_nominal_rate() -> None:
     assert found.clock_error == pytest.approx(0.0, abs=1e-3)
 
 
+def test_a_reading_that_is_held_once_tells_nothing_of_the_clock() -> None:
+    """Readings that are 1.6 % slower than the polls come twice each 62 rows. One is held for 25 rows: the other log
+    tells the clock; without it nothing does.
+    """
+    latest = np.floor(np.arange(20_000) * 0.984).astype(int)
+    latest[15_000:15_025] = latest[15_000]
+    noise = np.random.default_rng(5).normal(size=(20_000, 3))[latest]
+    found = fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=50.0, ends_s=(50, 100))
+    assert found.clock_error == pytest.approx(-0.016, abs=2e-4)
+    assert math.isnan(fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=50.0).clock_error)
+
+
 def test_repeats_at_random_are_no_slow_clock() -> None:
     """Of 20,000 rows of which each repeats the one before with a chance of 3 %, some 18 do so twice in a row."""
     generator = np.random.default_rng(6)

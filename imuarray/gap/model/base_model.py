@@ -88,6 +88,9 @@ _MOST_REPEATED = 0.9
 _FILTER_MISFIT = 0.1
 """Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more."""
 
+_HELD = 6
+"""Rows beyond the longest run of a clock from which on a reading is held: repeats by chance have no such runs."""
+
 _SLIPS = 4.0
 """Excess of repeated rows over chance, in standard deviations, that shows a slow data clock."""
 
@@ -479,7 +482,8 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
 
     A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
     any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
-    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. Rows
+    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. A phase
+    in which a reading is held for long tells nothing of the clock, which the other phases may tell. Rows
     that the recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as
     overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
     none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate. Where no
@@ -499,6 +503,8 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + equal_in_a_row
         longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next one
         if rows_per_s < (1 - tolerance) * header.rate_hz:
+            continue
+        if repeats.longest > longest + _HELD:
             continue
         if repeats.longest > longest:
             return math.nan
