@@ -443,7 +443,7 @@ _SOURCES = {
     "turn_on_bias": "Table 11: (deviation of the 15 runs' means)^2 - sem^2 - (slope 0.131 degC)^2 - in-run part; 0: "
     "none is left",
     "bias_instability": "Table 11: ((deviation of the 15 five-minute means)^2 - sem^2 - (slope 0.086 degC)^2) / 0.665, "
-    "the share of a Gauss-Markov process of 600 s that such means scatter by (wander.py brackets the 600 s)",
+    "the share of a Gauss-Markov process of 600 s that such means scatter by (array_model.py brackets the 600 s)",
     "white_noise": "Tables 10 and 11: mean variance of three experiments, less step^2 / 12, on gyroscope y the tone",
     "tone": "Figure 14: near 50 Hz, y only, seen on Gyro1; no amplitude printed: 3 % of Table 9's variance, a guess",
     "bandwidth": "Figure 13: neighbours at 350 Hz correlate by 0.4 = exp(-2 pi 51 / 350); at 48 Hz nothing shows of it",
@@ -459,7 +459,7 @@ _NOTES = {
 }
 _POPULATION = """\
 # What other units of these designs may be like: mean and spread over the units above and their axes, widened by how
-# little so few can tell; `shared` is the share of the variance common to all drawn units (model_population.py).
+# little so few can tell; `shared` is the share of the variance common to all drawn units (array_model.py).
 """
 
 
