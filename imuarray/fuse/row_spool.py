@@ -62,7 +62,7 @@ class RowSpool:
         return self._path
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
     def __enter__(self) -> Self:

@@ -86,11 +86,11 @@ def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
     alone.
     """
     warm = centred(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
-    left = [
+    squares, squares_with_part = (
         ((table.apart - some @ np.linalg.lstsq(some, table.apart, rcond=None)[0]) ** 2).sum(axis=0)
         for some in (warm[:, :1], warm)
-    ]
-    return np.asarray(len(warm) / 2 * np.log((left[0] + 1e-30) / (left[1] + 1e-30)))
+    )
+    return np.asarray(len(warm) / 2 * np.log((squares + 1e-30) / (squares_with_part + 1e-30)))
 
 
 def _times_s(table: Levels) -> Floats:
