@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where
-from imuarray.gap.findings.sentence import meaning, sentence_of
+from imuarray.gap.findings.sentence import sentence_of
 from imuarray.gap.findings.verdict import Judgement
 from imuarray.gap.model.use import Figure, Use
-from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects import EFFECTS, meaning
 
 GAP = Gap(9.0, 1.5, 0.9, 0.97, (0.92, 0.99))
 

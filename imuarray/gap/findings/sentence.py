@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from inspect import cleandoc
 
 from imuarray.gap.findings.diagnosis import Cause, Pull, Where, needs_both_parts
 from imuarray.gap.findings.text import closed_text, parameters_text, places_text, specification_text
 from imuarray.gap.findings.verdict import EVEN, Judgement
 from imuarray.gap.model.use import Use
-from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects import meaning
 
 _EFFECT_OF = {
     "scale factor error": "scale",
@@ -94,14 +92,6 @@ def _unexplained(where: Sequence[Where]) -> str:
 
 def _place(where: Where) -> str:
     return f"{where.sensor} {where.axis}".rstrip()
-
-
-def meaning(effect: str) -> str:
-    """An effect in words, from the first line of its module; "" for a name that isn't in the library."""
-    if effect not in EFFECTS:
-        return ""
-    first = cleandoc(sys.modules[EFFECTS[effect].__module__].__doc__ or "").partition("\n")[0]
-    return first.partition(": ")[2].rstrip(".")
 
 
 _AGREEMENT = "The recordings agree with the simulator: no statistic is beyond chance."
