@@ -10,10 +10,8 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
-
-REFERENCE_DEGC = 25.0
-"""Temperature of a part at which it adds nothing."""
 
 _STEPS = 50
 """Steps of the recursion per time constant."""
@@ -32,18 +30,20 @@ class ThermalLag(Effect):
     `thermal_scale`, and on what the chip's own thermometer reads. In data: a loop in readings over the temperature of
     another chip, its area growing with the speed of heating.
 
-    With a `slope`, in the sensor's unit per degC, only a part lags, and adds slope (T - 25 degC) to the readings: the
+    With a `slope`, in the sensor's unit per degC, only a part lags, and adds slope (T - reference) to the readings: the
     stress of a board that warms up later than the chip does it. What the element and its thermometer feel is unchanged.
     """
 
     name: ClassVar[str] = "thermal_lag"
     time_constant_s: float = scalar(0.0)
     slope: Triple = per_axis(suffix="_{u}_per_degc")
+    reference_degc: float = scalar(25.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a time constant outside 0 to 1e6 s."""
+        """ValueError for a time constant outside 0 to 1e6 s, or a reference that `thermal_bias` refuses."""
         super().__post_init__()
         require("time_constant_s", self.time_constant_s, 0.0, 1e6)
+        require("reference_degc", self.reference_degc, -273.15, 1000.0)
 
     def felt(self, felt: Felt, at: Place) -> Felt:
         """Another temperature."""
@@ -55,9 +55,9 @@ class ThermalLag(Effect):
         """Adds the bias of a part."""
         if not any(self.slope) or len(analog.instant_ns) == 0:
             return analog
-        value = analog.value
-        warmer = (self.temperature_degc(analog.instant_ns, at.motion) - REFERENCE_DEGC).astype(value.dtype)[:, None]
-        return replace(analog, value=value + warmer @ np.array([self.slope], value.dtype))
+        part = replace(analog, temperature_degc=self.temperature_degc(analog.instant_ns, at.motion))
+        bias = ThermalBias(self.slope, reference_degc=self.reference_degc)
+        return replace(analog, value=bias.analog(part, at).value)
 
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
         """The element's temperature (n,) at times (n,), at least one, in a box that does this motion."""

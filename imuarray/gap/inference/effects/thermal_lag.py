@@ -15,7 +15,8 @@ from imuarray.gap.inference.effects.levels import Levels, centred, levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.thermal_lag import REFERENCE_DEGC, ThermalLag
+from imuarray.gap.model.rest import REFERENCE_DEGC
+from imuarray.simulate.effects.thermal_lag import ThermalLag
 
 _TRIED = 30
 _STEPS = 2000
@@ -73,7 +74,7 @@ def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
     ordinary = evidence.fitted
     base_offset, base_slope = np.add(ordinary.offset, np.where(clear, offset, 0.0)), np.add(ordinary.slope, change)
     (x, y, z), (slope_x, slope_y, slope_z) = base_offset.tolist(), base_slope.tolist()
-    part = ThermalLag(time_constant_s, tuple(slope.tolist()))
+    part = ThermalLag(time_constant_s, tuple(slope.tolist()), REFERENCE_DEGC)
     yield Hypothesis(
         (part,),
         ("slope", "time_constant_s"),
