@@ -197,7 +197,7 @@ class RunByMoment(CannedRun):
 @pytest.mark.parametrize("moment_s", [11.0, 37.1, 49.0])
 def test_a_beginning_within_a_motion(moment_s: float) -> None:
     """It is narrowed down from the middle, 30 s, to an eighth of a second: each of four times 40 s shrink by 2 / 7."""
-    trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), within=(10.0, 50.0))
+    trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), begin_bounds_s=(10.0, 50.0))
     run = RunByMoment(moment_s)
     result = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
     assert result.selection is not None

@@ -52,13 +52,13 @@ def test_a_beginning_that_is_narrowed_down() -> None:
     """To the moments beside the one at which it begins now; the ends of the row of moments are their own neighbours.
     What it costs to say when stays.
     """
-    trial = replace(LINE.at(joined([in_logs([0]), When((Span(2, 30.0, math.inf),))])), within=(10.0, 50.0))
+    trial = replace(LINE.at(joined([in_logs([0]), When((Span(2, 30.0, math.inf),))])), begin_bounds_s=(10.0, 50.0))
     narrowed = trial.narrowed((10.0, 20.0, 30.0, 50.0), 1)
     assert narrowed.when.triples == [(0, 0.0, math.inf), (2, 20.0, math.inf)]
     assert narrowed.effects[0].spans == (0.0, 0.0, 1e9, 2.0, 20.0, 1e9)
-    assert narrowed.within == (10.0, 30.0)
+    assert narrowed.begin_bounds_s == (10.0, 30.0)
     assert narrowed.rarity == trial.rarity
-    assert trial.narrowed((10.0, 50.0), 1).within == (10.0, 50.0)
+    assert trial.narrowed((10.0, 50.0), 1).begin_bounds_s == (10.0, 50.0)
 
 
 @pytest.mark.parametrize(

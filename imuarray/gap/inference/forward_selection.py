@@ -280,13 +280,13 @@ def _narrowed(
     best = {
         unit: max(several, key=lambda look: look.gain)
         for unit, unit_looks in looks.items()
-        if (several := [look for look in unit_looks if look.trial.within is not None and look.gain > WORTH])
+        if (several := [look for look in unit_looks if look.trial.begin_bounds_s is not None and look.gain > WORTH])
     }
     for _ in range(_NARROWINGS if best else 0):
         requests: dict[Unit, list[Hypothesis]] = {}
         for unit, look in best.items():
-            if look.trial.within is not None:
-                moments_s = np.linspace(*look.trial.within, _MOMENTS + 2).tolist()
+            if look.trial.begin_bounds_s is not None:
+                moments_s = np.linspace(*look.trial.begin_bounds_s, _MOMENTS + 2).tolist()
                 requests[unit] = [look.trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
         for unit, unit_looks in _looked_at(run, standings, requests).items():
             best[unit] = max(unit_looks, key=lambda look: look.gain)

@@ -40,7 +40,7 @@ ROUNDS = 6
 _DELAY_PROBES = frozenset({"motion_delay", "motion_residual"})
 """Statistics of a sensor's delay: no level, scale or code moves these, whatever the other statistics do."""
 
-_OF_HEAT = frozenset({"thermal_bias", "thermal_lag", "thermal_scale"})
+_THERMAL = frozenset({"thermal_bias", "thermal_lag", "thermal_scale"})
 """Effects whose guesses by both parts are tried as well: the temperatures of one half of a heating say little of those
 of the other half.
 """
@@ -316,12 +316,12 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
-        of_heat = _OF_HEAT if any(phase.kind == "heating" for phase in evidence.phases) else frozenset()
+        thermal = _THERMAL if any(phase.kind == "heating" for phase in evidence.phases) else frozenset()
         known = {(trial.name, trial.when, trial.shared) for trial in lasting}
         late = [
             replace(trial, whole=True)
             for trial in everything
-            if trial.needs_both or trial.name in of_heat or (trial.name, trial.when, trial.shared) not in known
+            if trial.needs_both or trial.name in thermal or (trial.name, trial.when, trial.shared) not in known
         ]
         every = [
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)

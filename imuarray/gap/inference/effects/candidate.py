@@ -34,8 +34,8 @@ class Hypothesis:
     its `members` of the chip have it; or (`everywhere`) all that the host reads. `whole`: neither part shows it
     without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
     (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
-    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`);
-    where the beginning of its last span is only known to lie `within` two moments of that log, looks find it.
+    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`).
+    `begin_bounds_s`: moments of its log between which the last span begins, where looks have to find the beginning.
     """
 
     effects: tuple[Effect, ...]
@@ -53,7 +53,7 @@ class Hypothesis:
     fitted: FittedParameters | None = None
     opposite_fitted: FittedParameters | None = None
     when: When = ALWAYS
-    within: tuple[float, float] | None = None
+    begin_bounds_s: tuple[float, float] | None = None
 
     def at(self, when: When) -> Hypothesis:
         """The same within these spans alone: every number that was chosen for them makes it rarer."""
@@ -73,7 +73,8 @@ class Hypothesis:
         *earlier, last = self.when.spans
         begin_s = moments_s[at]
         changed = self.at(When((*earlier, last._replace(moment_s=begin_s)), self.when.chosen))
-        return replace(changed, within=(moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]))
+        bounds_s = moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]
+        return replace(changed, begin_bounds_s=bounds_s)
 
     @property
     def name(self) -> str:

@@ -164,7 +164,7 @@ def _exchanges(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) 
     log = pair.course.log
     last = np.searchsorted(log, log, side="right")  # of each segment's log
     for ends in (last, np.full(len(last), len(last))):
-        gains = _gains_of_exchange(pair.here, pair.there, ends, floor)
+        gains = _gains_of_exchange(pair.own_deviation, pair.exchanged_deviation, ends, floor)
         begin = int(gains.argmax())
         if gains[begin] < _CLEAR:
             continue
@@ -186,15 +186,13 @@ class _Pair(NamedTuple):
         return np.asarray(other_course.mean - other_course.deviation - course.mean + course.deviation)
 
     @property
-    def here(self) -> Floats:
+    def own_deviation(self) -> Floats:
         """(s, 6) deviations of both from what the model predicts, as they are recorded."""
         return np.concatenate([self.course.deviation, self.other_course.deviation], axis=1)
 
     @property
-    def there(self) -> Floats:
-        """(s, 6) the same if the rows of each are the other's: of the sensor, in the other's column, and of the
-        other.
-        """
+    def exchanged_deviation(self) -> Floats:
+        """(s, 6) the same if each sensor's rows stand in the other's column."""
         return np.concatenate([self.other_course.deviation + self.way, self.course.deviation - self.way], axis=1)
 
     def exchanged_segments(self, offset: Floats, other_offset: Floats) -> Booleans | None:
@@ -223,7 +221,7 @@ class _Pair(NamedTuple):
 
 def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> list[Hypothesis]:
     """The exchange in the segments `inside` (s,); none if it explains too few of them."""
-    deviation = np.where(inside[:, None], pair.there, pair.here)
+    deviation = np.where(inside[:, None], pair.exchanged_deviation, pair.own_deviation)
     offsets = np.median(deviation, axis=0)
     way = pair.way + offsets[3:] - offsets[:3]
     error, length = np.linalg.norm((deviation - offsets)[:, :3], axis=1), np.linalg.norm(way, axis=1)
@@ -238,8 +236,8 @@ def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> 
         _with_offset(evidence.fitted, offsets[:3] / scale),
         _with_offset(evidence.twin_fitted[other], offsets[3:] / scale),
     )
-    within = _gap_before(pair.course, inside)
-    return [replace(exchange, within=within) for exchange in exchanges]
+    bounds_s = _gap_before(pair.course, inside)
+    return [replace(exchange, begin_bounds_s=bounds_s) for exchange in exchanges]
 
 
 def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None:
@@ -276,21 +274,21 @@ def _chosen(course: _Course, rows: Integers) -> _Course:
     return _Course(log[rows], time_s[rows], face[rows], mean[rows], deviation[rows], noise)
 
 
-def _gains_of_exchange(here: Floats, there: Floats, ends: Integers, floor: Floats) -> Floats:
-    """(s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are `there`
-    instead of `here`; their variances are at least `floor` (6,).
+def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Floats) -> Floats:
+    """(s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are
+    `exchanged` instead of `own`; their variances are at least `floor` (6,).
     """
-    count, begins = len(here), np.arange(len(here))
-    middle = np.median(here, axis=0)
+    count, begins = len(own), np.arange(len(own))
+    middle = np.median(own, axis=0)
 
     def total(power: int) -> Floats:
-        here_sums, there_sums = (
-            np.cumsum(np.pad((side - middle) ** power, ((1, 0), (0, 0))), axis=0) for side in (here, there)
+        own_sums, sums = (
+            np.cumsum(np.pad((side - middle) ** power, ((1, 0), (0, 0))), axis=0) for side in (own, exchanged)
         )
-        return np.asarray(here_sums[-1] - here_sums[ends] + here_sums[begins] + there_sums[ends] - there_sums[begins])
+        return np.asarray(own_sums[-1] - own_sums[ends] + own_sums[begins] + sums[ends] - sums[begins])
 
     variance = total(2) / count - (total(1) / count) ** 2
-    usual = np.maximum(here.var(axis=0), floor)
+    usual = np.maximum(own.var(axis=0), floor)
     gains = count / 2 * np.log(usual / np.maximum(variance, floor)).sum(axis=1)
     return np.where(np.minimum(begins, ends - begins) < _LEAST_SEGMENTS, 0.0, gains)
 

@@ -46,8 +46,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((Saturation((x, y, z)),), ("limit",))
     if any(len(axis_ends) > 1 for axis_ends in ends):
         scale = 2 * evidence.header.sensitivity
-        x, y, z = ((max(of) - min(of)) / scale if len(of) > 1 else math.inf for of in ends)
-        centre_x, centre_y, centre_z = ((max(of) + min(of)) / scale if len(of) > 1 else 0.0 for of in ends)
+        x, y, z = ((max(codes) - min(codes)) / scale if len(codes) > 1 else math.inf for codes in ends)
+        centre_x, centre_y, centre_z = ((max(codes) + min(codes)) / scale if len(codes) > 1 else 0.0 for codes in ends)
         yield Hypothesis((Saturation((x, y, z), (centre_x, centre_y, centre_z)),))
 
 
