@@ -84,7 +84,7 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
     With `still_s` 0 nothing is taken out before, and no stillness is asked for. Of errors in blocks, memory holds those
     of a coast; the result does not depend on the blocks.
     """
-    frames = _Reach([errors] if isinstance(errors, Errors) else errors)
+    frames = _FrameBuffer([errors] if isinstance(errors, Errors) else errors)
     if len(frames.seconds) < 2:
         return Coasting(np.zeros(0), np.zeros(0), np.zeros(0))
     result, begin = [], 0.0
@@ -111,9 +111,9 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
     return Coasting(heading, velocity, begins)
 
 
-class _Reach:
-    """The frames of a stream of blocks that are in memory; the first of all was at `start_ns`, the next ones follow in
-    steps of `period_s`.
+class _FrameBuffer:
+    """The part of a stream of frames that is in memory; the stream begins at `start_ns` and has a frame every
+    `period_s`.
     """
 
     def __init__(self, blocks: Iterable[Errors]) -> None:
@@ -149,7 +149,7 @@ class _Reach:
             self.errors = Errors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def forget(self, before_s: float) -> None:
-        """Let go of the frames before a time."""
+        """Drop the frames before a time."""
         first = int(np.searchsorted(self.seconds, before_s))
         self.errors = self.errors[first:]
 

@@ -1,4 +1,4 @@
-"""Rows of numbers on the disk: what is worked out of a whole log need not be in memory."""
+"""Rows of numbers in a file, so that results of a whole log are computed in memory that does not grow with it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 from imuarray.arrays import Floats
 
 AT_ONCE = 1 << 15
-"""Rows that are worked on at once."""
+"""Rows of a block."""
 
 
 class RowSource(Protocol):
-    """Rows (n, k): an array, or what reads a slice of them when it is asked for."""
+    """Rows (n, k): an array, or an object that reads a slice of them on demand."""
 
     def __len__(self) -> int: ...
 

@@ -110,7 +110,7 @@ class FaultReport:
             others=others,
         )
 
-    def disagreed(self) -> None:
+    def count_disagreement(self) -> None:
         """Count a window in which all sensors disagree."""
         self.disagreements += 1
 

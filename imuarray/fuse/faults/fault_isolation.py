@@ -315,7 +315,7 @@ class FaultIsolation:
             if suspect is not None and (shared := disagreement(seen, self._normal)) > 0:
                 suspect = strongest(seen, self._normal, shared)
                 if suspect is None:
-                    self.report.disagreed()
+                    self.report.count_disagreement()
                     return seen, ~nobody
             if suspect is None and departed is not None:
                 (suspect, drifted), departed = departed, None

@@ -60,7 +60,8 @@ class Suspect:
 def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) -> Suspect | None:
     """The most likely fault of a window, None if it shows none.
 
-    `disagreement`: the variance that the function of this name returns.
+    `disagreement` is the variance of single readings (SI) by which the sensors of this window differ from each other
+    beyond noise, 0 for none.
     """
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)

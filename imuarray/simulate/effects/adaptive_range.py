@@ -8,13 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.arrays import Booleans, Floats
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
 
 LONGEST = 256
-"""Rows that one reading lasts at most, while the threshold is passed again and again."""
+"""Most rows that show one reading, however often the threshold is passed meanwhile."""
+
 _DENSE = 1.5
+"""Interval of rows, in periods of the chip's readings, below which rows show every reading."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class AdaptiveRange(Effect):
         is_held &= rows - starts[run] < LONGEST
         return replace(codes, counts=np.where(is_held[:, None], shown[run], codes.counts))
 
-    def _noticed_ns(self, codes: Codes, passed: np.ndarray, period_ns: float, sensitivity: float) -> Floats:
+    def _noticed_ns(self, codes: Codes, passed: Indices, period_ns: float, sensitivity: float) -> Floats:
         """When the chip notices each passage, of which it first has a reading in a row of `passed`: at its first
         reading after it.
         """
@@ -81,14 +83,14 @@ class AdaptiveRange(Effect):
         return np.asarray(np.minimum(end_ns, at_ns + period_ns))
 
 
-def _held(codes: Codes, passed: np.ndarray, noticed_ns: Floats, hold_ns: float) -> Booleans:
+def _held(codes: Codes, passed: Indices, noticed_ns: Floats, hold_ns: float) -> Booleans:
     """(n,) whether a row falls within the hold of the latest passage before it."""
     latest = np.searchsorted(passed, np.arange(len(codes.counts)), side="right") - 1
     since_ns = codes.instant_ns - noticed_ns[latest]
     return np.asarray((latest >= 0) & (since_ns < hold_ns))
 
 
-def _shown_at(codes: Codes, starts: np.ndarray, at_ns: Floats, period_ns: float) -> Counts:
+def _shown_at(codes: Codes, starts: Indices, at_ns: Floats, period_ns: float) -> Counts:
     """The readings (m, 3) that are kept from rows `starts` on: those of the rows before where rows hold every reading,
     between the two rows, as of `at_ns`, where they do not.
     """
