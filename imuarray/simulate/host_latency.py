@@ -73,6 +73,12 @@ class DelayedTimes:
         return halves, missed
 
 
+def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
+    """The stamps in ns of the rows before and after each stretch in which the sensor lost rows, and how many."""
+    own = line.own if isinstance(line, DelayedTimes) else line
+    return tuple(own.holes()) if isinstance(own, GapFilledTimes) else ()
+
+
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
     """The `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is nothing of it
     stays as it is.

@@ -16,9 +16,10 @@ from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from imuarray.array import ArrayConfig, SensorConfig
-from imuarray.arrays import Integers
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.chips import CHIPS
 from imuarray.log import SensorLog
 from imuarray.log.columns import NamedColumn
@@ -41,6 +42,23 @@ _HOLE = 1.5
 
 _TYPICAL = 1024
 """A block of fewer intervals doesn't change what is usual."""
+
+_LEAST_REGULAR, _REGULAR = 200, 0.9
+"""Intervals, and the share of them within `_OFF_GRID` of the usual one, from which on a record is regular."""
+
+_OFF_GRID = 0.2
+"""Largest distance of an interval from a whole number of usual ones, in usual ones, where rows are missing."""
+
+_LONGEST_SKIP = 20.5
+"""Usual intervals: of a longer gap without a flag it can't be said that it fits the period."""
+
+_AROUND = 2
+"""Intervals on either side in which a late row is made up for."""
+
+_LEAST_BEAT, _EVEN = 3, 0.5
+"""Distances between gaps, and their coefficient of variation, below which gaps are evenly spaced; 1 if they are
+independent.
+"""
 
 
 class Timeline(Protocol):
@@ -198,34 +216,58 @@ class GapFilledTimes:
 
 
 def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
-    """The rows of a recorded sensor, and where one is flagged as one before which others were lost (flag 8), and the
-    interval before it is 1.5 times the usual one or longer, as many as there are too few.
+    """The rows of a recorded sensor and those that it lost.
+
+    Rows are lost before one with flag 8 where the interval is `_HOLE` times the usual one or longer; and, since not
+    every recorder sets that flag, in gaps of a regular record that fit its period and that no early row makes up for.
+    Gaps without the flag at even distances are the beat of the chip's clock with the recorder's: nothing is lost there.
 
     Usual is the median of the intervals without the flag, in 65536 rows. Reads times and flags once, a block at a time.
     """
-    recorded, status = LogTimes(sensor), sensor.status
-    holes = list(_holes(sensor, status)) if not isinstance(status, np.ndarray) and recorded.rows > 1 else []
+    recorded = LogTimes(sensor)
+    holes = list(_holes(sensor)) if recorded.rows > 1 else []
     if not holes:
         return recorded
-    before, missing = zip(*holes, strict=True)
-    return GapFilledTimes(recorded, np.concatenate(before), np.concatenate(missing))
+    before, missing, is_flagged = (np.concatenate(column) for column in zip(*holes, strict=True))
+    lost = is_flagged | (not _is_beat(before))
+    return GapFilledTimes(recorded, before[lost], missing[lost]) if lost.any() else recorded
 
 
-def _holes(sensor: SensorLog, status: NamedColumn) -> Iterator[tuple[Integers, Integers]]:
-    """Rows before which others are missing, and how many, of each block that has such."""
-    last, usual_ns = np.zeros(0, np.int64), 0.0
+def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
+    """Rows before which others are missing, how many, and whether they have the flag, of each block that has such."""
+    usual_ns = 0.0
     for block in sensor.blocks():
-        times = np.concatenate([last, np.asarray(sensor.time[block], np.int64)])
-        intervals, last = np.diff(times), times[-1:]
-        first = block.stop - len(intervals)
-        lost = (np.asarray(status[first : block.stop]) & LOST_BEFORE) != 0
-        plain = intervals[~lost]
+        first = max(block.start - _AROUND - 1, 0)
+        times = np.asarray(sensor.time[first : min(block.stop + _AROUND, len(sensor))], np.int64)
+        intervals = np.diff(times)  # the interval before row r has the number r - 1 - first
+        own = slice(max(block.start, 1) - 1 - first, block.stop - 1 - first)
+        lost = (np.asarray(sensor.status[first + 1 : first + len(times)]) & LOST_BEFORE) != 0
+        plain = intervals[own][~lost[own]]
         if len(plain) >= (_TYPICAL if usual_ns else 1):
             usual_ns = float(np.median(plain))
-        holes = np.flatnonzero(lost & (intervals >= _HOLE * usual_ns))
-        if usual_ns > 0 and len(holes):
-            missing = np.rint(intervals[holes] / usual_ns).astype(np.int64) - 1
-            yield first + holes, missing
+        if usual_ns <= 0:
+            continue
+        periods = intervals / usual_ns
+        holes = np.flatnonzero(np.where(lost, periods >= _HOLE, _are_skips(periods))[own]) + own.start
+        if len(holes):
+            yield first + 1 + holes, np.rint(periods[holes]).astype(np.int64) - 1, lost[holes]
+
+
+def _are_skips(periods: Floats) -> Booleans:
+    """True for intervals (n,), in usual ones, that lack rows: near a whole number of periods, among intervals that are
+    nearly all of one period, and without a shorter one nearby, which would follow a row that is only late.
+    """
+    if len(periods) < _LEAST_REGULAR or np.mean(np.abs(periods - 1) <= _OFF_GRID) < _REGULAR:
+        return np.zeros(len(periods), bool)
+    near = sliding_window_view(np.pad(periods, _AROUND, constant_values=1.0), 2 * _AROUND + 1).min(axis=1)
+    fits = np.abs(periods - np.rint(periods)) <= _OFF_GRID
+    return np.asarray(fits & (periods >= _HOLE) & (periods <= _LONGEST_SKIP) & (near >= 1 - _OFF_GRID))
+
+
+def _is_beat(rows: Integers) -> bool:
+    """True if gaps before these rows (h,) lie at even distances."""
+    distances = np.diff(rows)
+    return len(distances) >= _LEAST_BEAT and float(np.std(distances)) < _EVEN * float(np.mean(distances))
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:

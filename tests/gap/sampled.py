@@ -62,7 +62,8 @@ FAST, SLOW = Experiment(200.0, 60.0), Experiment(48.0, 20.0, ("+Z", "+X", "+Y", 
 @dataclass
 class Rows:
     """One sensor in one log: `time_s` (n,), `signal` and `noise` (n, 3) in the sensor's unit, which an effect changes
-    before they are converted to `counts`; these, `kept` and `stale` (n,) it changes afterwards.
+    before they are converted to `counts`; these, `kept` and `stale` (n,) it changes afterwards. Rows before which
+    others are lost have a flag if the recorder `flags_losses`.
     """
 
     log: int
@@ -75,6 +76,7 @@ class Rows:
     kept: Bools
     stale: Bools
     rng: np.random.Generator
+    flags_losses: bool = True
 
 
 def _nothing(rows: Rows) -> None:
@@ -174,7 +176,7 @@ def _block(
     rows.counts = np.rint((rows.signal + rows.noise) * header.sensitivity).astype(np.int64)
     change.digital(rows)
     status = np.where(rows.stale, STALE, 0).astype(np.uint16)
-    lost_before = np.concatenate([[False], ~rows.kept[:-1]])
+    lost_before = np.concatenate([[False], ~rows.kept[:-1]]) & rows.flags_losses
     status |= np.where(lost_before, LOST_BEFORE, 0).astype(np.uint16)
     kept = rows.kept
     return Block(np.rint(time_s[kept] * 1e9).astype(np.int64), rows.counts[kept].astype(np.int16), status[kept], None)
@@ -281,10 +283,11 @@ def shared_noise(
     return Change(analog)
 
 
-def lost(moments_s: Sequence[float], log: int = 0) -> Change:
-    """Single readings that never arrive."""
+def lost(moments_s: Sequence[float], log: int = 0, *, flagged: bool = True) -> Change:
+    """Single readings that never arrive, with the flag that says so or without."""
 
     def digital(rows: Rows) -> None:
+        rows.flags_losses = flagged
         if rows.log == log:
             rows.kept[np.searchsorted(rows.time_s, moments_s)] = False
 

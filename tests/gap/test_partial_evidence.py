@@ -61,6 +61,12 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Ma
     "another level for a part of the time": ("bias", ("G1",), {"G1": sampled.shifted(0.06, 17.3, 29.0)}, {}),
     "another level since a moment": ("bias", ("G3",), {"G3": sampled.shifted(-0.1, 33.1, axis=2)}, {}),
     "four rows are lost": ("dropped_samples", ("G2",), {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9])}, {}),
+    "four rows are lost, and no flag says so": (
+        "dropped_samples",
+        ("G2",),
+        {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9], flagged=False)},
+        {},
+    ),
     "three readings are off": ("glitches", ("G2",), {"G2": sampled.off([7.31, 40.4, 51.9], 70)}, {}),
 }
 

@@ -214,3 +214,61 @@ def test_a_log_without_flags_has_no_holes(tmp_path: Path) -> None:
         assert filled(log["A"]).rows == 1
     with open_log(log_of(tmp_path / "two.h5", times[:2], [0, 1])) as log:  # nothing tells what is usual
         assert filled(log["A"]).rows == 2
+
+
+PERIOD_NS = 10_000_000
+
+
+def regular(rows: int, missing: Sequence[int], jitter: float = 0.02, seed: int = 0) -> np.ndarray:
+    """Times of rows at 100 Hz, a little off the grid, without those that are missing."""
+    kept = np.setdiff1d(np.arange(rows), missing)
+    return np.rint((kept + np.random.default_rng(seed).normal(0, jitter, len(kept))) * PERIOD_NS).astype(np.int64)
+
+
+@pytest.mark.parametrize("rows", [1000, 70_000])
+def test_rows_that_a_regular_record_lacks_are_lost_whether_or_not_a_flag_says_so(tmp_path: Path, rows: int) -> None:
+    """Gaps of one, two and three rows at uneven distances, one of them where blocks of 65536 rows meet."""
+    missing = [50, 61, 62, 300, 301, 302, 700, *([65_537, 65_900] if rows > 65_536 else [])]
+    times = regular(rows, missing)
+    with open_log(log_of(tmp_path / "log.h5", times, [])) as log:
+        line = filled(log["A"])
+        assert isinstance(line, GapFilledTimes)
+        assert line.rows == rows
+        assert line.missing.tolist() == [1, 2, 3, 1, *([1, 1] if rows > 65_536 else [])]
+        assert np.abs(line.stamps(0, rows) - np.arange(rows) * PERIOD_NS).max() < 0.12 * PERIOD_NS
+
+
+def test_a_late_row_is_not_a_lost_one(tmp_path: Path) -> None:
+    """A busy host reads some rows most of a period late: the next ones come early by as much."""
+    late = regular(1000, [])
+    late[[100, 430, 431, 800]] += PERIOD_NS * 7 // 10
+    with open_log(log_of(tmp_path / "log.h5", late, [])) as log:
+        assert isinstance(filled(log["A"]), LogTimes)
+
+
+def test_what_is_no_loss_of_a_regular_record(tmp_path: Path) -> None:
+    """Evenly spaced gaps, gaps that do not fit the period, long ones, and any gap among irregular times."""
+    rng = np.random.default_rng(1)
+    uneven = [57, 130, 390, 444, 910]
+    pauses = regular(1000, [])
+    for row in uneven:
+        pauses[row:] += PERIOD_NS * 55 // 100
+    records = {
+        "beat": regular(1000, list(range(37, 1000, 90))),
+        "pauses": pauses,
+        "long": regular(1000, list(range(300, 330))),
+        "few": regular(150, [20, 33, 90]),
+        "irregular": np.cumsum(rng.exponential(PERIOD_NS, 1000).astype(np.int64) + 1),
+    }
+    for name, times in records.items():
+        with open_log(log_of(tmp_path / f"{name}.h5", times, [])) as log:
+            assert isinstance(filled(log["A"]), LogTimes), name
+
+
+def test_flagged_losses_count_among_evenly_spaced_gaps(tmp_path: Path) -> None:
+    times = regular(1000, list(range(37, 1000, 90)))
+    (gaps,) = np.nonzero(np.diff(times) > 1.5 * PERIOD_NS)
+    with open_log(log_of(tmp_path / "log.h5", times, gaps[3:5] + 1)) as log:
+        line = filled(log["A"])
+        assert isinstance(line, GapFilledTimes)
+        assert line.before.tolist() == (gaps[3:5] + 1).tolist()

@@ -17,9 +17,9 @@ from imuarray.gap.recording.source import recorded_source
 from imuarray.log import Log
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
-from imuarray.simulate.host_latency import DelayedTimes
+from imuarray.simulate.host_latency import DelayedTimes, lost_rows
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.timeline import GapFilledTimes, Timeline
+from imuarray.simulate.timeline import Timeline
 from imuarray.units import INERTIAL
 
 MOST_STRETCHES = 256
@@ -144,11 +144,10 @@ def _host(timelines: Collection[Timeline]) -> Host:
 def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known: Collection[str], host: Host) -> Events:
     sensor = log[name]
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
-    row_times = line.own if isinstance(line, DelayedTimes) else line
     return Events(
         repeated_rows_in(recorded_source(sensor, line).blocks(0, _END_NS)),
         tuple(outliers_in_motion(sensor, others, phase) for phase in moving),
-        tuple(row_times.holes()) if isinstance(row_times, GapFilledTimes) else (),
+        lost_rows(line),
         host,
         resets_in(sensor),
     )

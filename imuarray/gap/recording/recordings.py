@@ -34,7 +34,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.converters import thermometer_of
-from imuarray.simulate.host_latency import find_delays
+from imuarray.simulate.host_latency import find_delays, lost_rows
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog, TemperatureSource
 from imuarray.simulate.motion.posed import PoseSequence
@@ -250,16 +250,20 @@ def sources_of(recording: Recording) -> dict[str, Source]:
 
     Without the counts of thermometers whose scale is unknown or that are the only source of the temperature, and
     without the flag of lost rows after gaps of the recorder; rows that arrived in bursts get the times at which they
-    were read.
+    were read. The flag of lost rows is set after every gap in which rows were lost, as in a simulation that loses them,
+    whether or not the recorder sets it.
     """
     sources: dict[str, Source] = {}
     for name, (header, line) in recording.experiment.plan.sensors.items():
-        source = recorded_source(recording.log[name], line)
+        source: Source = recorded_source(recording.log[name], line)
         gap_ends_ns = recording.gap_ends_ns.get(name, np.zeros(0, np.int64))
+        loss_ends_ns = np.array([end_ns for _, end_ns, _ in lost_rows(line)], np.int64)
+        if not recording.experiment.plan.flags & LOST_BEFORE:
+            loss_ends_ns = loss_ends_ns[:0]
         strange = source.header.has_temperature and not header.has_temperature
-        sources[name] = (
-            _Comparable(source, header.has_temperature, gap_ends_ns) if strange or len(gap_ends_ns) else source
-        )
+        if strange or len(gap_ends_ns) or len(loss_ends_ns):
+            source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns)
+        sources[name] = source
     return sources
 
 
@@ -272,15 +276,15 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
 
 
 class _Comparable:
-    """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`, and the flags of
-    the rows at `gap_ends_ns` (k,).
+    """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`. The flag of lost
+    rows is removed from the rows at `gap_ends_ns` (k,), and set in those at `loss_ends_ns` (l,).
     """
 
-    def __init__(self, source: Source, has_temperature: bool, gap_ends_ns: Times) -> None:
+    def __init__(self, source: Source, has_temperature: bool, gap_ends_ns: Times, loss_ends_ns: Times) -> None:
         self.header = replace(source.header, has_temperature=source.header.has_temperature and has_temperature)
         self.cache: dict[Hashable, Any] = {}
         self._source = source
-        self._gap_ends_ns = gap_ends_ns
+        self._gap_ends_ns, self._loss_ends_ns = gap_ends_ns, loss_ends_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         return self._source.rows(start_ns, end_ns)
@@ -288,8 +292,9 @@ class _Comparable:
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         for block in self._source.blocks(start_ns, end_ns):
             temperature = block.temperature_counts if self.header.has_temperature else None
-            is_behind = np.isin(block.time, self._gap_ends_ns)
-            status = block.status & ~np.where(is_behind, np.uint16(LOST_BEFORE), np.uint16(0))
+            status = block.status.copy()
+            status[np.isin(block.time, self._gap_ends_ns)] &= np.uint16(~LOST_BEFORE & 0xFFFF)
+            status[np.isin(block.time, self._loss_ends_ns)] |= np.uint16(LOST_BEFORE)
             yield block._replace(temperature_counts=temperature, status=status)
 
 
