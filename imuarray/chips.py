@@ -51,8 +51,8 @@ class SpiRules:
 
 @dataclass(frozen=True)
 class HighResolution:
-    """What a chip's queue gives with `high_resolution = true`: at this `range` alone, so many counts per unit, each of
-    `count_bits` bits.
+    """Samples of a chip's queue with `high_resolution = true`: at this `range` alone, with `sensitivity` counts per
+    unit and `count_bits` bits each.
     """
 
     range: float

@@ -56,7 +56,7 @@ class AuxiliaryMaster:
 
     @staticmethod
     def recorded(page: bytearray, slots: int) -> bytes:
-        """What the slots whose bits are set in `slots` have read, for the queue."""
+        """Return what the slots whose bits are set in `slots` have read, for the queue."""
         data, place = b"", EXTERNAL.start
         for slot in range(SLOTS):
             address, _, control = page[_FIRST + slot * _STEP : _FIRST + (slot + 1) * _STEP]

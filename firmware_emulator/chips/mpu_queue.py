@@ -127,7 +127,7 @@ class MpuFamily(SixAxis):
             self.on_bypass()
 
     def _store(self, address: int, value: int, at_ns: int) -> None:
-        """What was sampled before stays as it was."""
+        """Write to a register; what that does to the queue."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.begin_reset(address, value, at_ns):

@@ -79,7 +79,7 @@ class SerialBus:
         return self._session.capacity
 
     def firmware_counts(self) -> FirmwareCounts | None:
-        """What the firmware has counted since it booted; None if it keeps no counts. OSError if it does not answer."""
+        """Counters of the firmware since it booted; None if it keeps none. OSError if it does not answer."""
         if not self.capacity.features & link.CAN_STATUS:
             return None
         return link.counts_of(self._session.ask(link.STATUS).payload)

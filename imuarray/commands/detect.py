@@ -157,7 +157,7 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
 
 
 def _firmware(bus: OpenBus) -> dict[str, Any] | None:
-    """What the firmware of a microcontroller can hold, and what it has counted; None on other buses."""
+    """Capacity and counters of the firmware of a microcontroller; None on other buses."""
     from imuarray.bus.serial_bus import SerialBus
 
     if not isinstance(bus, SerialBus):

@@ -10,6 +10,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
+    from imuarray.fuse.techniques.opposed import Reduction
     from imuarray.log import Log
 
 _SIGNIFICANT = 0.05
@@ -30,8 +31,15 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
     pairs = []
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
-        pairs += [{"quantity": quantity, **json_ready(asdict(pair))} for pair in capabilities(sensors, calibration)]
+        for pair in capabilities(sensors, calibration):
+            errors = {name: _former_names(getattr(pair, name)) for name in ("drift", "bias")}
+            pairs.append({"quantity": quantity, **json_ready(asdict(pair) | errors)})
     return pairs
+
+
+def _former_names(error: Reduction | None) -> dict[str, Any] | None:
+    """The figures of an error, and the former names `left` and `left_sem` of two, for programs that read them."""
+    return error and {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
@@ -65,7 +73,7 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
     """The errors of each axis and of both together, and their ratio where the gain is significant."""
     if error is None:
         return " " * len(_HEADING)
-    sizes = f"{factor * error['single']:8.3g} {factor * abs(error['left']):9.3g}"
+    sizes = f"{factor * error['single']:8.3g} {factor * abs(error['remaining']):9.3g}"
     if error["p_value"] > _SIGNIFICANT or (error["reduction"] is not None and error["reduction"] < _WORTH):
         return f"{sizes} {'-':>12}"
     if error["most"] is None:

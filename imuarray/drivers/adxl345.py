@@ -16,16 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    SelfTest,
-    carry_out,
-    compared,
-    flagged,
-    registers_for,
-    saturated,
-)
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Setting
@@ -41,7 +32,7 @@ _SELF_TEST_STILL_G = 0.05  # a quarter of the smallest limit; noise at 400 Hz is
 _SELF_TEST_G = ((0.20, 2.10 * 1.77), (-2.10 * 1.77, -0.20), (0.30, 3.40 * 1.47))  # 2.5 V to 3.3 V: ADX-58
 
 
-class Adxl345:
+class Adxl345(ChipDriver):
     """Driver of one ADXL345."""
 
     burst: ClassVar[int] = 8
@@ -50,8 +41,7 @@ class Adxl345:
     fifo_mode: ClassVar[int] = _BYPASS
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.range_g = sensor.range or 16.0
         self.rate_hz = sensor.chip_rate_hz
         rate_code = 15 - round(np.log2(3200.0 / self.rate_hz))  # ADX-36
@@ -70,10 +60,6 @@ class Adxl345:
     def identify(self) -> None:
         """DEVID is 0xE5 (ADX-10)."""
         self.registers.expect(facts.DEVID)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Standby, settings, measure; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""

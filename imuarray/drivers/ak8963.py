@@ -17,16 +17,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    Registers,
-    SelfTest,
-    carry_out,
-    flagged,
-    registers_for,
-    within,
-)
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Registers, SelfTest, carry_out, flagged, within
 from imuarray.errors import SensorError
 from imuarray.facts import ak8963 as facts
 from imuarray.facts import mpu6500
@@ -40,7 +31,7 @@ _MEASURED_S = 0.010  # 9 ms at the most: AKM-14
 _SELF_TEST = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, 16 bits, adjusted
 
 
-class Ak8963:
+class Ak8963(ChipDriver):
     """Driver of one AK8963."""
 
     burst: ClassVar[int] = 8
@@ -51,8 +42,7 @@ class Ak8963:
     self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = _SELF_TEST
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         self.mode, self.watched = self.settings()
         self.adjustment = bytes(3)
@@ -89,10 +79,6 @@ class Ak8963:
         self.open_bypass()
         self.registers.expect(facts.WIA)
 
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
-
     def steps(self) -> Iterator[float]:
         """Open the bypass, read the fuse ROM, then measure continuously; SensorError if the ROM holds no adjustment."""
         self.open_bypass()
@@ -114,10 +100,6 @@ class Ak8963:
         """A mode is set through power-down (AKM-13)."""
         self.registers.poke(facts.CNTL1, (facts.SIXTEEN_BITS(1) | facts.MODE(mode)).value)
         yield _MODE_CHANGE_S
-
-    def mark(self, code: int) -> bool:
-        """Do nothing: it has no byte to spare."""
-        return False
 
     @property
     def factors(self) -> Floats:

@@ -49,7 +49,7 @@ class Ak8975(Ak8963):
         yield 0.001
 
     def steps(self) -> Iterator[float]:
-        """As of the AK8963, to the first measurement."""
+        """Set the chip up as the AK8963, to the first measurement."""
         yield from super().steps()
         self._due_ns = self.clock.now_ns()
 

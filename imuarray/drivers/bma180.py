@@ -16,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, carry_out, saturated
 from imuarray.facts import bma180 as facts
 from imuarray.facts.registers import Setting
 from imuarray.log.format import STALE
@@ -44,7 +44,7 @@ _SELF_TEST_SIGMAS = 4.0
 _SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
 
 
-class Bma180:
+class Bma180(ChipDriver):
     """Driver of one BMA180."""
 
     burst: ClassVar[int] = 7
@@ -52,8 +52,7 @@ class Bma180:
     reading: ClassVar[slice] = slice(0, 6)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.settings: tuple[Setting, ...] = (
             facts.BANDWIDTH(_BANDWIDTH_CODES[sensor.chip_bandwidth_hz]),
             facts.MODE_CONFIG(0b00),  # low noise: BMA-96
@@ -66,10 +65,6 @@ class Bma180:
     def identify(self) -> None:
         """chip_id is 3 (BMA-10)."""
         self.registers.expect(facts.CHIP_ID)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""

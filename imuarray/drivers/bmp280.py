@@ -18,7 +18,7 @@ from imuarray.barometer import Words
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes
-from imuarray.drivers.forced_barometer import ForcedBarometer
+from imuarray.drivers.on_demand_barometer import ForcedBarometer
 from imuarray.errors import SensorError
 from imuarray.facts import bmp280 as facts
 from imuarray.facts.registers import Register, Setting

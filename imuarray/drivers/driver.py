@@ -238,9 +238,32 @@ class OnDemandDriver(Protocol):
 
 
 def carry_out(clock: Clock, steps: Iterator[float]) -> None:
-    """All steps of a set-up, with their waits."""
+    """Carry out all steps of a set-up, with their waits."""
     for seconds in steps:
         sleep_for(clock, seconds)
+
+
+class ChipDriver:
+    """The part that the drivers of this package share: the registers of one chip, and a set-up that waits.
+
+    `clock` is the bus's. A chip without an unused register can't be marked.
+    """
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+
+    def steps(self) -> Iterator[float]:
+        """Set the chip up, as `Driver.steps`."""
+        raise NotImplementedError
+
+    def configure(self) -> None:
+        """Carry out all `steps`, with their waits."""
+        carry_out(self.clock, self.steps())
+
+    def mark(self, code: int) -> bool:
+        """Return False: no register of the chip is free."""
+        return False
 
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:

@@ -16,16 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    SelfTest,
-    carry_out,
-    compared,
-    registers_for,
-    saturated,
-    within,
-)
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, saturated, within
 from imuarray.facts import hmc5883 as facts
 from imuarray.facts.registers import Setting
 
@@ -38,7 +29,7 @@ _SELF_TEST_STILL = 50.0  # counts; a quarter of the smallest answer, and noise i
 _READY_S = 0.050  # after power-on: HMC-51
 
 
-class Hmc5883:
+class Hmc5883(ChipDriver):
     """Driver of one HMC5883 or HMC5883L."""
 
     burst: ClassVar[int] = 6
@@ -46,8 +37,7 @@ class Hmc5883:
     tells_fresh: ClassVar[bool] = False  # the status register sits behind a wrap that data sheets dispute: HMC-06
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         ranges, rates = tuple(sensor.spec.sensitivity), sensor.spec.rates_hz
         self.settings = (  # codes count up along both tables: HMC-20 ... HMC-28
@@ -63,10 +53,6 @@ class Hmc5883:
         """The identity registers spell "H43" (HMC-17)."""
         self.registers.expect(facts.IDENTITY_A, facts.IDENTITY_B, facts.IDENTITY_C)
 
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
-
     def steps(self) -> Iterator[float]:
         """Rate, gain, continuous mode, read back; the first set still has the old gain and is thrown away (HMC-36).
 
@@ -80,10 +66,6 @@ class Hmc5883:
         yield 3 / self.rate_hz
         self.fetch()
         yield 1 / self.rate_hz
-
-    def mark(self, code: int) -> bool:
-        """Do nothing: it has no byte to spare."""
-        return False
 
     def self_test(self) -> SelfTest:
         """Answer to the chip's own field at gain code 5; the chip subtracts the earth's by itself (HMC-41, HMC-42)."""

@@ -46,7 +46,7 @@ def packet_size(header: int) -> int:
 
 
 def stamp_offset(size: int) -> int:
-    """Where in a packet of this size its time stamp of 16 bits is, high byte first."""
+    """Position of the 16-bit time stamp in a packet of this size, high byte first."""
     return 15 if size == HIGH_RESOLUTION else 14
 
 

@@ -16,16 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    SelfTest,
-    carry_out,
-    compared,
-    flagged,
-    registers_for,
-    saturated,
-)
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
@@ -40,7 +31,7 @@ _SELF_TEST_SAMPLES = 32
 _TURN_ON_S = 0.3  # from power-down; not in the data sheet: L3G-65
 
 
-class L3g4200d:
+class L3g4200d(ChipDriver):
     """Driver of one L3G4200D."""
 
     burst: ClassVar[int] = 8
@@ -49,8 +40,7 @@ class L3g4200d:
     fifo: ClassVar[bool] = False
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         self.range_dps = sensor.range or 250.0
         self.sensitivity = sensor.spec.sensitivity[self.range_dps]
@@ -78,10 +68,6 @@ class L3g4200d:
     def identify(self) -> None:
         """WHO_AM_I is 0xD3 (L3G-10)."""
         self.registers.expect(facts.WHO_AM_I)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """The steps of its configuration, without a reset, since there is none: every control register is written, then

@@ -17,16 +17,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import (
-    Bytes,
-    DecodedBursts,
-    SelfTest,
-    carry_out,
-    compared,
-    flagged,
-    registers_for,
-    saturated,
-)
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
 from imuarray.facts import lis3mdl as facts
 from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import OVERRUN, STALE
@@ -52,7 +43,7 @@ _SELF_TEST_SAMPLES = 8
 _SELF_TEST_STILL = 0.05  # gauss; noise is 4 mG: LIS-21
 
 
-class Lis3mdl:
+class Lis3mdl(ChipDriver):
     """Driver of one LIS3MDL."""
 
     burst: ClassVar[int] = 9
@@ -60,8 +51,7 @@ class Lis3mdl:
     reading: ClassVar[slice] = slice(3, 9)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         self.sensitivity = sensor.spec.sensitivity
         is_fast = self.rate_hz == _FASTEST_HZ
@@ -84,10 +74,6 @@ class Lis3mdl:
     def identify(self) -> None:
         """WHO_AM_I is 0x3D (LIS-02)."""
         self.registers.expect(facts.WHO_AM_I, relatives=_RELATIVES)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Offsets off, every setting, continuous measurement last; then until its first samples are over."""

@@ -17,7 +17,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, registers_for
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest
 from imuarray.errors import SensorError
 from imuarray.facts import mmc5983 as facts
 from imuarray.facts.registers import Setting
@@ -36,7 +36,7 @@ _FIELD_GAUSS = (0.05, 4.0)
 _BRIDGE_GAUSS = 1.0  # MMC-20: within 0.5 gauss, typically
 
 
-class Mmc5983:
+class Mmc5983(ChipDriver):
     """Driver of one MMC5983MA."""
 
     burst: ClassVar[int] = 7
@@ -44,8 +44,7 @@ class Mmc5983:
     tells_fresh: ClassVar[bool] = False  # the done bit stays set until somebody clears it: MMC-17
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         self.sensitivity = sensor.spec.sensitivity[8.0]
         bandwidth_hz = sensor.chip_bandwidth_hz
@@ -65,10 +64,6 @@ class Mmc5983:
     def identify(self) -> None:
         """The product ID is 0x30 (MMC-02)."""
         self.registers.expect(facts.PRODUCT_ID)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Reset, a reading after a RESET and one after a SET, then continuous readings; SensorError if one of the two
@@ -97,10 +92,6 @@ class Mmc5983:
 
     def _poke(self, setting: Setting) -> None:
         self.registers.poke(setting.register, setting.value)
-
-    def mark(self, code: int) -> bool:
-        """Do nothing: no register of it can be read back."""
-        return False
 
     def self_test(self) -> SelfTest:
         """True if SET and RESET turn the elements over: half the difference of the readings after them is the field,

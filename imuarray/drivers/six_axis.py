@@ -19,7 +19,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, DecodedBursts, carry_out, registers_for, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, saturated
 from imuarray.drivers.six_axis_queue import DieQueue
 from imuarray.facts.registers import Register, Setting
 
@@ -58,7 +58,7 @@ def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
     return before * sign, during * sign
 
 
-class SixAxisHalf:
+class SixAxisHalf(ChipDriver):
     """One half of a die; a chip's driver says where its data are and how it is set up."""
 
     burst: ClassVar[int] = 14
@@ -76,8 +76,7 @@ class SixAxisHalf:
     order: ClassVar[str] = ">i2"
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
         self.on_spi = sensor.on_spi
         self.settings: tuple[Setting, ...] = ()
@@ -86,10 +85,6 @@ class SixAxisHalf:
     def identify(self) -> None:
         """SensorError unless the identity is right; it names a relative or a clone as what it is."""
         self.registers.expect(self.identity, relatives=self.relatives)
-
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
 
     def steps(self) -> Iterator[float]:
         """Set this half up, and what both share."""

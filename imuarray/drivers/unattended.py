@@ -13,7 +13,7 @@ from imuarray.array import SensorConfig
 from imuarray.bus.serial_link import Request
 from imuarray.drivers import DRIVERS
 from imuarray.drivers.ak8975 import Ak8975
-from imuarray.drivers.forced_barometer import ForcedBarometer
+from imuarray.drivers.on_demand_barometer import ForcedBarometer
 from imuarray.facts import bmp180
 
 

@@ -121,10 +121,10 @@ def test_pairs_say_what_they_cancel(write_run: WriteRun) -> None:
     drift, bias = first.drift, first.bias
     assert drift is not None and bias is not None and first.is_bias
     sem = 0.0001 / np.sqrt(2)
-    assert np.degrees([drift.single, drift.left, drift.left_sem]) == pytest.approx([0.0263, 0.0002, sem])
+    assert np.degrees([drift.single, drift.remaining, drift.remaining_sem]) == pytest.approx([0.0263, 0.0002, sem])
     assert drift.reduction == pytest.approx(0.0263 / 0.0002)
     assert (drift.least, drift.most) == pytest.approx((0.0263 / (0.0002 + 1.96 * sem), 0.0263 / (0.0002 - 1.96 * sem)))
-    assert np.degrees([bias.single, bias.left]) == pytest.approx([3.5, 0.5])
+    assert np.degrees([bias.single, bias.remaining]) == pytest.approx([3.5, 0.5])
     assert drift.p_value < 1e-6 and bias.p_value < 1e-6
 
 
@@ -134,6 +134,7 @@ def test_a_pair_that_may_cancel_all_has_no_upper_end(write_run: WriteRun) -> Non
         unknown = pairs_of(log, calibration(OPPOSED), ["G1", "G2"])
         alone = pairs_of(log, calibrated(), ["G1"])
     assert found[0]["drift"]["most"] is None and found[0]["drift"]["least"] > 10
+    assert found[0]["drift"]["left"] == found[0]["drift"]["remaining"] == pytest.approx(np.radians(0.0002))
     json.dumps(found, allow_nan=False)
     heading, _, said, *others, key, taken = pair_lines(found, follows_temperature=False)
     assert "drift with 1 degC" in heading and "that of scale" in key and "removes known biases;" in taken

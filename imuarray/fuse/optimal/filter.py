@@ -170,12 +170,12 @@ def _components(sums: _Sums) -> list[tuple[float, npt.NDArray[np.float64]]]:
 
 
 class Step(NamedTuple):
-    """One segment as the filter took it: `before` its transition, what was `left` and `added` by that, how much warmer
-    than their biases the rows were, and the measurements.
+    """One segment as the filter took it: the states `before` its transition, the shares of them that are `remaining`
+    and the variance that is `added` by it, how much warmer than their biases the rows were, and the measurements.
     """
 
     before: Normal
-    left: Floats
+    remaining: Floats
     added: Floats
     warmer_degc: Floats
     rows: Floats

@@ -49,7 +49,7 @@ class Adjoint(NamedTuple):
 
 
 def predicted(before: Normal, remaining: Floats, added: Floats) -> Normal:
-    """The states a while later: `left` (n,) of each, and `added` (n,) new variance."""
+    """The states a while later: the share `remaining` (n,) of each, and the variance `added` (n,)."""
     covariance = before.covariance * (remaining[:, None] * remaining)
     covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
     return Normal(before.mean * remaining, covariance)
@@ -107,7 +107,7 @@ class States:
         return np.concatenate([steady[None], self.response])
 
     def transition(self, seconds: float) -> tuple[Floats, Floats]:
-        """(n,) how much of each state is left after a while, and (n,) the variance that has come instead."""
+        """(n,) share of each state that remains after a while, and (n,) the variance that is added."""
         remaining = np.exp(-seconds / self.time_constants_s)
         return remaining, np.diag(self.prior) * (1 - remaining**2)
 

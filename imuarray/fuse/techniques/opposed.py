@@ -51,15 +51,15 @@ _WITHIN = 1.96
 @dataclass(frozen=True)
 class Reduction:
     """An error of a pair: of one axis (`single`, mean of the two magnitudes) and what their mean in the box frame
-    keeps of it (`left`, standard error `left_sem`), in SI, slopes per degC.
+    keeps of it (`remaining`, standard error `remaining_sem`), in SI, slopes per degC.
 
-    `reduction` is how many times less that is, from `least` to `most` with 95 % (inf where nothing left is possible);
+    `reduction` is how many times less that is, from `least` to `most` with 95 % (inf where nothing may remain);
     `p_value`: probability of such errors if opposing the axes gained nothing.
     """
 
     single: float
-    left: float
-    left_sem: float
+    remaining: float
+    remaining_sem: float
     reduction: float
     least: float
     most: float

@@ -1,4 +1,4 @@
-"""Barometers that measure temperature and pressure once on command ("forced mode"), and sleep otherwise.
+"""Barometers that measure once on command and sleep otherwise.
 
 No call waits for a measurement: each call of `fetch` checks whether the one that was started must be over by now, and
 starts the next when it is due. Every reading is therefore new, and belongs to an instant that the log knows.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -18,18 +18,17 @@ from imuarray.arrays import Integers
 from imuarray.barometer import BAROMETERS, Words
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, barometer_readings, carry_out, registers_for
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, barometer_readings
 from imuarray.facts.registers import Register, Setting
 
 _CALLS = 3
 """After so many late calls in a row, calls are considered rare, and nothing was interrupted."""
 
 
-class ForcedBarometer:
-    """The common part of the drivers of such chips; one reading is six bytes, and `words_of` tells UT and UP.
+class OnDemandBarometer(ChipDriver):
+    """The common part of their drivers: when a result is taken, and a check in place of the self-test that they lack.
 
-    `first`: the register with which a look at the chip begins; `head` bytes come before the reading; `busy`: bits of
-    the first byte that are set while the chip measures. `force`: the setting that starts a measurement.
+    `limits_pa`: the operating range of the pressure.
     """
 
     burst: ClassVar[int] = 6
@@ -37,15 +36,11 @@ class ForcedBarometer:
     tells_fresh: ClassVar[bool] = True
     conversions_ns: ClassVar[tuple[int, ...]]
     lasting_ns: ClassVar[int] = 100_000_000
-    first: ClassVar[Register]
-    head: ClassVar[int]
-    busy: ClassVar[int] = 0
-    force: ClassVar[Setting]
+    """A result that is older is not waited for, nor taken for a new one, unless every call comes so late."""
     limits_pa: ClassVar[tuple[float, float]]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.period_ns = round(1e9 / sensor.chip_rate_hz)
         self.watched: tuple[Setting, ...] = ()
         self.words: Words = {}
@@ -60,29 +55,17 @@ class ForcedBarometer:
         """The end of the measurement in progress; None if there is none."""
         return self._done_ns
 
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
-
-    def steps(self) -> Iterator[float]:
-        """Set the chip up; ends with `begin`."""
-        raise NotImplementedError
-
     def begin(self) -> None:
         """Forget what is in progress: the next call of `fetch` starts a measurement."""
         self._due_ns, self._done_ns = self.clock.now_ns(), None
 
-    def is_over(self, head: bytes) -> bool:
-        """Return whether the measurement that was asked for is over, by the bytes before the reading."""
+    def fetch(self) -> bytes:
+        """Return a reading when a measurement is over; empty otherwise."""
         raise NotImplementedError
 
     def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
         """UT (n,) and UP (n,)."""
         raise NotImplementedError
-
-    def mark(self, code: int) -> bool:
-        """Do nothing: it has no byte to spare."""
-        return False
 
     def self_test(self) -> SelfTest:
         """Replace the self-test that it lacks: one measurement, whose temperature and pressure must lie within the
@@ -106,36 +89,17 @@ class ForcedBarometer:
         passed = -40 <= temperature_degc <= 85 and low <= pressure_pa <= high
         return SelfTest(passed, f"no self-test in the chip; reads {temperature_degc:.1f} degC, {pressure_pa:.0f} Pa")
 
-    def fetch(self) -> bytes:
-        """Six bytes when a measurement is over; empty otherwise.
-
-        A call that fails with OSError changes nothing and can be repeated, but EIO, where the chip has not done what it
-        was asked to: the next call asks anew.
+    def _result_due_ns(self, now_ns: int) -> int | None:
+        """Return when the measurement in progress is over; None if there is none, or if its result would be too old in
+        this call. Where calls are rare, it may be as old as the call interval.
         """
-        now_ns = self.clock.now_ns()
-        if self._done_ns is not None and now_ns > self._done_ns + self._lasting_ns(now_ns):
-            self._done_ns = None
-        if self._done_ns is None:
-            if now_ns >= self._due_ns:
-                self.registers.poke(self.force.register, self.force.value)
-                self._done_ns = now_ns + self.conversions_ns[0]
-                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
-            return b""
-        if now_ns < self._done_ns:
-            return b""
-        block = self.registers.peek(self.first, self.head + self.burst)
-        self._done_ns = None
-        if not self.is_over(block[: self.head]):
-            raise OSError(errno.EIO, f"{self.registers.label}: measurement not finished in time, or lost")
-        return block[self.head :]
-
-    def _lasting_ns(self, now_ns: int) -> int:
-        """Return how old a result may be in this call: where calls are rare, as old as the call interval."""
         seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
         if self._called_ns is not None:
             self._intervals_ns.append(now_ns - self._called_ns)
         self._called_ns = now_ns
-        return max(self.lasting_ns, 2 * seldom_ns)
+        if self._done_ns is not None and now_ns > self._done_ns + max(self.lasting_ns, 2 * seldom_ns):
+            self._done_ns = None
+        return self._done_ns
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """UT and UP as counts, temperature in degC and pressure in Pa beside them."""
@@ -146,3 +110,42 @@ class ForcedBarometer:
     def header(self) -> Mapping[str, int]:
         """The calibration words, without which the counts mean nothing."""
         return {**self.words, **self.arithmetic.settings}
+
+
+class ForcedBarometer(OnDemandBarometer):
+    """The common part of drivers of chips that measure temperature and pressure at once ("forced mode").
+
+    `first`: the register with which a look at the chip begins; `head` bytes come before the reading; `busy`: bits of
+    the first byte that are set while the chip measures. `force`: the setting that starts a measurement.
+    """
+
+    first: ClassVar[Register]
+    head: ClassVar[int]
+    busy: ClassVar[int] = 0
+    force: ClassVar[Setting]
+
+    def is_over(self, head: bytes) -> bool:
+        """Return whether the measurement that was asked for is over, by the bytes before the reading."""
+        raise NotImplementedError
+
+    def fetch(self) -> bytes:
+        """Six bytes when a measurement is over; empty otherwise.
+
+        A call that fails with OSError changes nothing and can be repeated, but EIO, where the chip has not done what it
+        was asked to: the next call asks anew.
+        """
+        now_ns = self.clock.now_ns()
+        done_ns = self._result_due_ns(now_ns)
+        if done_ns is None:
+            if now_ns >= self._due_ns:
+                self.registers.poke(self.force.register, self.force.value)
+                self._done_ns = now_ns + self.conversions_ns[0]
+                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
+            return b""
+        if now_ns < done_ns:
+            return b""
+        block = self.registers.peek(self.first, self.head + self.burst)
+        self._done_ns = None
+        if not self.is_over(block[: self.head]):
+            raise OSError(errno.EIO, f"{self.registers.label}: measurement not finished in time, or lost")
+        return block[self.head :]
