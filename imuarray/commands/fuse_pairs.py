@@ -39,7 +39,9 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
 
 def _former_names(error: Reduction | None) -> dict[str, Any] | None:
     """The figures of an error, and the former names `left` and `left_sem` of two, for programs that read them."""
-    return error and {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
+    if error is None:
+        return None
+    return {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.quasi_static import STRETCH_S
+from imuarray.calibrate.quasi_static import STRETCH_S, _middle
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import OVERRUN, SATURATED, SUSPECT
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
 from tests.selection import some
 
@@ -149,3 +150,26 @@ def test_the_command_says_how(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     run = record(tmp_path / "run.h5", tumbled(SECONDS, rng, sway_m=0.003)[:5000], planted(rng), 1)
     assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
     assert "stretches of a path without stops, each by how much it moved" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("rows", "flag", "is_sound"),
+    [(5, 0, True), (4, 0, False), (5, SATURATED, False), (5, SUSPECT, False), (5, OVERRUN, True)],
+)
+def test_the_middle_of_a_stretch(tmp_path: Path, rows: int, flag: int, is_sound: bool) -> None:
+    """1000 + 100 k + 10 k^2, k = -2 ... 2, plus 6 (1, -4, 6, -4, 1), which no parabola follows: 36 * 70 over 5 - 3
+    degrees of freedom. Four rows, or one that is saturated or suspect, tell nothing.
+    """
+    k = np.arange(-2, 3)
+    counts = np.repeat((1000 + 100 * k + 10 * k**2 + 6 * np.array([1, -4, 6, -4, 1]))[:rows, None], 3, axis=1)
+    status = np.zeros(rows, np.uint16)
+    status[1] = flag
+    time = (np.arange(rows) * 100_000_000 + 50_000_000)[:rows]
+    with LogWriter(tmp_path / "r.h5", [accelerometer("A")], source="simulated", epoch=EPOCH) as writer:
+        writer.append("A", Block(time, counts.astype(np.int16), status))
+    with open_log(tmp_path / "r.h5") as log:
+        value, variance, number = _middle(log["A"], 0, 500_000_000)
+    assert np.isfinite([value, variance, number]).all() == is_sound
+    if is_sound:
+        assert value == pytest.approx(1000.0) and variance == pytest.approx(36 * 70 / 2)
+        assert number.tolist() == [5.0] * 3

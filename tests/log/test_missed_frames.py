@@ -59,6 +59,12 @@ def test_what_is_missing_is_what_the_logger_missed(lengths: list[float], forth: 
     assert missing_rows(times[0], np.array(times[-2:]), len(times), PERIOD_NS) == missed
 
 
+def test_two_rows_and_none() -> None:
+    assert missing_rows(0, np.array([3 * PERIOD_NS]), 2, PERIOD_NS) == 2
+    assert missing_rows(0, np.array([3 * PERIOD_NS]), 2, 0) == 0
+    assert missing_rows(3 * PERIOD_NS, np.array([3 * PERIOD_NS]), 1, PERIOD_NS) == 0
+
+
 @pytest.mark.parametrize("length", [1.1, 1.4, 1.9, 2.5])
 def test_a_machine_that_is_too_slow_all_the_time(length: float) -> None:
     """Its rows come evenly, and too seldom."""

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from imuarray.errors import FusionError
 from imuarray.fuse import Frames
 from imuarray.fuse.faults import FaultMonitor
+from imuarray.fuse.faults.monitor import ExclusionMasks
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stuck import Stuck
 from tests.fuse.faults.conftest import (
@@ -341,3 +342,16 @@ def test_readings_whose_age_nobody_knows_are_no_fault() -> None:
     frames = Frames((time_s * 1e9).astype(np.int64), values, np.ones(values.shape, bool))
     _, events = watched(FaultMonitor(run.axes, "angular_rate", period_s=1 / 48), frames)
     assert events == ()
+
+
+def test_masks_last_until_the_next_change() -> None:
+    """Windows of four frames: nothing, axis 1 for two windows, nothing again. The array of a window is used again."""
+    masks, window = ExclusionMasks(4, 2), np.zeros(2, bool)
+    for out in (False, True, True, False):
+        window[1] = out
+        masks.add([window])
+    frames = Frames(np.arange(14), np.zeros((14, 2)), np.ones((14, 2), bool))
+    valid = masks.of(frames, 2).valid  # frames 2 ... 15
+    assert valid[:, 0].all()
+    assert valid[:, 1].tolist() == [True] * 2 + [False] * 8 + [True] * 4
+    assert masks.of(frames, 12) is frames

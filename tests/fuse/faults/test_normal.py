@@ -53,6 +53,18 @@ def test_errors_of_calibration_are_learnt_in_motion() -> None:
     assert state[5, 4] == pytest.approx(0.004 / 3, abs=0.0003)
 
 
+def test_axes_without_a_change_take_the_noise_of_the_others() -> None:
+    """Six of nine axes stand still and one next to still: the usual change is that of those that change."""
+    normal = Normal(np.full(9, np.nan), "specific_force", 10, PERIOD_S)
+    normal.begin(np.array([0.0] * 6 + [1e-6, 4.0, 4.0]))
+    assert not normal.begun
+    assert normal.variance.tolist() == [4.0] * 9
+    assert normal.change.tolist() == [8.0] * 9
+    normal.begin(np.full(9, 1.0))
+    assert normal.begun
+    assert normal.variance.tolist() == [1.0] * 7 + [4.0, 4.0]
+
+
 @pytest.mark.slow
 def test_the_colour_of_noise_is_found() -> None:
     """An AR(1) process of correlation p = 0.7: the mean of n = 10 readings scatters (1 + p) / (1 - p) - 2 p (1 - p^n) /
