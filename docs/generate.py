@@ -339,8 +339,7 @@ def _mechanisms() -> Pages:
 
     text = ["# Mechanisms of the emulator\n", _docstring(importlib.import_module("firmware_emulator.mechanisms"))]
     for name, kind in MECHANISMS.items():
-        module = importlib.import_module(kind.__module__)
-        text += [f"## `{name}`\n", f"{_sentence(_headline(module))}\n", _docstring(kind)]
+        text += [f"## `{name}`\n", _docstring(kind)]
     return {"reference/mechanisms.md": "\n".join(text)}
 
 

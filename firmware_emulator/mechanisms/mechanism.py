@@ -34,17 +34,19 @@ class Mechanism(ABC):
 
     `touches` are the chips on which it can be put, `place` how many sensors it takes: "sensor" (any number), "pair"
     (two of one chip), "design" (all of one chip), "host" (the whole array). `resembles` names the effects that a
-    diagnosis may rightly call it, none if there is no name for it.
+    diagnosis may rightly call it, none if there is no name for it. `scaled` names the parameters that are proportional
+    to the severity.
     """
 
     touches: ClassVar[tuple[str, ...]] = INERTIAL
     place: ClassVar[str] = "sensor"
     resembles: ClassVar[tuple[str, ...]] = ()
+    scaled: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    @abstractmethod
     def at(cls, severity: float) -> Self:
         """The mechanism at `severity` times its reference size, which the defaults state."""
+        return replace(cls(), **{name: severity * getattr(cls, name) for name in cls.scaled})
 
     @abstractmethod
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:

@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from firmware_emulator.mechanisms.carrier_shot_noise import CarrierShotNoise
-from firmware_emulator.mechanisms.interleaved_converters import InterleavedConverters
-from firmware_emulator.mechanisms.keyed_transmitter import KeyedTransmitter
-from firmware_emulator.mechanisms.mains_ripple import MainsRipple
-from firmware_emulator.mechanisms.one_sided_noise import OneSidedNoise
-from firmware_emulator.mechanisms.output_filter import OutputFilter
-from firmware_emulator.mechanisms.reference_noise import ReferenceNoise
-from firmware_emulator.mechanisms.single_trap import SingleTrap
-from firmware_emulator.mechanisms.spinning_motor import SpinningMotor
-from firmware_emulator.mechanisms.stress_relaxation import StressRelaxation
-from firmware_emulator.mechanisms.trapped_charges import TrappedCharges
+from firmware_emulator.mechanisms.converter import InterleavedConverters
+from firmware_emulator.mechanisms.disturbances import (
+    CarrierShotNoise,
+    KeyedTransmitter,
+    MainsRipple,
+    OneSidedNoise,
+    ReferenceNoise,
+    SingleTrap,
+    SpinningMotor,
+    StressRelaxation,
+    TrappedCharges,
+)
+from firmware_emulator.mechanisms.response import OutputFilter
 from firmware_emulator.world import DelayedWorld, Still
 from tests.emulator.mechanisms.mechanism_bench import MS, S, board, errors, every, samples, turning
 

@@ -7,29 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from firmware_emulator.mechanisms.bias_current_dac import BiasCurrentDac
-from firmware_emulator.mechanisms.board_to_die import BoardToDie
-from firmware_emulator.mechanisms.crossed_wiring import CrossedWiring
-from firmware_emulator.mechanisms.drive_imbalance import DriveImbalance
-from firmware_emulator.mechanisms.dropped_box import DroppedBox
-from firmware_emulator.mechanisms.gain_resistor import GainResistor
-from firmware_emulator.mechanisms.lever_arm import LeverArm
-from firmware_emulator.mechanisms.log_creep import LogCreep
+from firmware_emulator.mechanisms.converter import RangeSwitch
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
-from firmware_emulator.mechanisms.package_tilt import PackageTilt
-from firmware_emulator.mechanisms.pipeline_delay import PipelineDelay
-from firmware_emulator.mechanisms.plate_gap import PlateGap
-from firmware_emulator.mechanisms.power_on_stress import PowerOnStress
-from firmware_emulator.mechanisms.range_switch import RangeSwitch
-from firmware_emulator.mechanisms.reference_voltage import ReferenceVoltage
-from firmware_emulator.mechanisms.rotated_package import RotatedPackage
-from firmware_emulator.mechanisms.self_heating import SelfHeating
-from firmware_emulator.mechanisms.soft_clipping import SoftClipping
-from firmware_emulator.mechanisms.supply_drift import SupplyDrift
-from firmware_emulator.mechanisms.supply_droop import SupplyDroop
-from firmware_emulator.mechanisms.thermal_hysteresis import ThermalHysteresis
-from firmware_emulator.mechanisms.thermistor_bow import ThermistorBow
-from firmware_emulator.mechanisms.vibration_rectification import VibrationRectification
+from firmware_emulator.mechanisms.mounting import CrossedWiring, DroppedBox, LeverArm, PackageTilt, RotatedPackage
+from firmware_emulator.mechanisms.power import BiasCurrentDac, LogCreep, PowerOnStress, SupplyDrift, SupplyDroop
+from firmware_emulator.mechanisms.response import (
+    DriveImbalance,
+    PipelineDelay,
+    PlateGap,
+    ReferenceVoltage,
+    SoftClipping,
+    VibrationRectification,
+)
+from firmware_emulator.mechanisms.thermal import BoardToDie, GainResistor, SelfHeating, ThermalHysteresis, ThermistorBow
 from firmware_emulator.world import STANDARD_GRAVITY, UPRIGHT, Still, Stimulus
 from tests.emulator.mechanisms.mechanism_bench import (
     ARRAY,

@@ -9,22 +9,20 @@ import numpy as np
 import pytest
 
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.mechanisms.brown_out import BrownOut
-from firmware_emulator.mechanisms.cable_bit_errors import CableBitErrors
-from firmware_emulator.mechanisms.coarse_timestamps import CoarseTimestamps
-from firmware_emulator.mechanisms.converter_hold import ConverterHold
+from firmware_emulator.mechanisms.converter import (
+    ConverterHold,
+    MissingCodes,
+    RateDivider,
+    SlowOscillator,
+    StuckBit,
+    TornReads,
+    without_bit,
+)
 from firmware_emulator.mechanisms.host import HostClock
-from firmware_emulator.mechanisms.host_resonator import HostResonator
-from firmware_emulator.mechanisms.loose_contact import LooseContact
+from firmware_emulator.mechanisms.host_time import CoarseTimestamps, HostResonator, SchedulerLatency
 from firmware_emulator.mechanisms.mechanism import Fitting
-from firmware_emulator.mechanisms.missing_codes import MissingCodes
-from firmware_emulator.mechanisms.mux_crosstalk import MuxCrosstalk
-from firmware_emulator.mechanisms.mux_hang import MuxHang
-from firmware_emulator.mechanisms.rate_divider import RateDivider, without_bit
-from firmware_emulator.mechanisms.scheduler_latency import SchedulerLatency
-from firmware_emulator.mechanisms.slow_oscillator import SlowOscillator
-from firmware_emulator.mechanisms.stuck_bit import StuckBit
-from firmware_emulator.mechanisms.torn_reads import TornReads
+from firmware_emulator.mechanisms.power import BrownOut
+from firmware_emulator.mechanisms.wiring import CableBitErrors, LooseContact, MuxCrosstalk, MuxHang
 from firmware_emulator.world import Still, Stimulus
 from tests.emulator.mechanisms.mechanism_bench import ARRAY, MS, IdealBoard, S, board, bus_with, of, words
 

@@ -9,7 +9,7 @@ import pytest
 
 from firmware_emulator.array import open_array
 from firmware_emulator.element import Unit
-from firmware_emulator.mechanisms.adaptive_range import AdaptiveRange as Mechanism
+from firmware_emulator.mechanisms.converter import AdaptiveRange as Mechanism
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.world import Stimulus
 from imuarray.simulate.effects.adaptive_range import LONGEST, AdaptiveRange

@@ -1,0 +1,106 @@
+"""Clock and scheduling of the polling computer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from firmware_emulator.element import stream
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
+from firmware_emulator.mechanisms.site import Site
+
+ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class HostResonator(Mechanism):
+    """The host keeps time with a cheap resonator that drifts away as it warms up.
+
+    Rate error e (1 - exp(-t / `warm_up_s`)), e = `error`: shown = t + e (t - w (1 - exp(-t / w))).
+
+    A ceramic resonator is within 0.5 %. Reference: 0.5 % fast, after 30 s.
+    """
+
+    error: float = 5e-3
+    warm_up_s: float = 30.0
+
+    place: ClassVar[str] = "host"
+    resembles: ClassVar[tuple[str, ...]] = ("clock_error",)
+    scaled: ClassVar[tuple[str, ...]] = ("error",)
+
+    def ahead_ns(self, at_ns: int) -> float:
+        """Return by how much the display is ahead."""
+        warm_ns = self.warm_up_s * 1e9
+        return self.error * (at_ns + warm_ns * math.expm1(-at_ns / warm_ns))
+
+    def shown(self, at_ns: int) -> int:
+        """The display."""
+        return at_ns + round(self.ahead_ns(at_ns))
+
+    def when(self, shown_ns: int) -> int:
+        """The earliest time of the world with that display, by fixed point."""
+        at_ns = shown_ns
+        for _ in range(ROUNDS):
+            at_ns = shown_ns - round(self.ahead_ns(at_ns))
+        while self.shown(at_ns) < shown_ns:
+            at_ns += 1
+        return at_ns
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """One clock for all."""
+        board.host.clocks.append((self.shown, self.when))
+
+
+@dataclass(frozen=True)
+class SchedulerLatency(Mechanism):
+    """Other programs on the host: between the look at the clock and the transfer somebody else had the processor.
+
+    A `share` of transactions waits, exponentially with mean `mean_ms`. Reference: 3 % wait 1 ms.
+    """
+
+    share: float = 0.03
+    mean_ms: float = 1.0
+
+    place: ClassVar[str] = "host"
+    resembles: ClassVar[tuple[str, ...]] = ("jitter",)
+    scaled: ClassVar[tuple[str, ...]] = ("mean_ms",)
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """Act on every transaction of every adapter."""
+        random = stream(board.seed, f"scheduler, run {board.run}")
+
+        def wait_ns() -> int:
+            return round(random.exponential(self.mean_ms * 1e6)) if random.random() < self.share else 0
+
+        board.host.waits_ns.append(wait_ns)
+
+
+COARSEST_MS = 15.0
+
+
+@dataclass(frozen=True)
+class CoarseTimestamps(Mechanism):
+    """A kernel that ticks: the clock stands still between two ticks, and sleepers wake on them.
+
+    Times are cut to whole ticks of `tick_ms`. Reference: 10 ms, the jiffy of a kernel with HZ=100.
+
+    At most `COARSEST_MS`: two readings within a tick would bear the same time.
+    """
+
+    tick_ms: float = 10.0
+
+    place: ClassVar[str] = "host"
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """A longer tick."""
+        return cls(tick_ms=min(COARSEST_MS, cls.tick_ms * severity))
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """One clock for all."""
+        tick_ns = round(self.tick_ms * 1e6)
+        board.host.clocks.append(
+            (lambda at_ns: at_ns // tick_ns * tick_ns, lambda shown_ns: -(-shown_ns // tick_ns) * tick_ns)
+        )

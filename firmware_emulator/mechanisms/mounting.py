@@ -1,0 +1,157 @@
+"""Where and in which direction a sensor sits on the box, and which socket it is plugged into."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from firmware_emulator.attitude import cross, seen_after_turn
+from firmware_emulator.chip import Triple
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
+from firmware_emulator.mechanisms.site import ACCELEROMETERS, Site, plus
+from firmware_emulator.world import Stimulus
+
+
+@dataclass(frozen=True)
+class PackageTilt(SensorMechanism):
+    """The package floated on its solder and froze askew.
+
+    A package that is turned by `tilt_deg` about an axis of the part's own (Rodrigues). Reference: 2 degrees.
+    """
+
+    tilt_deg: float = 2.0
+
+    resembles: ClassVar[tuple[str, ...]] = ("misalignment",)
+    scaled: ClassVar[tuple[str, ...]] = ("tilt_deg",)
+
+    def put_on(self, site: Site) -> None:
+        """Force, rate and field alike."""
+        x, y, z = site.direction("tilt")
+        length = math.sqrt(x * x + y * y + z * z)
+        axis = x / length, y / length, z / length
+        cosine, sine = math.cos(math.radians(self.tilt_deg)), math.sin(math.radians(self.tilt_deg))
+        site.chain.felt.append(Rotation(axis, cosine, sine))
+
+
+class Rotation:
+    """stimulus -> stimulus, seen after a turn about `axis`; a box at rest goes on feeling the very same object."""
+
+    def __init__(self, axis: tuple[float, float, float], cosine: float, sine: float) -> None:
+        self._turn = axis, cosine, sine
+        self._before: Stimulus | None = None
+        self._after = Stimulus()
+
+    def __call__(self, at_ns: int, stimulus: Stimulus) -> Stimulus:
+        """The same object as long as `stimulus` is."""
+        if stimulus is not self._before:
+            self._before = stimulus
+            self._after = stimulus._replace(
+                force_box=seen_after_turn(stimulus.force_box, *self._turn),
+                rate_box=seen_after_turn(stimulus.rate_box, *self._turn),
+                field_box=seen_after_turn(stimulus.field_box, *self._turn),
+            )
+        return self._after
+
+
+@dataclass(frozen=True)
+class RotatedPackage(SensorMechanism):
+    """A square package soldered a quarter turn round.
+
+    Turned by `quarters` quarter turns about the sensor's own z: x feels what y should, y the negative of x.
+
+    It is either so or not: every severity is one quarter turn.
+    """
+
+    quarters: int = 1
+
+    resembles: ClassVar[tuple[str, ...]] = ("axis_error",)
+
+    def put_on(self, site: Site) -> None:
+        """The sensor's z axis in the box is the last column of its orientation."""
+        x, y, z = (row[2] for row in site.orientation)
+        cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[self.quarters % 4]
+        site.chain.felt.append(Rotation((x, y, z), cosine, sine))
+
+
+HALF_NS = 500_000
+
+
+@dataclass(frozen=True)
+class LeverArm(SensorMechanism):
+    """A sensor that sits beside the point about which the box turns.
+
+    f' = f + a x r + w x (w x r), r of length `arm_m` in a direction of the part's own, a the change of the rate w.
+
+    Rigid-body kinematics; a by central difference over 1 ms. Reference: 50 mm.
+    """
+
+    arm_m: float = 0.05
+
+    touches: ClassVar[tuple[str, ...]] = ACCELEROMETERS
+    resembles: ClassVar[tuple[str, ...]] = ("size_effect",)
+    scaled: ClassVar[tuple[str, ...]] = ("arm_m",)
+
+    def put_on(self, site: Site) -> None:
+        """Act in the box frame."""
+        x, y, z = site.direction("arm")
+        share = self.arm_m / math.sqrt(x * x + y * y + z * z)
+        arm, world = (x * share, y * share, z * share), site.world
+
+        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+            before, after = world(max(0, at_ns - HALF_NS)), world(at_ns + HALF_NS)
+            if before is after is stimulus:
+                return stimulus
+            speeding = plus(after.rate_box, before.rate_box, -1.0)
+            force = plus(stimulus.force_box, cross(speeding, arm), 0.5e9 / HALF_NS)
+            turning: Triple = cross(stimulus.rate_box, cross(stimulus.rate_box, arm))
+            return stimulus._replace(force_box=plus(force, turning, 1.0))
+
+        site.chain.felt.append(felt)
+
+
+@dataclass(frozen=True)
+class CrossedWiring(Mechanism):
+    """Two sensors of a kind, plugged in the wrong way round.
+
+    Each of two sensors of one chip answers in the other's place, with its own unit and orientation.
+
+    It is either so or not: every severity is the same.
+    """
+
+    place: ClassVar[str] = "pair"
+    resembles: ClassVar[tuple[str, ...]] = ("channel_swap",)
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """Chips are set up through the same crossed wires: ranges are those of the place."""
+        first, second = sites
+        board.crossed |= {first.name: second.name, second.name: first.name}
+
+
+@dataclass(frozen=True)
+class DroppedBox(SensorMechanism):
+    """The box fell from the bench after the first recording.
+
+    A box that was dropped: from power-up number 1 on, the bias of each axis is shifted for good, by `shift_g` or
+    `shift_dps` on average.
+
+    Permanent deformation of the die's attachment; data sheets of the time give no figure. Reference: 15 mg or 0.5 dps.
+    """
+
+    shift_g: float = 15e-3
+    shift_dps: float = 0.5
+
+    resembles: ClassVar[tuple[str, ...]] = ("bias", "turn_on_bias")
+    scaled: ClassVar[tuple[str, ...]] = ("shift_g", "shift_dps")
+
+    def put_on(self, site: Site) -> None:
+        """Change nothing before the fall."""
+        if site.run == 0:
+            return
+        direction, shift = site.direction("fall"), site.by_unit(self.shift_g, self.shift_dps)
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            return plus(value, direction, shift)
+
+        site.chain.sensed.append(sensed)

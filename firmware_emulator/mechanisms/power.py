@@ -1,0 +1,209 @@
+"""The supply, and what begins anew at each power-up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from firmware_emulator.chip import Triple
+from firmware_emulator.element import stream
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
+from firmware_emulator.mechanisms.site import ACCELEROMETERS, WHILE_SET_UP_S, Site, plus
+from firmware_emulator.world import Stimulus
+
+GRID_S = 0.1
+
+
+@dataclass(frozen=True)
+class SupplyDrift(Mechanism):
+    """The regulator that feeds all chips of a kind drifts, and each of them feels its supply.
+
+    Volts away from nominal: a first-order Gauss-Markov process of `drift_v` rms and correlation time `drift_s`.
+
+    Each axis answers with its sensitivity to the supply, which the design gives and each part varies by a tenth;
+    `per_v_g` or `per_v_dps` on average. ADX-71 knows such an effect of the supply on bias. Reference: 8 mg or 0.25 dps
+    rms over 20 s.
+    """
+
+    drift_v: float = 0.02
+    drift_s: float = 20.0
+    per_v_g: float = 0.4
+    per_v_dps: float = 12.5
+
+    place: ClassVar[str] = "design"
+    resembles: ClassVar[tuple[str, ...]] = ("common_mode",)
+    scaled: ClassVar[tuple[str, ...]] = ("drift_v",)
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """One supply; axes of one design answer alike, in the sensors' own frames."""
+        volts = self.volts(stream(board.seed, f"supply, run {board.run}"))
+        of_design = stream(board.seed, f"supply of {sites[0].chip}").standard_normal(3)
+        of_design *= math.sqrt(3) / float(np.linalg.norm(of_design))
+        for site in sites:
+            x, y, z = (of_design * (1 + 0.1 * site.unit_random("supply").standard_normal(3))).tolist()
+            site.chain.sensed.append(answer(volts, (x, y, z), site.by_unit(self.per_v_g, self.per_v_dps)))
+
+    def volts(self, random: np.random.Generator) -> Callable[[int], float]:
+        """Deviation of the supply at any time from 0 on, straight between grid points, in whatever order asked."""
+        kept = math.exp(-GRID_S / self.drift_s)
+        grid = [float(random.normal(0.0, self.drift_v))]
+
+        def at(at_ns: int) -> float:
+            index, share = divmod(at_ns * 1e-9 / GRID_S, 1.0)
+            while len(grid) < index + 2:
+                grid.append(kept * grid[-1] + self.drift_v * math.sqrt(1 - kept * kept) * random.standard_normal())
+            return grid[int(index)] * (1 - share) + grid[int(index) + 1] * share
+
+        return at
+
+
+def answer(volts: Callable[[int], float], direction: Triple, per_v: float) -> Callable[[int, Triple, Stimulus], Triple]:
+    """Return what a supply adds to one sensor."""
+    return lambda at_ns, value, stimulus: plus(value, direction, per_v * volts(at_ns))
+
+
+@dataclass(frozen=True)
+class SupplyDroop(SensorMechanism):
+    """A battery that sags under load, and a sensor whose scale hangs on it.
+
+    scale = 1 - `droop` (1 - exp(-t / `sag_s`)), t since power-on: polarisation of a cell under load.
+
+    Bias is not concerned: the bridge is ratiometric, its amplifier is not. Reference: 2 % within 40 s.
+    """
+
+    droop: float = 0.02
+    sag_s: float = 40.0
+
+    touches: ClassVar[tuple[str, ...]] = ACCELEROMETERS
+    scaled: ClassVar[tuple[str, ...]] = ("droop",)
+
+    def put_on(self, site: Site) -> None:
+        """Act on the stimulus, before the unit's bias."""
+
+        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+            share = 1 + self.droop * math.expm1(-at_ns * 1e-9 / self.sag_s)
+            x, y, z = stimulus.force_box
+            force: Triple = (x * share, y * share, z * share)
+            return stimulus._replace(force_box=force)
+
+        site.chain.felt.append(felt)
+
+
+@dataclass(frozen=True)
+class BrownOut(SensorMechanism):
+    """The supply dips, and the chip forgets what it was told.
+
+    One dip a power-up, after an exponential time of mean `mean_s` from `WHILE_SET_UP_S` on: every register at its reset
+    value, the range the one of the EEPROM, as after power-on (BMA-52, BMA-57).
+
+    The driver's checks may notice. Reference: a mean of 300 s, shorter as severity grows.
+    """
+
+    mean_s: float = 300.0
+
+    touches: ClassVar[tuple[str, ...]] = ("bma180",)  # the others wake up silent
+    resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """Sooner."""
+        return cls(mean_s=cls.mean_s / severity)
+
+    def put_on(self, site: Site) -> None:
+        """Act before the chip is next addressed."""
+        due_ns = (WHILE_SET_UP_S + site.run_random("dip").exponential(self.mean_s)) * 1e9
+        done, touched = False, site.touched.setdefault(self, set())
+
+        def reset(at_ns: int) -> int | None:
+            nonlocal done
+            if done or at_ns < due_ns:
+                return None
+            done = True
+            touched.add(site.name)
+            site.note(f"browned out at {due_ns * 1e-9:.3f} s")
+            return round(due_ns)
+
+        site.links.resets.append(reset)
+
+
+@dataclass(frozen=True)
+class PowerOnStress(SensorMechanism):
+    """The die clamps anew whenever it warms up: each power-up freezes another stress into the bias.
+
+    Bias of each axis and power-up: Laplace's distribution of scale b (rms b sqrt 2), kept until power-off.
+
+    Reference: b = 5 mg or 0.2 dps.
+    """
+
+    scale_g: float = 5e-3
+    scale_dps: float = 0.2
+
+    resembles: ClassVar[tuple[str, ...]] = ("turn_on_bias",)
+    scaled: ClassVar[tuple[str, ...]] = ("scale_g", "scale_dps")
+
+    def put_on(self, site: Site) -> None:
+        """Drawn once, now."""
+        x, y, z = site.run_random("stress").laplace(0.0, site.by_unit(self.scale_g, self.scale_dps), 3).tolist()
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            return plus(value, (x, y, z), 1.0)
+
+        site.chain.sensed.append(sensed)
+
+
+@dataclass(frozen=True)
+class BiasCurrentDac(SensorMechanism):
+    """The converter that sets the bias current has one bit that comes up either way.
+
+    A bias-current bit that is set in a `share` of power-ups: all three axes move at once, by `step_g` or `step_dps` on
+    average.
+
+    As Gyro3 of the paper's Table 7, which came up in two states. Reference: 15 mg or 0.5 dps.
+    """
+
+    step_g: float = 15e-3
+    step_dps: float = 0.5
+    share: float = 0.4
+
+    resembles: ClassVar[tuple[str, ...]] = ("bistable_bias",)
+    scaled: ClassVar[tuple[str, ...]] = ("step_g", "step_dps")
+
+    def put_on(self, site: Site) -> None:
+        """Shift each axis by the part's own amount."""
+        if site.run_random("bias current").random() >= self.share:
+            return
+        site.note("came up in the other state")
+        direction, step = site.direction("bias current"), site.by_unit(self.step_g, self.step_dps)
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            return plus(value, direction, step)
+
+        site.chain.sensed.append(sensed)
+
+
+@dataclass(frozen=True)
+class LogCreep(SensorMechanism):
+    """Ageing since power-on: the bias creeps with the logarithm of time, in the same way after every power-up.
+
+    error = c log10(1 + t / `onset_s`), t since power-on, c `per_decade_g` or `per_decade_dps` on average.
+
+    Dielectric absorption in the front end (Curie 1889, von Schweidler 1907). Reference: 4 mg or 0.15 dps a decade.
+    """
+
+    per_decade_g: float = 4e-3
+    per_decade_dps: float = 0.15
+    onset_s: float = 1.0
+    scaled: ClassVar[tuple[str, ...]] = ("per_decade_g", "per_decade_dps")
+
+    def put_on(self, site: Site) -> None:
+        """The world's clock starts at power-on."""
+        direction, creep = site.direction("creep"), site.by_unit(self.per_decade_g, self.per_decade_dps)
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            return plus(value, direction, creep * math.log10(1 + at_ns * 1e-9 / self.onset_s))
+
+        site.chain.sensed.append(sensed)

@@ -1,0 +1,303 @@
+"""How an element responds: scale, linearity, cross-sensitivity, bandwidth and delay."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from firmware_emulator.attitude import cross
+from firmware_emulator.chip import Triple
+from firmware_emulator.element import applied, transposed
+from firmware_emulator.mechanisms.mechanism import SensorMechanism
+from firmware_emulator.mechanisms.site import GYROSCOPES, Site, Stopwatch, plus
+from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
+
+
+@dataclass(frozen=True)
+class ReferenceVoltage(SensorMechanism):
+    """The converter's reference voltage is off: everything it converts, bias and noise included, comes out too small.
+
+    code = input / (1 + `error`): the reference is `error` too high. Reference size: 3 %.
+    """
+
+    error: float = 0.03
+
+    resembles: ClassVar[tuple[str, ...]] = ("scale",)
+    scaled: ClassVar[tuple[str, ...]] = ("error",)
+
+    def put_on(self, site: Site) -> None:
+        """All axes share the reference."""
+        share = 1 / (1 + self.error)
+
+        def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
+            return value[0] * share, value[1] * share, value[2] * share
+
+        site.chain.amplified.append(amplified)
+
+
+CLOSEST = 0.8
+
+
+@dataclass(frozen=True)
+class PlateGap(SensorMechanism):
+    """A capacitor that is read from one side: its plates come closer the more they are pulled.
+
+    C = C0 / (1 - u): output = x / (1 - x / gap), where `gap_g` or `gap_dps` is the input that would close the gap.
+
+    Differential plates cancel the even part; here one of the two is broken. Reference: 80 g (1 g reads 1.0127) or 8000
+    dps.
+    """
+
+    gap_g: float = 80.0
+    gap_dps: float = 8000.0
+
+    resembles: ClassVar[tuple[str, ...]] = ("nonlinearity",)
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """A narrower gap."""
+        return cls(gap_g=cls.gap_g / severity, gap_dps=cls.gap_dps / severity)
+
+    def put_on(self, site: Site) -> None:
+        """Each axis has its own plates; a stop keeps them from touching."""
+        gap = site.by_unit(self.gap_g, self.gap_dps)
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            x, y, z = (component / (1 - min(component / gap, CLOSEST)) for component in value)
+            return x, y, z
+
+        site.chain.sensed.append(sensed)
+
+
+KNEE = 8
+
+
+@dataclass(frozen=True)
+class SoftClipping(SensorMechanism):
+    """The output stage runs out of supply before the converter runs out of codes.
+
+    output = x / (1 + |x / A|^8)^(1/8), A = `share` of the full scale: straight up to 3/4 A, never above A.
+
+    Reference: half of the full scale, less as severity grows.
+    """
+
+    share: float = 0.5
+
+    resembles: ClassVar[tuple[str, ...]] = ("saturation",)
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """Return one with less supply."""
+        return cls(share=cls.share / severity)
+
+    def put_on(self, site: Site) -> None:
+        """Noise is clipped with the signal."""
+
+        def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
+            most = self.share * full_scale
+            x, y, z = (component / (1 + abs(component / most) ** KNEE) ** (1 / KNEE) for component in value)
+            return x, y, z
+
+        site.chain.amplified.append(amplified)
+
+
+@dataclass(frozen=True)
+class DriveImbalance(SensorMechanism):
+    """The mass of a gyroscope hangs a little beside the line of its drive.
+
+    error = m x f: a pendulous mass with its lever m feels the torque of the specific force f (IEEE Std 1431).
+
+    m is `imbalance_dps_per_g` along each axis on average, f in g. Reference: 0.3 dps/g.
+    """
+
+    imbalance_dps_per_g: float = 0.3
+
+    touches: ClassVar[tuple[str, ...]] = GYROSCOPES
+    resembles: ClassVar[tuple[str, ...]] = ("g_sensitivity",)
+    scaled: ClassVar[tuple[str, ...]] = ("imbalance_dps_per_g",)
+
+    def put_on(self, site: Site) -> None:
+        """Act along axes of the part's own."""
+        lever, from_box = site.direction("imbalance"), transposed(site.orientation)
+        factor = self.imbalance_dps_per_g / STANDARD_GRAVITY
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            return plus(value, cross(lever, applied(from_box, stimulus.force_box)), factor)
+
+        site.chain.sensed.append(sensed)
+
+
+@dataclass(frozen=True)
+class VibrationRectification(SensorMechanism):
+    """Asymmetric stops: shaking that has no mean gives the output one.
+
+    error = c v^2, v^2 the mean square in g^2 of how far the force is from its own mean, both over `memory_s`.
+
+    c is `per_g2_g` or `per_g2_dps` on average of the axes (IEEE Std 836). Reference: 0.3 g/g^2 or 10 dps/g^2: a part
+    near its resonance.
+    """
+
+    per_g2_g: float = 0.3
+    per_g2_dps: float = 10.0
+    memory_s: float = 2.0
+    scaled: ClassVar[tuple[str, ...]] = ("per_g2_g", "per_g2_dps")
+
+    def put_on(self, site: Site) -> None:
+        """Act along axes of the part's own."""
+        direction, factor = site.direction("stops"), site.by_unit(self.per_g2_g, self.per_g2_dps)
+        elapsed = Stopwatch()
+        mean: Triple | None = None
+        square = 0.0
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            nonlocal mean, square
+            seconds, force = elapsed(at_ns), stimulus.force_box
+            mean = force if mean is None else mean
+            share = seconds / (seconds + self.memory_s)
+            away = plus(force, mean, -1.0)
+            mean = plus(mean, away, share)
+            square += (sum(component * component for component in away) / STANDARD_GRAVITY**2 - square) * share
+            return plus(value, direction, factor * square)
+
+        site.chain.sensed.append(sensed)
+
+
+NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
+"""Equivalent noise bandwidth of a second-order Butterworth filter by its cut-off: 1.11."""
+Step = tuple[float, float, float, float]
+FAR_S = 0.2
+"""Looks further apart than that are those before and after a chip is set up: what changed did so at once."""
+
+
+@dataclass(frozen=True)
+class OutputFilter(SensorMechanism):
+    """The output filter passes less than its register says: a low-pass of second order before the converter.
+
+    Butterworth of second order at `cutoff_hz`: x'' + sqrt(2) w x' + w^2 x = w^2 u, w = 2 pi cutoff.
+
+    White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation exp(-a t) (cos a t + sin a
+    t), a = w / sqrt(2); between two looks the state is propagated exactly. The stimulus is filtered too, exactly so if
+    it is straight between looks; over a longer time without any, as when another range shifts the offset, as what it is
+    at its end. Reference: 20 Hz, narrower as severity grows.
+    """
+
+    cutoff_hz: float = 20.0
+
+    resembles: ClassVar[tuple[str, ...]] = ("bandwidth",)
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """A lower cut-off."""
+        return cls(cutoff_hz=cls.cutoff_hz / severity)
+
+    @property
+    def decay(self) -> float:
+        """Real and imaginary part of the poles, per second."""
+        return 2 * math.pi * self.cutoff_hz / math.sqrt(2)
+
+    @property
+    def delay_s(self) -> float:
+        """The delay of a slow signal: sqrt(2) / w."""
+        return 1 / self.decay
+
+    def step(self, seconds: float) -> Step:
+        """Transition matrix of (x, x') over that time, row by row, for an input of 0."""
+        a = self.decay
+        fade, cosine, sine = math.exp(-a * seconds), math.cos(a * seconds), math.sin(a * seconds)
+        return fade * (cosine + sine), fade * sine / a, -2 * a * fade * sine, fade * (cosine - sine)
+
+    def correlation(self, seconds: float) -> float:
+        """Autocorrelation of the noise that passes."""
+        return self.step(seconds)[0]
+
+    def put_on(self, site: Site) -> None:
+        """Signal and noise through a filter each, which is the same as both through one."""
+        random = site.run_random("filter")
+        site.chain.sensed.append(self._signal())
+        site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))  # others' noise comes later
+
+    def _signal(self) -> Callable[[int, Triple, Stimulus], Triple]:
+        elapsed = Stopwatch()
+        state: list[tuple[float, float]] = []
+        before: Triple = (0.0, 0.0, 0.0)
+
+        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            nonlocal before
+            seconds = elapsed(at_ns)
+            if not state:
+                state.extend((component, 0.0) for component in value)
+                before = value
+            if seconds > FAR_S:
+                before = value
+            a, b, c, d = self.step(seconds)
+            for axis, (old, new) in enumerate(zip(before, value, strict=True)):
+                x, speed = state[axis]
+                slope = (new - old) / seconds if seconds > 0 else 0.0
+                behind = slope * self.delay_s  # what follows a straight line, once it has settled
+                off, faster = x - (old - behind), speed - slope
+                state[axis] = new - behind + a * off + b * faster, slope + c * off + d * faster
+            before = value
+            return state[0][0], state[1][0], state[2][0]
+
+        return sensed
+
+    def _noise(self, draw: Callable[[], float]) -> Callable[[int, Triple, Triple, float], Triple]:
+        elapsed = Stopwatch()
+        unit = [(draw(), draw() * math.sqrt(2) * self.decay) for _ in range(3)]  # of variance 1
+        steps: dict[float, tuple[Step, Triple]] = {}
+
+        def noise(at_ns: int, value: Triple, rms: Triple, bandwidth_hz: float) -> Triple:
+            seconds = elapsed(at_ns)
+            if seconds not in steps:
+                steps[seconds] = self.step(seconds), self.innovation(seconds)
+            (a, b, c, d), (first, across, second) = steps[seconds]
+            for axis, (x, speed) in enumerate(unit):
+                draws = draw(), draw()
+                unit[axis] = (
+                    a * x + b * speed + first * draws[0],
+                    c * x + d * speed + across * draws[0] + second * draws[1],
+                )
+            share = math.sqrt(min(1.0, NOISE_BANDWIDTH * self.cutoff_hz / bandwidth_hz))
+            return rms[0] * share * unit[0][0], rms[1] * share * unit[1][0], rms[2] * share * unit[2][0]
+
+        return noise
+
+    def innovation(self, seconds: float) -> Triple:
+        """Cholesky factor (11, 21, 22) of what noise adds to (x, x') in that time: P - F P F^T, P = diag(1, 2 a^2)."""
+        a, b, c, d = self.step(seconds)
+        power = 2 * self.decay**2
+        xx = max(0.0, 1 - a * a - b * b * power)
+        xv = -a * c - b * d * power
+        vv = max(0.0, power - c * c - d * d * power)
+        first = math.sqrt(xx)
+        across = xv / first if first > 0 else 0.0
+        return first, across, math.sqrt(max(0.0, vv - across * across))
+
+
+@dataclass(frozen=True)
+class PipelineDelay(SensorMechanism):
+    """A decimation filter with a long pipeline: what comes out went in a while ago.
+
+    The chip feels the world as it was `delay_s` ago: a group delay that its data sheet is silent about.
+
+    Reference: 20 ms.
+    """
+
+    delay_s: float = 0.02
+
+    resembles: ClassVar[tuple[str, ...]] = ("skew",)
+    scaled: ClassVar[tuple[str, ...]] = ("delay_s",)
+
+    def put_on(self, site: Site) -> None:
+        """Heat comes from the world as it is now: it does not go through the filter."""
+        delay_ns, world = round(self.delay_s * 1e9), site.world
+
+        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+            before = world(max(0, at_ns - delay_ns))
+            if before is stimulus:
+                return stimulus
+            return before._replace(temperature_degc=stimulus.temperature_degc)
+
+        site.chain.felt.append(felt)

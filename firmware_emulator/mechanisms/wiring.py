@@ -1,0 +1,186 @@
+"""Contacts, cables and the multiplexer."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+from firmware_emulator.chip import Triple
+from firmware_emulator.element import stream
+from firmware_emulator.mechanisms.line import Codes, Latch
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
+from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site, plus
+from firmware_emulator.world import Stimulus
+
+if TYPE_CHECKING:
+    from firmware_emulator.description import SensorLike
+
+
+@dataclass(frozen=True)
+class CableBitErrors(SensorMechanism):
+    """A cable too long for its pull-ups: now and then the adapter samples a bit on the slope.
+
+    Every bit that the chip sends arrives flipped with probability `per_bit`, below the notice of acknowledges.
+
+    I2C has no checksum. Only what the chip sends is hit: the adapter drives its own bits harder. Begins
+    `WHILE_SET_UP_S` after power-on. Reference: 1e-5, some one in 2000 readings.
+    """
+
+    per_bit: float = 1e-5
+
+    resembles: ClassVar[tuple[str, ...]] = ("glitches",)
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """A worse cable."""
+        return cls(per_bit=min(0.5, cls.per_bit * severity))
+
+    def put_on(self, site: Site) -> None:
+        """Act on the bytes as they arrive."""
+        random = site.run_random("bits")
+        gap = int(random.geometric(self.per_bit))
+        begin_ns = round(WHILE_SET_UP_S * 1e9)
+
+        def cable(at_ns: int, sent: bytes) -> bytes:
+            nonlocal gap
+            if at_ns < begin_ns:
+                return sent
+            bits, received = 8 * len(sent), bytearray(sent)
+            while gap <= bits:
+                received[(gap - 1) // 8] ^= 0x80 >> (gap - 1) % 8
+                gap += int(random.geometric(self.per_bit))
+            gap -= bits
+            return bytes(received)
+
+        site.links.cables.append(cable)
+
+
+@dataclass(frozen=True)
+class LooseContact(SensorMechanism):
+    """A plug that is not quite in: for moments the chip is not there.
+
+    Closed for `closed_s` on average, then open for `open_s`, both exponential (Gilbert 1960).
+
+    Nothing is acknowledged while open. Begins `WHILE_SET_UP_S` after power-on. Reference: 50 ms in every 10 s.
+    """
+
+    open_s: float = 0.05
+    closed_s: float = 10.0
+
+    resembles: ClassVar[tuple[str, ...]] = ("dropped_samples",)
+    scaled: ClassVar[tuple[str, ...]] = ("open_s",)
+
+    def put_on(self, site: Site) -> None:
+        """Act on every message to the chip."""
+        random = site.run_random("contact")
+        is_open, due_ns = False, (WHILE_SET_UP_S + random.exponential(self.closed_s)) * 1e9
+
+        def closed(at_ns: int) -> bool:
+            nonlocal is_open, due_ns
+            while at_ns >= due_ns:
+                is_open = not is_open
+                due_ns += random.exponential((self.open_s if is_open else self.closed_s) * 1e9)
+            return not is_open
+
+        site.links.contacts.append(closed)
+
+
+@dataclass(frozen=True)
+class MuxHang(Mechanism):
+    """The multiplexer acknowledges its order and does not switch, for once: twins on the other channel answer.
+
+    A `share` of the orders is not obeyed; who has no twin at his address on the other channel is not acknowledged, the
+    others are answered for, and those are its sensors in the truth. Begins `WHILE_SET_UP_S` after power-on. Reference:
+    0.5 % of the orders.
+    """
+
+    share: float = 0.005
+
+    place: ClassVar[str] = "host"
+    resembles: ClassVar[tuple[str, ...]] = ("channel_swap", "glitches")
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """Return one that acts more often."""
+        return cls(share=min(0.5, cls.share * severity))
+
+    def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
+        """Return the sensors that have a twin: the same chip at the same address of another channel."""
+        places = Counter((sensor.chip, sensor.address) for sensor in sensors if sensor.channel is not None)
+        touched = [sensor for sensor in sensors if sensor.chip in self.touches]
+        return tuple(sensor.name for sensor in touched if places[sensor.chip, sensor.address] > 1)
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """Act at the STOP of an order."""
+        random, begin_ns = stream(board.seed, f"multiplexer, run {board.run}"), round(WHILE_SET_UP_S * 1e9)
+
+        def obeys(at_ns: int) -> bool:
+            if at_ns < begin_ns or random.random() >= self.share:
+                return True
+            board.notes.append(f"multiplexer hung at {at_ns * 1e-9:.3f} s")
+            return False
+
+        board.host.obeys.append(obeys)
+        touched = board.touched.setdefault(self, set())
+        for site in sites:
+            site.links.latches.append(_answers(board, site, touched))
+
+
+def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
+    """Readings of the site as they are; whoever they pass for while the switch is astray is `touched`."""
+    own = board.sensors[site.name]
+    twins = {
+        config.channel: name
+        for name, config in board.sensors.items()
+        if (config.address, config.chip) == (own.address, own.chip) and config.channel is not None
+    }
+
+    def passed(at_ns: int, codes: Codes) -> Codes:
+        if board.host.mux is not None and board.host.mux.astray_for in twins:
+            touched.add(twins[board.host.mux.astray_for])
+        return codes
+
+    return passed
+
+
+LONG_AGO_NS = -(1 << 62)
+
+
+@dataclass(frozen=True)
+class MuxCrosstalk(Mechanism):
+    """The multiplexer's switch kicks the supply: who converts just after it is off.
+
+    error = k exp(-t / `decay_ms`), t since the last switch, k `kick_g` or `kick_dps` on average of the axes.
+
+    Who is read early in a segment feels it, and only in frames that come to the segment by a switch. Reference: 20 mg
+    or 0.6 dps, 2 ms.
+    """
+
+    kick_g: float = 20e-3
+    kick_dps: float = 0.6
+    decay_ms: float = 2.0
+    scaled: ClassVar[tuple[str, ...]] = ("kick_g", "kick_dps")
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """One multiplexer, heard by every site."""
+        switched_ns = LONG_AGO_NS
+
+        def switched(at_ns: int) -> None:
+            nonlocal switched_ns
+            switched_ns = at_ns
+
+        def hear(site: Site) -> None:
+            direction, kick = site.direction("kick"), site.by_unit(self.kick_g, self.kick_dps)
+
+            def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+                since_ms = (at_ns - switched_ns) * 1e-6
+                return plus(value, direction, kick * math.exp(-since_ms / self.decay_ms)) if since_ms >= 0 else value
+
+            site.chain.sensed.append(sensed)
+
+        board.host.switched.append(switched)
+        for site in sites:
+            hear(site)
