@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
@@ -20,7 +20,7 @@ from imuarray.axes import Matrix, orientation_of
 from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, die_of, half_of, kernel_chip
 from imuarray.errors import ConfigError
 from imuarray.spelling import guess
-from imuarray.toml_files import parse_toml, read_text
+from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 SPI_DEVICE = "/dev/spidev"
@@ -327,7 +327,7 @@ class ArrayConfig(BaseModel):
 
 
 def load_array(path: str | PathLike[str]) -> ArrayConfig:
-    """Read an array's TOML file; ConfigError names the file and, one after the other, every mistake in it.
+    """Read an array's TOML file; ConfigError names file and line of every mistake in it.
 
     >>> array = load_array("configs/martin2013.toml")
     >>> len(array.sensors), array.sensors[0].chip
@@ -342,7 +342,8 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
     )
-    _check_places(array, where)
+    if mistakes := [*_place_mistakes(array)]:
+        raise refusal(text, where, mistakes)
     return array
 
 
@@ -359,82 +360,103 @@ def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: st
     raise ValueError(f"{key} {problem}: {choice}")
 
 
-def _check_places(array: ArrayConfig, where: str) -> None:
-    """Refuse two sensors with one name or in one place, channels without a mux, and whatever the mux's own address
-    hides.
-    """
+def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
+    """Two sensors with one name or in one place, channels without a mux, and whatever the mux's own address hides."""
     for name, count in Counter(sensor.name for sensor in array.sensors).items():
         if count > 1:
-            raise ConfigError(f"{where}: {count} sensors are called {name!r}; names are unique")
+            last = max(index for index, sensor in enumerate(array.sensors) if sensor.name == name)
+            yield Mistake(("sensor", last, "name"), "", f"{count} sensors are called {name!r}; names are unique")
     taken: dict[tuple[int | str | None, int], SensorConfig] = {}
     halves: dict[int, list[str]] = {}
-    for sensor in array.sensors:
+    for index, sensor in enumerate(array.sensors):
+        place, subject = ("sensor", index), f"sensor {sensor.name!r}"
         if sensor.channel is not None and array.mux is None:
-            raise ConfigError(f"{where}: sensor {sensor.name!r}: channel {sensor.channel}, but [array] has no mux")
-        _check_against_trunk(array, sensor, where)
+            yield Mistake(place, subject, f"channel {sensor.channel}, but [array] has no mux")
+        for complaint in _against_trunk(array, sensor):
+            yield Mistake((*place, "address"), "", complaint)
         rival = taken.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
-        if rival is not sensor and sensor.on_iio:
-            _check_device(rival, [other for other in array.sensors if other.bus == sensor.bus], where)
-        elif rival is not sensor:
-            _check_halves(rival, sensor, where, halves.setdefault(id(rival), [rival.chip]))
+        if rival is sensor:
+            continue
+        if sensor.on_iio:
+            devices = [other for other in array.sensors[: index + 1] if other.bus == sensor.bus]
+            found = _against_device(rival, sensor, devices)
+        else:
+            found = _against_half(rival, sensor, halves.setdefault(id(rival), [rival.chip]))
+        for key, complaint in found:
+            yield Mistake((*place, key), "", complaint)
 
 
-def _check_device(first: SensorConfig, members: Sequence[SensorConfig], where: str) -> None:
-    """Refuse sensors of one device of the kernel that mean the same triad, or want other settings of the device."""
-    for member in members:
-        pair = f"{where}: sensors {first.name!r} and {member.name!r} are both of {first.bus}"
-        for key in ("rate_hz", "fifo", "trigger"):
-            if getattr(first, key) != getattr(member, key):
-                raise ConfigError(f"{pair}: {key} is the same for both")
-    counts = Counter(member.spec.quantity for member in members)
-    quantity, count = counts.most_common(1)[0]
+def _against_device(
+    first: SensorConfig, second: SensorConfig, members: Sequence[SensorConfig]
+) -> Iterator[_KeyMistake]:
+    """Mistakes of a sensor of a kernel device that has others before it (`members`, with it): other settings of the
+    device, or a triad that is there already.
+    """
+    for key in ("rate_hz", "fifo", "trigger"):
+        if getattr(first, key) != getattr(second, key):
+            yield key, f"sensors {first.name!r} and {second.name!r} are both of {first.bus}: {key} is the same for both"
+    count = [member.spec.quantity for member in members].count(second.spec.quantity)
     if count > 1:
-        raise ConfigError(f"{where}: {count} sensors are the {quantity} of {first.bus}; each is read once")
+        yield "bus", f"{count} sensors are the {second.spec.quantity} of {first.bus}; each is read once"
+
+
+_KeyMistake = tuple[str, str]
+"""A key of a sensor's table, and the complaint about it."""
 
 
 def _choice(words: Iterable[str]) -> str:
     return ", ".join(words)
 
 
-def _check_halves(first: SensorConfig, second: SensorConfig, where: str, here: list[str]) -> None:
-    """Refuse two sensors in one place unless they are the two halves of one chip, which share place, direction, data
-    rate and filter; `here` lists the halves that are taken, and grows.
+def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) -> Iterator[_KeyMistake]:
+    """Mistakes of two sensors in one place, unless they are the two halves of one chip, which share place, direction,
+    data rate and filter; `here` lists the halves that are taken, and grows.
     """
-    pair = f"{where}: sensors {first.name!r} and {second.name!r}"
+    pair = f"sensors {first.name!r} and {second.name!r}"
     if die_of(first.chip) != die_of(second.chip) or second.chip in here:
-        raise ConfigError(f"{pair} are both at {second.place}")
+        yield "address", f"{pair} are both at {second.place}"
+        return
     here.append(second.chip)
     die = die_of(first.chip)
-    for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "high_resolution", "spi_clock_hz"):
-        if getattr(first, key) != getattr(second, key):
-            raise ConfigError(f"{pair} are one {die}: {key.removeprefix('chip_')} is the same for both")
+    different = [
+        key
+        for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "high_resolution", "spi_clock_hz")
+        if getattr(first, key) != getattr(second, key)
+    ]
+    for key in different:
+        own = key.removeprefix("chip_")
+        yield own, f"{pair} are one {die}: {own} is the same for both"
+    if "chip_rate_hz" in different:
+        return
     numbers = [
         sensor.spec.allowed_bandwidths_hz(sensor.chip_rate_hz).index(sensor.chip_bandwidth_hz)
         for sensor in (first, second)
     ]
     if numbers[0] != numbers[1]:
         wanted = second.spec.allowed_bandwidths_hz(second.chip_rate_hz)[numbers[0]]
-        raise ConfigError(
+        yield (
+            "bandwidth_hz",
             f"{pair} are one {die}, which has one filter: with bandwidth_hz {first.chip_bandwidth_hz:g} of the first"
-            f" goes {wanted:g} of the second, not {second.chip_bandwidth_hz:g}"
+            f" goes {wanted:g} of the second, not {second.chip_bandwidth_hz:g}",
         )
 
 
-def _check_against_trunk(array: ArrayConfig, sensor: SensorConfig, where: str) -> None:
-    """Refuse addresses of chips upstream of the mux, which answer on every channel too (PCA-10, PCA-11)."""
+def _against_trunk(array: ArrayConfig, sensor: SensorConfig) -> Iterator[str]:
+    """Complaints about addresses of chips upstream of the mux, which answer on every channel too (PCA-10, PCA-11)."""
     if array.mux is None or sensor.bus is not None:
         return
     if sensor.address == array.mux.address:
         free = "0x70 to 0x76" if sensor.chip == "bmp180" else "another of 0x70 to 0x77"
-        raise ConfigError(
-            f"{where}: sensor {sensor.name!r}: address {sensor.address:#x} is the mux's own, both would answer;"
+        yield (
+            f"sensor {sensor.name!r}: address {sensor.address:#x} is the mux's own, both would answer;"
             f" strap the mux to {free}"
         )
+        return
     if sensor.channel is None:
         return
     for other in array.sensors:
         if other.channel is None and other.bus is None and other.address == sensor.address:
-            raise ConfigError(
-                f"{where}: sensor {sensor.name!r} on channel {sensor.channel}: {other.name!r} on the trunk answers"
+            yield (
+                f"sensor {sensor.name!r} on channel {sensor.channel}: {other.name!r} on the trunk answers"
                 f" at {other.address:#x} too"
             )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from imuarray.errors import ConfigError
 from imuarray.spelling import closest, guess_file
+from imuarray.toml_lines import Place, key_lines
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -71,36 +74,89 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file (HDF5 File Format Specification, superblock signature)."""
 
 
+@dataclass(frozen=True)
+class Mistake:
+    """What is wrong in a TOML text: its place, the subject in words ("sensor 1 'A'", or ""), and the complaint.
+
+    A complaint about a key of the table at `place` begins with this key.
+    """
+
+    place: Place
+    subject: str
+    complaint: str
+
+
+def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
+    """Return the error, one line, that lists mistakes, each with file and line.
+
+    `where` is the file's name: "array.toml:7: sensor 1 'A': range 17: allowed are 2, 4; array.toml:9: ...". A mistake
+    about what the text lacks as a whole has no line.
+    """
+    lines = key_lines(text)
+    listed = [
+        f"{where}{f':{line}' if (line := _line(mistake, lines)) else ''}: "
+        f"{f'{mistake.subject}: ' if mistake.subject else ''}{mistake.complaint}"
+        for mistake in mistakes
+    ]
+    more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
+    return ConfigError("; ".join([*listed[:_TOLD], *more]))
+
+
+def _line(mistake: Mistake, lines: Mapping[Place, int]) -> int:
+    """The line of the key that a complaint is about, else of the smallest table around it; 0 if the text has none."""
+    key = _FIRST_WORD.match(mistake.complaint)
+    place = mistake.place
+    while place:
+        if key and (*place, key.group()) in lines:
+            return lines[(*place, key.group())]
+        if place in lines:
+            return lines[place]
+        place = place[:-1]
+    return 0
+
+
+_FIRST_WORD = re.compile(r"\w+")
+
+
 def parse_toml(text: str, model: type[File], where: str) -> File:
-    """TOML text as a `model`; ConfigError, one line that begins with `where`, says all that is wrong with it.
+    """TOML text as a `model`; ConfigError, one line, names the line of everything that is wrong with it (`refusal`).
 
     Numbers without end and tables nested without end are refused like everything else.
     """
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{where}: not TOML: {error}") from None
+        line = _TOML_LINE.search(str(error))
+        raise ConfigError(f"{where}{f':{line.group(1)}' if line else ''}: not TOML: {error}") from None
     try:
-        return _checked(table, model, where)
+        return _checked(table, model, text, where)
     except RecursionError:
         raise ConfigError(f"{where}: tables nested without end") from None
 
 
-def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
+_TOML_LINE = re.compile(r"\(at line (\d+), column \d+\)$")
+
+
+def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str) -> File:
     from pydantic import ValidationError  # its weight is for those who read such a file
 
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {complaints(error, table, model)}") from None
+        raise refusal(text, where, _mistakes(error, table, model)) from None
 
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
-    mistakes = _all_mistakes(error, table, model)
-    listed = [_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in mistakes[:_TOLD]]
-    more = [f"and {len(mistakes) - _TOLD} more"] if len(mistakes) > _TOLD else []
-    return "; ".join([*listed, *more])
+    listed = _mistakes(error, table, model)
+    return "; ".join(f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed)
+
+
+def _mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Mistake]:
+    return [
+        Mistake(tuple(item["loc"]), _subject(item["loc"], table), _complaint(item, model))
+        for item in _all_mistakes(error, table, model)
+    ]
 
 
 def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Any]:
@@ -126,7 +182,7 @@ def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[
     return mistakes
 
 
-def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
+def _subject(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
     """The place of a mistake; entries of an array of tables are counted from 1 and called by their name."""
     words: list[str] = []
     value: Any = table
@@ -137,7 +193,7 @@ def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
             words[-1] += f" {part + 1}" + (f" {name!r}" if isinstance(name, str) else "")
         else:
             words.append(str(part) if str(part).isprintable() else repr(part))
-    return "".join(f"{word}: " for word in words)
+    return ": ".join(words)
 
 
 def _inside(value: Any, part: int | str) -> Any:

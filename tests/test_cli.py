@@ -196,7 +196,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("log", "broken.toml", "--bus", "emulated:", "-o", "r.h5"), "broken.toml: not TOML"),
     (
         ("log", "wrong.toml", "--bus", "emulated:", "-o", "r.h5"),
-        "wrong.toml: sensor 1 'A': range 5: allowed are 2, 4, 8, 16",
+        "wrong.toml:8: sensor 1 'A': range 5: allowed are 2, 4, 8, 16",
     ),
     (("log", "one.toml", "--bus", "nonsense", "-o", "r.h5"), "bus 'nonsense': allowed are"),
     (("log", "one.toml", "--bus", "i2c:/dev/none", "-o", "r.h5"), "i2c:/dev/none: No such file or directory"),

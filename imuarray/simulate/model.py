@@ -35,7 +35,8 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.parameters import from_table, spelled
 from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams
-from imuarray.toml_files import parse_toml, read_text
+from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
+from imuarray.toml_lines import Place
 
 TRIADS = {name: spec for name, spec in CHIPS.items() if spec.sensitivity}
 """The chips whose readings pass through effects."""
@@ -131,7 +132,7 @@ class Model:
 
 
 def load_model(path: str | PathLike[str]) -> Model:
-    """Read a model's TOML file; ConfigError names the file, the table, the key and what is allowed."""
+    """Read a model's TOML file; ConfigError names file, line, table and key of every mistake, and what is allowed."""
     return parse_model(read_text(path), str(path))
 
 
@@ -214,46 +215,57 @@ class _File(BaseModel):
 
 
 def _model_of(file: _File, text: str, where: str) -> Model:
+    mistakes: list[Mistake] = []
     designs, sensors = (
-        tuple(_part(entry, f"{where}: {key} {number}") for number, entry in enumerate(getattr(file, key), start=1))
+        tuple(_part(entry, (key, index), mistakes) for index, entry in enumerate(getattr(file, key)))
         for key in ("design", "sensor")
     )
-    for part, count in Counter((part.name, part.chip, part.unit, part.range) for part in (*designs, *sensors)).items():
-        if count > 1:
-            name, chip, _, range_ = part
-            raise ConfigError(
-                f"{where}: {count} tables of {f'sensor {name!r}' if name else f'design {chip}'} with"
-                f" {'no range' if range_ is None else f'range {range_:g}'}; one is allowed"
-            )
+    for key, parts in (("design", designs), ("sensor", sensors)):
+        kinds = [(part.name, part.chip, part.unit, part.range) for part in parts]
+        for kind, count in Counter(kinds).items():
+            if count > 1:
+                name, chip, _, range_ = kind
+                subject = f"sensor {name!r}" if name else f"design {chip}"
+                span = "no range" if range_ is None else f"range {range_:g}"
+                last = len(kinds) - 1 - kinds[::-1].index(kind)
+                mistakes.append(Mistake((key, last), "", f"{count} tables of {subject} with {span}; one is allowed"))
+    if mistakes:
+        raise refusal(text, where, mistakes)
     return Model(file.model.name, file.model.about, designs, sensors, text)
 
 
-def _part(entry: Any, where: str) -> Part:
-    """A part from its checked table; ConfigError for effects that can't be meant."""
+def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
+    """A part from its checked table; tables of effects that can't be meant are added to `mistakes`."""
     name = getattr(entry, "name", "")
-    where += f" {name!r}" if name else ""
+    subject = f"{place[0]} {int(place[1]) + 1}" + (f" {name!r}" if name else "")
     unit = TRIADS[entry.chip].unit if entry.chip in TRIADS else entry.unit
-    effects = {
-        kind: tuple(_recipe(kind, table, entry.chip, unit, f"{where}: {kind}") for table in getattr(entry, kind))
-        for kind in EFFECTS
-        if getattr(entry, kind)
-    }
+    effects: dict[str, tuple[Recipe, ...]] = {}
+    for kind in EFFECTS:
+        recipes = []
+        for number, table in enumerate(getattr(entry, kind)):
+            try:
+                recipes.append(_recipe(kind, table, entry.chip, unit))
+            except ConfigError as error:
+                draw, _, complaint = str(error).partition(": ")
+                mistakes.append(Mistake((*place, kind, number), f"{subject}: {draw}", complaint))
+        if recipes:
+            effects[kind] = tuple(recipes)
     foreign = "" if entry.chip in TRIADS else unit
     return Part(entry.chip, entry.range, name, entry.noise_bandwidth_hz, effects, foreign)
 
 
-def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str, where: str) -> Recipe:
-    """The figures of an effect's table; ConfigError if a unit could be drawn that the effect refuses."""
+def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe:
+    """The figures of an effect's table; ConfigError, which begins with the kind, for a unit that can't be."""
     if strange := [key for key in table if not key.isprintable()]:
-        raise ConfigError(f"{where}: {strange[0]!r}: unknown key")
-    recipe = {key: figure_of(value, f"{where}: {key}") for key, value in table.items()}
+        raise ConfigError(f"{kind}: {strange[0]!r}: unknown key")
+    recipe = {key: figure_of(value, f"{kind}: {key}") for key, value in table.items()}
     ranges = TRIADS[chip].sensitivity if chip in TRIADS else {}
     keys = spelled(EFFECTS[kind], unit)
     for away, which in ((0, ""), (-1, ", lowest draw"), (1, ", highest draw")):
-        effect = from_table(EFFECTS[kind], at_ends(recipe, keys, away), unit, where + which)
+        effect = from_table(EFFECTS[kind], at_ends(recipe, keys, away), unit, kind + which)
         if isinstance(effect, RangeReset) and not math.isnan(effect.range) and effect.range not in ranges:
             choice = _range_choice(effect.range, chip) if ranges else f"the ranges of a {chip} are not known"
-            raise ConfigError(f"{where}: range_{unit}: {choice}")
+            raise ConfigError(f"{kind}: range_{unit}: {choice}")
     return recipe
 
 
