@@ -36,6 +36,7 @@ def test_all_axes_have_to_stand_still() -> None:
     rows[:, 1] = [0, 1, 2, 3, 3, 3, 3, 4, 5]
     found = repeated_rows_in([block(rows, 1)])
     assert (found.rows.tolist(), found.begin_ns.tolist(), found.end_ns.tolist()) == ([3], [4], [6])
+    assert found.counts.tolist() == [[0, 3, 0]]
 
 
 def test_the_longest_are_kept() -> None:

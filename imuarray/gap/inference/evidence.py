@@ -54,6 +54,14 @@ class Spell:
     phases: tuple[PhaseEvidence, ...]
 
 
+class Repetition(NamedTuple):
+    """A stretch `span` of so many `rows` that repeat the one before, all of these `counts`."""
+
+    span: Span
+    rows: int
+    counts: tuple[int, int, int]
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Evidence of one sensor, and its present model.
@@ -63,10 +71,9 @@ class Evidence:
     standard deviations; nan where there is none. `effects` are those of the present model, `runs` the sensor's boots if
     there is a turn-on series, `others` the sensors that measure the same.
 
-    Events: `holes` where rows that were due were lost; `repeated`, spans with their number of rows that repeat the one
-    before, in any phase or none; `outliers` by logs in each phase in which the box moves; `hosts`, delays of the host
-    seen in all sensors; `resets`, stretches by logs in which the recorder noticed that the chip had lost its
-    configuration.
+    Events: `holes` where rows that were due were lost; `repeated` rows, in any phase or none; `outliers` by logs in
+    each phase in which the box moves; `hosts`, delays of the host seen in all sensors; `resets`, stretches by logs in
+    which the recorder noticed that the chip had lost its configuration.
 
     `rows_of`: the log of each row of a probe, -1 for several. `is_refitted`: noise, bias and slope are fitted to this
     evidence; otherwise they come from an earlier recording and may have changed. `spells`: stretches in which the
@@ -84,7 +91,7 @@ class Evidence:
     runs: Runs | None = None
     others: tuple[SensorHeader, ...] = ()
     holes: tuple[Span, ...] = ()
-    repeated: tuple[tuple[Span, int], ...] = ()
+    repeated: tuple[Repetition, ...] = ()
     outliers: tuple[tuple[int, Outliers], ...] = ()
     hosts: tuple[Host, ...] = ()
     resets: tuple[tuple[int, Reset], ...] = ()
@@ -112,7 +119,7 @@ class Evidence:
             scores=scores,
             runs=None,
             holes=tuple(hole for hole in self.holes if hole.log in logs),
-            repeated=tuple((span, rows) for span, rows in self.repeated if span.log in logs),
+            repeated=tuple(repetition for repetition in self.repeated if repetition.span.log in logs),
             outliers=tuple((log, lone) for log, lone in self.outliers if log in logs),
             resets=tuple((log, reset) for log, reset in self.resets if log in logs),
             rows_of={probe: tuple(at for at in row_logs if at in logs) for probe, row_logs in self.rows_of.items()},
@@ -328,13 +335,12 @@ def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
         yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
 
 
-def _repeated(log: int, repeated: RepeatedRows) -> Iterator[tuple[Span, int]]:
-    """Spans of repeated rows, from half a row before the first repetition to half a row after the last one."""
-    for rows, begin_ns, end_ns in zip(
-        repeated.rows.tolist(), repeated.begin_ns.tolist(), repeated.end_ns.tolist(), strict=True
-    ):
+def _repeated(log: int, repeated: RepeatedRows) -> Iterator[Repetition]:
+    """Repeated rows, from half a row before the first repetition to half a row after the last one."""
+    columns = (repeated.rows, repeated.begin_ns, repeated.end_ns, repeated.counts)
+    for rows, begin_ns, end_ns, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
         row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
-        yield Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows
+        yield Repetition(Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows, (x, y, z))
 
 
 class ScoredStatistics(NamedTuple):

@@ -33,26 +33,28 @@ _FEWEST_REPETITIONS = 2
 class RepeatedRows:
     """The k longest stretches of a log in which every row equals the one before on all axes, at most `MOST_STRETCHES`,
     of two such `rows` (k,) or more, in the order of time: `begin_ns` (k,) is the first of these rows, `end_ns` (k,) the
-    last.
+    last, `counts` (k, 3) what they read.
     """
 
     rows: Integers
     begin_ns: Integers
     end_ns: Integers
+    counts: Integers
 
 
-NO_REPEATED_ROWS = RepeatedRows(*np.zeros((3, 0), np.int64))
+_NONE = np.zeros(0, np.int64)
+NO_REPEATED_ROWS = RepeatedRows(_NONE, _NONE, _NONE, np.zeros((0, 3), np.int64))
 
 
 def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
     """Collects the repeated rows of a sensor in bounded memory."""
     last = np.zeros((0, 3), np.int16)
-    longest = open_run = np.zeros((0, 3), np.int64)  # each of so many rows, from when, until when
+    longest = open_run = np.zeros((0, 6), np.int64)  # each of so many rows, from when, until when, and three counts
     for block in blocks:
         counts = np.concatenate([last, block.counts])
         x, y, z = (counts[1:] == counts[:-1]).T
         still = x & y & z
-        runs = _runs(block.time[len(block.time) - len(still) :], still)
+        runs = _runs(block.time[len(block.time) - len(still) :], counts[1:], still)
         if len(open_run) and len(still) and still[0]:
             runs[0, 0] += open_run[0, 0]
             runs[0, 1] = open_run[0, 1]
@@ -61,14 +63,14 @@ def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
         complete = len(runs) - int(len(still) > 0 and still[-1])
         longest, open_run, last = _longest(np.concatenate([longest, runs[:complete]])), runs[complete:], counts[-1:]
     longest = _longest(np.concatenate([longest, open_run]))
-    return RepeatedRows(longest[:, 0], longest[:, 1], longest[:, 2])
+    return RepeatedRows(longest[:, 0], longest[:, 1], longest[:, 2], longest[:, 3:])
 
 
-def _runs(time_ns: Integers, still: Booleans) -> Integers:
-    """Rows, first and last time (k, 3) of each stretch."""
+def _runs(time_ns: Integers, counts: Integers, still: Booleans) -> Integers:
+    """Rows, first and last time, and the counts (k, 6) of each stretch."""
     change = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
-    return np.stack([ends - begins + 1, time_ns[begins], time_ns[ends]], axis=1)
+    return np.column_stack([ends - begins + 1, time_ns[begins], time_ns[ends], counts[begins]])
 
 
 def _longest(runs: Integers) -> Integers:

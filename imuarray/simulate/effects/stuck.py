@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.parameters import alongside, listed
-from imuarray.simulate.signal import Codes, Place
+from imuarray.simulate.signal import Codes, Counts, Place
 
 KINDS = ("stale", "new")
 
@@ -28,7 +28,8 @@ class Stuck(Effect):
     (`kind` "new" instead of "stale"). In data: long runs of identical triads.
 
     If individual stretches are known, exactly these are stuck: from each of `moments_s`, by the log's clock, for the
-    time in `lengths_s`, in the run with that number in `runs`.
+    time in `lengths_s`, in the run with that number in `runs`. If their `readings` are known too, three values
+    for each stretch in the sensor's unit, a stretch begins with the reading that is repeated.
     """
 
     name: ClassVar[str] = "stuck"
@@ -39,6 +40,7 @@ class Stuck(Effect):
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
     lengths_s: tuple[float, ...] = listed()
+    readings: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
         """ValueError for a negative time, another kind, or lists that don't go together."""
@@ -50,30 +52,38 @@ class Stuck(Effect):
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
         for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
             object.__setattr__(self, name, values)
+        object.__setattr__(self, "readings", tuple(float(value) for value in self.readings))
+        if self.readings and len(self.readings) != 3 * len(self.moments_s):
+            raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Puts the last reading in the place of those that it outlasts."""
         first, stop, moving = codes.first, codes.first + len(codes.counts), codes
-        for begin, end in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
+        for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
-                row = max(math.ceil(begin) - 1, 0)
+                row = math.ceil(begin) if reading else max(math.ceil(begin) - 1, 0)
                 last = _row(moving, row) if row >= first else at.reaching(self.name, row)
-                codes = _held(codes, last, begin, end, self.kind == "new")
+                if reading:
+                    counts = np.rint(np.array([reading]) * at.sensor.sensitivity).astype(codes.counts.dtype)
+                    codes, last = _set_row(codes, row, counts), replace(last, counts=counts)
+                codes = _held(codes, last, row + 1, end, self.kind == "new")
         return codes
 
-    def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int]]:
-        """The rows of the known stretches that reach into first ... stop - 1."""
-        known = zip(self.runs, self.moments_s, self.lengths_s, strict=True)
-        held_ns = ((moment * 1e9, (moment + length) * 1e9) for run, moment, length in known if run == at.streams.boot)
-        return at.rows_in(first, stop, held_ns)
+    def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
+        """The rows of the known stretches that reach into first ... stop - 1, and their readings."""
+        for number, (run, moment_s) in enumerate(zip(self.runs, self.moments_s, strict=True)):
+            if run == at.streams.boot:
+                span_ns = moment_s * 1e9, (moment_s + self.lengths_s[number]) * 1e9
+                for begin, end in at.rows_in(first, stop, [span_ns]):
+                    yield begin, end, self.readings[3 * number : 3 * number + 3]
 
-    def _holds(self, stop: int, at: Place) -> Iterator[tuple[float, float]]:
-        """From which row to which readings are held, up to row `stop`."""
+    def _holds(self, stop: int, at: Place) -> Iterator[tuple[float, float, tuple[float, ...]]]:
+        """From which row to which the last reading is held, up to row `stop`."""
         free = at.boot_generator(self.name).exponential if math.isfinite(self.every_s) else lambda _: math.inf
         begin_s = self.onset_s if math.isfinite(self.onset_s) else free(self.every_s)
         while begin_s * at.rows_per_s < stop:
             end_s = begin_s + self.duration_s
-            yield round(begin_s * at.rows_per_s, 6), round(end_s * at.rows_per_s, 6)
+            yield round(begin_s * at.rows_per_s, 6), round(end_s * at.rows_per_s, 6), ()
             begin_s = end_s + free(self.every_s)
 
 
@@ -83,9 +93,16 @@ def _row(codes: Codes, row: int) -> Codes:
     return Codes(row, codes.instant_ns[at], codes.counts[at], temperature, codes.fresh[at])
 
 
-def _held(codes: Codes, last: Codes, begin: float, end: float, is_new: bool) -> Codes:
+def _set_row(codes: Codes, row: int, counts: Counts) -> Codes:
+    """The codes with the counts (1, 3) in that row, if it is one of them."""
     rows = codes.first + np.arange(len(codes.counts))
-    still = (rows >= max(begin, 1)) & (rows < end)
+    return replace(codes, counts=np.where((rows == row)[:, None], counts, codes.counts))
+
+
+def _held(codes: Codes, last: Codes, begin: int, end: float, is_new: bool) -> Codes:
+    """The codes with `last` in the rows from `begin` to before `end`."""
+    rows = codes.first + np.arange(len(codes.counts))
+    still = (rows >= begin) & (rows < end)
     counts = np.where(still[:, None], last.counts, codes.counts)
     temperature = codes.temperature_counts
     if temperature is not None and last.temperature_counts is not None:

@@ -221,6 +221,25 @@ class TestStuck:
         held = {"stale": (7, 8, 9), "new": ()}[kind]
         assert after.fresh.tolist() == [row not in held for row in range(first, 20)]
 
+    @pytest.mark.parametrize("first", [0, 3, 6, 7, 8, 12])
+    def test_readings_that_are_known(self, standing, place, codes, first: int) -> None:
+        """Rows 6 ... 9 read what is given; row 6 is the reading that the others repeat, and fresh."""
+        stretch = {"runs": (0,), "moments_s": (0.055,), "lengths_s": (0.04,)}
+        given = tuple(count / place().sensor.sensitivity for count in (-5, 90, 17))
+        before = codes(first, 20, temperature_counts=np.arange(first, 20))
+        after = Stuck(**stretch, readings=given).codes(before, standing())
+        rows = np.arange(first, 20)
+        is_held = (rows >= 6) & (rows < 10)
+        assert (after.counts[is_held] == (-5, 90, 17)).all()
+        assert np.array_equal(after.counts[~is_held], before.counts[~is_held])
+        assert after.counts.dtype == before.counts.dtype
+        assert after.temperature_counts.tolist() == np.where(is_held, 6, rows).tolist()
+        assert after.fresh.tolist() == (~is_held | (rows == 6)).tolist()
+
+    def test_readings_that_do_not_go_with_the_stretches(self) -> None:
+        with pytest.raises(ValueError, match="readings: 2; none, or three for each of moments_s, are required"):
+            Stuck(runs=(0,), moments_s=(1.0,), lengths_s=(1.0,), readings=(1.0, 2.0))
+
     def test_lists_that_do_not_go_together(self) -> None:
         with pytest.raises(ValueError, match="lengths_s: 0; as many as runs, 1, are required"):
             Stuck(runs=(0,), moments_s=(1.0,))

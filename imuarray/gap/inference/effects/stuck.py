@@ -10,8 +10,8 @@ import numpy as np
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-from imuarray.gap.inference.when import NUMBERS, SINGLE, stretches
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Repetition
+from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
 from imuarray.simulate.effects.stuck import Stuck
 
 _PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")
@@ -72,13 +72,23 @@ def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests all stretches that are longer than the model makes them."""
+    """Suggests all stretches that are longer than the model makes them, with the readings that they repeat."""
     longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
-    spans = [span for span, rows in evidence.repeated if rows >= least]
-    if not _FEWEST <= len(spans) <= SINGLE:
+    repeated = [repetition for repetition in evidence.repeated if repetition.rows >= least]
+    if not _FEWEST <= len(repeated) <= SINGLE:
         return
-    yield Hypothesis((Stuck(kind=_kind(evidence), **stretches(spans)),), whole=True, rarity=NUMBERS * len(spans))
+    readings = tuple(count / evidence.header.sensitivity for repetition in repeated for count in repetition.counts)
+    known = stretches([_with_first_reading(repetition) for repetition in repeated])
+    stuck = Stuck(kind=_kind(evidence), **known, readings=readings)
+    yield Hypothesis((stuck,), whole=True, rarity=NUMBERS * len(repeated))
+
+
+def _with_first_reading(repetition: Repetition) -> Span:
+    """The stretch with the reading that is repeated."""
+    log, moment_s, length_s = repetition.span
+    row_s = length_s / repetition.rows
+    return Span(log, moment_s - row_s, length_s + row_s)
 
 
 def _kind(evidence: Evidence) -> str:
