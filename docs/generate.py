@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from itertools import pairwise
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -229,14 +230,18 @@ def _effects() -> Pages:
 
 def _parameters(kind: Any) -> str:
     """The parameters of an effect, as a model file spells them; UNIT stands for the sensor's unit."""
+    from imuarray.simulate.effect import UNBOUNDED
+
     rows = []
     for item in fields(kind):
         spelled = item.name + str(item.metadata.get("suffix", "")).replace("{u}", "UNIT")
         default = item.default
         per_axis = bool(item.metadata.get("per_axis"))
         value = default[0] if isinstance(default, tuple) and per_axis else default
-        rows.append((f"`{spelled}`", "one per axis" if per_axis else "one", f"`{value!r}`"))
-    return _table(("key", "values", "default (no effect)"), rows)
+        low, high = item.metadata.get("allowed", UNBOUNDED)
+        allowed = "" if (low, high) == UNBOUNDED else f"from {low:g}" + (f" to {high:g}" if isfinite(high) else "")
+        rows.append((f"`{spelled}`", "one per axis" if per_axis else "one", f"`{value!r}`", allowed))
+    return _table(("key", "values", "default (no effect)", "allowed"), rows)
 
 
 def _causes() -> Pages:

@@ -22,18 +22,21 @@ import numpy as np
 from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place, Triple
 
 
-def per_axis(default: float = 0.0, *, suffix: str = "") -> Any:
+def per_axis(default: float = 0.0, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
     """A parameter with one value for each axis of the sensor; a single number stands for all three.
 
-    `suffix` is what model files and reports append to its name, "{u}" being the sensor's unit: "_{u}_per_degc".
+    `suffix` is what model files and reports append to its name, "{u}" being the sensor's unit: "_{u}_per_degc". Values
+    outside `low` to `high` are refused.
     """
-    return field(default=(default,) * 3, metadata={"suffix": suffix, "per_axis": True})
+    return field(default=(default,) * 3, metadata={"suffix": suffix, "per_axis": True, "allowed": (low, high)})
 
 
-def scalar(default: float, *, suffix: str = "") -> Any:
-    """A parameter with one value."""
-    return field(default=default, metadata={"suffix": suffix})
+def scalar(default: float, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
+    """A parameter with one value; otherwise as `per_axis`."""
+    return field(default=default, metadata={"suffix": suffix, "allowed": (low, high)})
 
+
+UNBOUNDED = (-np.inf, np.inf)
 
 FOREVER_S = 1e9
 """The end of a span that has none."""
@@ -51,11 +54,19 @@ class Effect:
     spans: tuple[float, ...] = field(default=(), kw_only=True, metadata={"suffix": ""})
 
     def __post_init__(self) -> None:
-        """Spread single numbers over the three axes; ValueError for what is no triple of numbers, or no spans."""
+        """Spread single numbers over the three axes; ValueError for what is no triple of numbers, for no spans, and for
+        values outside those that a parameter allows.
+        """
         object.__setattr__(self, "spans", _spans(self.spans))
         for item in fields(self):
-            if item.metadata.get("per_axis"):
-                object.__setattr__(self, item.name, _triple(getattr(self, item.name), item.name))
+            name, of_axes = item.name, item.metadata.get("per_axis")
+            if of_axes:
+                object.__setattr__(self, name, _triple(getattr(self, name), name))
+            allowed = item.metadata.get("allowed", UNBOUNDED)
+            if allowed != UNBOUNDED:
+                value = getattr(self, name)
+                for each in (min(value), max(value)) if of_axes else (value,):
+                    require(name, each, *allowed)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
         """The run, from when, until when of each."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
 
 LONGEST = 256
@@ -31,14 +31,8 @@ class AdaptiveRange(Effect):
     """
 
     name: ClassVar[str] = "adaptive_range"
-    threshold: float = scalar(math.inf, suffix="_{u}")
-    hold_s: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative parameter, or a hold of more than a second."""
-        super().__post_init__()
-        require("threshold", self.threshold, 0.0)
-        require("hold_s", self.hold_s, 0.0, 1.0)
+    threshold: float = scalar(math.inf, suffix="_{u}", low=0.0)
+    hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
         """The longest run of held rows, what may begin it, and the row before it."""

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Reals
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Place
 
@@ -52,22 +52,16 @@ class Bandwidth(Effect):
     """
 
     name: ClassVar[str] = "bandwidth"
-    cutoff_hz: float = scalar(math.inf)
-    share: float = scalar(0.0)
+    cutoff_hz: float = scalar(math.inf, low=1e-2)
+    share: float = scalar(0.0, low=0.0, high=1.0)
     poles: float = scalar(1.0)
-    sampled_hz: float = scalar(math.inf)
-    noise_share: float = scalar(1.0)
+    sampled_hz: float = scalar(math.inf, low=1e-2)
+    noise_share: float = scalar(1.0, low=0.0, high=10.0)
     signal_only: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, a share of noise outside 0 to 10, or
-        other than 1 or 2 poles.
-        """
+        """ValueError for other than 1 or 2 poles, and for another `signal_only` than 0 and 1."""
         super().__post_init__()
-        require("cutoff_hz", self.cutoff_hz, 1e-2)
-        require("share", self.share, 0.0, 1.0)
-        require("sampled_hz", self.sampled_hz, 1e-2)
-        require("noise_share", self.noise_share, 0.0, 10.0)
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
         if self.signal_only not in (0.0, 1.0):

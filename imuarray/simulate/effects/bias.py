@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
@@ -20,12 +20,7 @@ class Bias(Effect):
 
     name: ClassVar[str] = "bias"
     offset: Triple = per_axis(suffix="_{u}")
-    from_boot: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative number of runs."""
-        super().__post_init__()
-        require("from_boot", self.from_boot, 0.0)
+    from_boot: float = scalar(0.0, low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Shifts the signal."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.processes import gauss_markov
 from imuarray.simulate.signal import Analog, Place, Triple
 
@@ -21,14 +21,8 @@ class BiasInstability(Effect):
     """
 
     name: ClassVar[str] = "bias_instability"
-    rms: Triple = per_axis(suffix="_{u}")
-    time_constant_s: float = scalar(100.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative rms, or a time constant outside 1 ms to 1e9 s."""
-        super().__post_init__()
-        require("rms", min(self.rms), 0.0)
-        require("time_constant_s", self.time_constant_s, 1e-3, 1e9)
+    rms: Triple = per_axis(suffix="_{u}", low=0.0)
+    time_constant_s: float = scalar(100.0, low=1e-3, high=1e9)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

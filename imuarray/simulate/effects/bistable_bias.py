@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
@@ -19,12 +19,7 @@ class BistableBias(Effect):
 
     name: ClassVar[str] = "bistable_bias"
     offset: Triple = per_axis(suffix="_{u}")
-    probability: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a probability outside 0 to 1."""
-        super().__post_init__()
-        require("probability", self.probability, 0.0, 1.0)
+    probability: float = scalar(0.0, low=0.0, high=1.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

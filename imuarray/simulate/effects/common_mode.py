@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.processes import gauss_markov
 from imuarray.simulate.signal import Analog, Place, Triple
 
@@ -27,17 +27,10 @@ class CommonMode(Effect):
     """
 
     name: ClassVar[str] = "common_mode"
-    rms: Triple = per_axis(suffix="_{u}")
-    time_constant_s: float = scalar(100.0)
-    axes_shared: float = scalar(0.0)
+    rms: Triple = per_axis(suffix="_{u}", low=0.0)
+    time_constant_s: float = scalar(100.0, low=1e-3, high=1e9)
+    axes_shared: float = scalar(0.0, low=0.0, high=1.0)
     group: str = field(default="")
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative rms, a time constant outside 1 ms to 1e9 s, or a share outside 0 to 1."""
-        super().__post_init__()
-        require("rms", min(self.rms), 0.0)
-        require("time_constant_s", self.time_constant_s, 1e-3, 1e9)
-        require("axes_shared", self.axes_shared, 0.0, 1.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

@@ -36,7 +36,7 @@ class DroppedSamples(Effect):
 
     name: ClassVar[str] = "dropped_samples"
     probability: float = scalar(0.0)
-    burst_rows: float = scalar(1.0)
+    burst_rows: float = scalar(1.0, low=1.0, high=1e6)
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
     lengths_s: tuple[float, ...] = listed()
@@ -44,7 +44,6 @@ class DroppedSamples(Effect):
     def __post_init__(self) -> None:
         """ValueError for a share that bursts of this length can't make up, or lists that don't go together."""
         super().__post_init__()
-        require("burst_rows", self.burst_rows, 1.0, 1e6)
         require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
         for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
             object.__setattr__(self, name, values)

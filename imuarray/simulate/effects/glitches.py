@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.parameters import listed
 from imuarray.simulate.signal import Codes, Counts, Place
 
@@ -44,18 +44,16 @@ class Glitches(Effect):
     """
 
     name: ClassVar[str] = "glitches"
-    probability: float = scalar(0.0)
-    amplitude: float = scalar(0.0, suffix="_{u}")
+    probability: float = scalar(0.0, low=0.0, high=1.0)
+    amplitude: float = scalar(0.0, suffix="_{u}", low=0.0, high=1e6)
     kind: str = field(default="spike")
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
     jumps: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for no probability, a negative amplitude, another kind, or lists that don't go together."""
+        """ValueError for another kind, or lists that don't go together."""
         super().__post_init__()
-        require("probability", self.probability, 0.0, 1.0)
-        require("amplitude", self.amplitude, 0.0, 1e6)
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
         for name in ("runs", "moments_s", "jumps"):

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Reals
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Instants, Place
 
 _FREE = 0.9
@@ -31,16 +31,9 @@ class Jitter(Effect):
     """
 
     name: ClassVar[str] = "jitter"
-    rms_s: float = scalar(0.0)
-    share: float = scalar(1.0)
-    wait_share: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative or an absurd one, and for no share."""
-        super().__post_init__()
-        require("rms_s", self.rms_s, 0.0, 1e3)
-        require("share", self.share, 0.0, 1.0)
-        require("wait_share", self.wait_share, -1.0, 1.0)
+    rms_s: float = scalar(0.0, low=0.0, high=1e3)
+    share: float = scalar(1.0, low=0.0, high=1.0)
+    wait_share: float = scalar(0.0, low=-1.0, high=1.0)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Move every instant by a draw of its own, or those whose waits are known."""

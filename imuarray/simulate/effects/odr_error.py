@@ -28,17 +28,14 @@ class OdrError(Effect):
     name: ClassVar[str] = "odr_error"
     rate_hz: float = scalar(math.nan)
     bandwidth_hz: float = scalar(math.nan)
-    clock_ratio: float = scalar(1.0)
+    clock_ratio: float = scalar(1.0, low=1e-3, high=10.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz, or an oscillator beyond a thousandth or ten times
-        its pace.
-        """
+        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz."""
         super().__post_init__()
         for name, value in (("rate_hz", self.rate_hz), ("bandwidth_hz", self.bandwidth_hz)):
             if not math.isnan(value):
                 require(name, value, 1e-3, 1e6)
-        require("clock_ratio", self.clock_ratio, 1e-3, 10.0)
 
     def lookback(self, at: Place) -> int:
         """Rows that may repeat one reading, and one."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Instants, Place
 
 AT_ITS_RATE = 0.05
@@ -27,16 +27,13 @@ class OwnClock(Effect):
     """
 
     name: ClassVar[str] = "own_clock"
-    rate_error: float = scalar(0.0)
+    rate_error: float = scalar(0.0, low=-0.5, high=0.5)
     phase_deg: float = scalar(0.0)
     polled: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a rate of less than a half or more than three halves, for an infinite phase, and for another
-        `polled` than 0 and 1.
-        """
+        """ValueError for an infinite phase, and for another `polled` than 0 and 1."""
         super().__post_init__()
-        require("rate_error", self.rate_error, -0.5, 0.5)
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
         if self.polled not in (0.0, 1.0):

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Booleans, Integers
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 from imuarray.simulate.streams import CHUNK
 
@@ -31,14 +31,8 @@ class PopcornNoise(Effect):
 
     name: ClassVar[str] = "popcorn_noise"
     amplitude: Triple = per_axis(suffix="_{u}")
-    switches_per_s: float = scalar(0.0)
-    high_share: float = scalar(0.5)
-
-    def __post_init__(self) -> None:
-        """ValueError for less than 0 or more than a million switches a second, a share outside 0.01 to 0.99."""
-        super().__post_init__()
-        require("switches_per_s", self.switches_per_s, 0.0, 1e6)
-        require("high_share", self.high_share, 0.01, 0.99)
+    switches_per_s: float = scalar(0.0, low=0.0, high=1e6)
+    high_share: float = scalar(0.5, low=0.01, high=0.99)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

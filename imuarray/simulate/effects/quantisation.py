@@ -31,19 +31,15 @@ class Quantisation(Effect):
     """
 
     name: ClassVar[str] = "quantisation"
-    step_lsb: Triple = per_axis(1.0)
-    dead_bits: float = scalar(0.0)
-    carry_lsb: float = scalar(1.0)
+    step_lsb: Triple = per_axis(1.0, low=1, high=4096)
+    dead_bits: float = scalar(0.0, low=0, high=32767)
+    carry_lsb: float = scalar(1.0, low=1, high=4096)
     missing_lsb: float = scalar(0.0)
     carry_at_lsb: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError unless they are whole numbers, steps 1 or more, and some code before a carry comes."""
+        """ValueError unless they are whole numbers, and some code before a carry comes."""
         super().__post_init__()
-        for step in self.step_lsb:
-            require("step_lsb", step, 1, 4096)
-        require("dead_bits", self.dead_bits, 0, 32767)
-        require("carry_lsb", self.carry_lsb, 1, 4096)
         require("missing_lsb", self.missing_lsb, 0, self.carry_lsb - 1)
         require("carry_at_lsb", self.carry_at_lsb, 0, self.carry_lsb - 1)
         numbers = [("step_lsb", step) for step in self.step_lsb]

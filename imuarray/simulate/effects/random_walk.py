@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis, require
+from imuarray.simulate.effect import Effect, per_axis
 from imuarray.simulate.processes import random_walk
 from imuarray.simulate.signal import Analog, Place, Triple
 
@@ -19,12 +19,7 @@ class RandomWalk(Effect):
     """
 
     name: ClassVar[str] = "random_walk"
-    density: Triple = per_axis(suffix="_{u}_per_sqrt_s")
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative density."""
-        super().__post_init__()
-        require("density", min(self.density), 0.0)
+    density: Triple = per_axis(suffix="_{u}_per_sqrt_s", low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

@@ -14,7 +14,7 @@ from imuarray.arrays import Booleans, Reals
 from imuarray.chips import CHIPS
 from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.parameters import alongside, listed
 from imuarray.simulate.signal import Analog, Codes, Flags, Instants, Place, Triple, per_row
 
@@ -44,9 +44,9 @@ class RangeReset(Effect):
     name: ClassVar[str] = "range_reset"
     range: float = scalar(math.nan, suffix="_{u}")
     offset: Triple = per_axis(suffix="_{u}")
-    noise_share: Triple = per_axis(1.0)
-    onset_s: float = scalar(0.0)
-    probability: float = scalar(1.0)
+    noise_share: Triple = per_axis(1.0, low=0.0, high=1e6)
+    onset_s: float = scalar(0.0, low=-1e9, high=1e9)
+    probability: float = scalar(1.0, low=0.0, high=1.0)
     run: float = scalar(math.nan)
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
@@ -55,11 +55,8 @@ class RangeReset(Effect):
     blanks_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """ValueError for an infinite onset or a probability outside 0 to 1."""
+        """ValueError for lists that don't go together."""
         super().__post_init__()
-        require("onset_s", self.onset_s, -1e9, 1e9)
-        require("probability", self.probability, 0.0, 1.0)
-        require("noise_share", min(self.noise_share), 0.0, 1e6)
         lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
         lists["blanks_s"] = self.blanks_s or (0.0,) * len(self.runs)
         whole_runs = not any((self.moments_s, self.lengths_s, self.doubts_s, self.blanks_s))

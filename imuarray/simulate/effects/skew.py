@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Instants, Place
 
 
@@ -19,12 +19,7 @@ class Skew(Effect):
     """
 
     name: ClassVar[str] = "skew"
-    delay_s: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for more than a thousand seconds."""
-        super().__post_init__()
-        require("delay_s", self.delay_s, -1e3, 1e3)
+    delay_s: float = scalar(0.0, low=-1e3, high=1e3)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Moves every instant by the same nanoseconds."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Codes, Place
 
 _RARE = 1e-12
@@ -26,12 +26,7 @@ class StaleSamples(Effect):
     """
 
     name: ClassVar[str] = "stale_samples"
-    probability: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for more than 0.99: what never changes is `stuck`."""
-        super().__post_init__()
-        require("probability", self.probability, 0.0, 0.99)
+    probability: float = scalar(0.0, low=0.0, high=0.99)
 
     @property
     def longest(self) -> int:

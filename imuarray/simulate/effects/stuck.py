@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.parameters import alongside, listed
 from imuarray.simulate.signal import Codes, Counts, Place
 
@@ -33,9 +33,9 @@ class Stuck(Effect):
     """
 
     name: ClassVar[str] = "stuck"
-    onset_s: float = scalar(math.inf)
-    duration_s: float = scalar(math.inf)
-    every_s: float = scalar(math.inf)
+    onset_s: float = scalar(math.inf, low=0.0)
+    duration_s: float = scalar(math.inf, low=0.0)
+    every_s: float = scalar(math.inf, low=1e-3)
     kind: str = field(default="stale")
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
@@ -43,11 +43,8 @@ class Stuck(Effect):
     readings: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for a negative time, another kind, or lists that don't go together."""
+        """ValueError for another kind, or lists that don't go together."""
         super().__post_init__()
-        require("onset_s", self.onset_s, 0.0)
-        require("duration_s", self.duration_s, 0.0)
-        require("every_s", self.every_s, 1e-3)
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
         for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
@@ -23,12 +23,7 @@ class ThermalBias(Effect):
     name: ClassVar[str] = "thermal_bias"
     slope: Triple = per_axis(suffix="_{u}_per_degc")
     quadratic: Triple = per_axis(suffix="_{u}_per_degc2")
-    reference_degc: float = scalar(25.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a reference below absolute zero or above 1000 degC."""
-        super().__post_init__()
-        require("reference_degc", self.reference_degc, -273.15, 1000.0)
+    reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
 
@@ -35,15 +35,9 @@ class ThermalLag(Effect):
     """
 
     name: ClassVar[str] = "thermal_lag"
-    time_constant_s: float = scalar(0.0)
+    time_constant_s: float = scalar(0.0, low=0.0, high=1e6)
     slope: Triple = per_axis(suffix="_{u}_per_degc")
-    reference_degc: float = scalar(25.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a time constant outside 0 to 1e6 s, or a reference that `thermal_bias` refuses."""
-        super().__post_init__()
-        require("time_constant_s", self.time_constant_s, 0.0, 1e6)
-        require("reference_degc", self.reference_degc, -273.15, 1000.0)
+    reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def felt(self, felt: Felt, at: Place) -> Felt:
         """Another temperature."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
@@ -20,12 +20,7 @@ class ThermalScale(Effect):
 
     name: ClassVar[str] = "thermal_scale"
     slope: Triple = per_axis(suffix="_per_degc")
-    reference_degc: float = scalar(25.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for a reference below absolute zero or above 1000 degC."""
-        super().__post_init__()
-        require("reference_degc", self.reference_degc, -273.15, 1000.0)
+    reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Multiplies the value."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Analog, Place
 
 
@@ -19,14 +19,8 @@ class Thermometer(Effect):
     """
 
     name: ClassVar[str] = "thermometer"
-    offset_degc: float = scalar(0.0)
-    rms_degc: float = scalar(0.0)
-
-    def __post_init__(self) -> None:
-        """ValueError for an offset beyond 1000 degC or a negative rms."""
-        super().__post_init__()
-        require("offset_degc", self.offset_degc, -1000.0, 1000.0)
-        require("rms_degc", self.rms_degc, 0.0, 1000.0)
+    offset_degc: float = scalar(0.0, low=-1000.0, high=1000.0)
+    rms_degc: float = scalar(0.0, low=0.0, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to what the thermometer feels."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, per_axis, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
@@ -27,19 +27,14 @@ class Tone(Effect):
 
     name: ClassVar[str] = "tone"
     amplitude: Triple = per_axis(suffix="_{u}")
-    frequency_hz: float = scalar(0.0)
+    frequency_hz: float = scalar(0.0, low=0.0, high=1e6)
     phase_deg: float = scalar(math.nan)
-    frequency_spread_hz: float = scalar(0.0)
-    drift_hz_per_h: float = scalar(0.0)
+    frequency_spread_hz: float = scalar(0.0, low=0.0, high=1e6)
+    drift_hz_per_h: float = scalar(0.0, low=-1e6, high=1e6)
 
     def __post_init__(self) -> None:
-        """ValueError for a frequency or spread outside 0 to 1e6 Hz, a drift beyond 1e6 Hz an hour or an infinite
-        phase.
-        """
+        """ValueError for an infinite phase."""
         super().__post_init__()
-        require("frequency_hz", self.frequency_hz, 0.0, 1e6)
-        require("frequency_spread_hz", self.frequency_spread_hz, 0.0, 1e6)
-        require("drift_hz_per_h", self.drift_hz_per_h, -1e6, 1e6)
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
 

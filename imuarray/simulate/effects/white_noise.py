@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Reals
-from imuarray.simulate.effect import Effect, per_axis, require
+from imuarray.simulate.effect import Effect, per_axis
 from imuarray.simulate.signal import Analog, Place, Triple
 
 
@@ -23,12 +23,7 @@ class WhiteNoise(Effect):
     """
 
     name: ClassVar[str] = "white_noise"
-    rms: Triple = per_axis(suffix="_{u}")
-
-    def __post_init__(self) -> None:
-        """ValueError for a negative rms."""
-        super().__post_init__()
-        require("rms", min(self.rms), 0.0)
+    rms: Triple = per_axis(suffix="_{u}", low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the noise."""
