@@ -121,7 +121,7 @@ def open_array(  # noqa: PLR0913
         raise ValueError(f"switches for {', '.join(sorted(unknown))}: allowed are sensors of the array and chips")
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
-    begun = DelayedWorld(world or Still(), now_ns) if now_ns else world or Still()
+    begun = DelayedWorld(world or Still(), now_ns)
     parts = board(array.name, begun, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus and not on_spi(sensor))]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}

@@ -13,7 +13,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
@@ -322,7 +322,12 @@ class DelayedWorld:
 
     def __call__(self, at_ns: int) -> Stimulus:
         """Return what the world shows at `at_ns` of the clock."""
-        return self.world(at_ns - self.start_ns)
+        return self._latest(at_ns - self.start_ns)
+
+    @cached_property
+    def _latest(self) -> World:
+        """The world, which all elements of a die ask for the same instant."""
+        return lru_cache(maxsize=4)(self.world)
 
 
 WorldKind = type[Still] | type[Tumble] | type[Heating] | type[Shaking]

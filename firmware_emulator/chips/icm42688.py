@@ -98,7 +98,10 @@ class Icm42688(SixAxis):
             name = ACCELEROMETER if packets & 1 and self._halves[ACCELEROMETER].grid.start_ns != NEVER_NS else GYROSCOPE
             grid = self._halves[name].grid
             latest, most = grid.latest(at_ns), FIFO_BYTES // self._packet_size
-            for index in range(max(grid.index + 1, latest - 2 * most), latest + 1):
+            first = grid.index + 1
+            if mode == STOP_ON_FULL:
+                latest = min(latest, first + most)
+            for index in range(max(first, latest - most), latest + 1):
                 sampled_ns = grid.time_ns(index)
                 self._sample(sampled_ns)
                 self._enqueue(self._packet(sampled_ns), most, mode)
@@ -177,13 +180,14 @@ class Icm42688(SixAxis):
         """The upper 16 of the 20 bits of each axis."""
         return b"".join(self._word(code >> 4) for code in half.fine)
 
-    def _next_byte(self) -> int:
-        if not self._part and self._packets:
-            self._part = self._whole = self._packets.popleft()
-        if not self._part:
-            return EMPTY
-        byte, self._part = self._part[0], self._part[1:]
-        return byte
+    def _take_bytes(self, count: int) -> bytes:
+        """The next bytes of the queue, and what it reads behind its end."""
+        taken = self._part
+        while len(taken) < count and self._packets:
+            self._whole = self._packets.popleft()
+            taken += self._whole
+        self._part = taken[count:]
+        return taken[:count] + bytes([EMPTY]) * (count - len(taken))
 
     def stop(self, at_ns: int) -> None:
         """A packet that was read in part is read again from its beginning, unless reading may resume (TDK-86)."""
@@ -271,7 +275,10 @@ class Icm42688(SixAxis):
         """One burst shows one instant (DEC-60)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
-        return super().read(count, at_ns, byte_ns)
+        before = min(count, facts.FIFO_DATA.address - self.pointer)
+        if before < 0 or self._bank:
+            return super().read(count, at_ns, byte_ns)
+        return super().read(before, at_ns, byte_ns) + self._take_bytes(count - before)
 
     def load(self, address: int, at_ns: int) -> int:
         """A register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
@@ -282,8 +289,6 @@ class Icm42688(SixAxis):
             return flags
         if address in (facts.FIFO_COUNTH.address, facts.FIFO_COUNTL.address):
             return self._count_byte(address == facts.FIFO_COUNTH.address)
-        if address == facts.FIFO_DATA.address:
-            return self._next_byte()
         return self.page[address]
 
     def _count_byte(self, first: bool) -> int:
@@ -295,11 +300,6 @@ class Icm42688(SixAxis):
             self._count, self._is_flushed = 0 if self._is_flushed else self._count, False
         high = first == bool(facts.FIFO_COUNT_BIG_ENDIAN.of(control))
         return self._count >> 8 if high else self._count & 0xFF
-
-    def advance(self, pointer: int, reading: bool) -> int:
-        """The next register; the queue's stays where it is."""
-        at_queue = pointer == facts.FIFO_DATA.address and not self._bank
-        return pointer if at_queue else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
         """A byte written to a register: what was sampled before stays as it was."""

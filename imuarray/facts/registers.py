@@ -7,6 +7,7 @@ and ``MEASURE(1) | LINK(0)`` two settings of one register that are written toget
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 Access = Literal["r", "w", "rw"]
@@ -41,7 +42,7 @@ class Field:
     high: int
     low: int
 
-    @property
+    @cached_property
     def mask(self) -> int:
         """The field's bits, in place."""
         return (1 << self.high + 1) - (1 << self.low)
