@@ -25,6 +25,11 @@ WINDOW_NS = 5e9
 
 SLIVER_NS = 1e3
 """A bound that would cut off less than this is left out: it would add a corner and tell nothing."""
+MANY_VERTICES = 16
+SAME_NS = 10.0
+"""Where counts always come at the same phase of the samples, their bounds all meet in one corner: of so many vertices
+those that are as close are one. A period must agree within a ten-thousandth of it, for a window has thousands of them.
+"""
 
 Vertices = list[tuple[float, float]]
 
@@ -83,7 +88,15 @@ def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
         if over <= 0:
             kept.append(vertex)
         before, beyond = vertex, over
-    return kept
+    if len(kept) <= MANY_VERTICES:
+        return kept
+    apart = [vertex for vertex, last in zip(kept, [kept[-1], *kept], strict=False) if not _is_same(vertex, last)]
+    return apart if len(apart) > 2 else kept
+
+
+def _is_same(vertex: tuple[float, float], other: tuple[float, float]) -> bool:
+    """True for two corners of which one is enough."""
+    return abs(vertex[0] - other[0]) < SAME_NS and abs(vertex[1] - other[1]) < SAME_NS * 1e-4
 
 
 def _centroid(vertices: Vertices) -> tuple[float, float]:
