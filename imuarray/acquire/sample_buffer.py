@@ -218,8 +218,10 @@ class SampleBuffer:
             self._times_ns += self.queue.drained
         self._bursts += burst
 
-    def add_rows(self, times_ns: Sequence[int], bursts: bytes, gaps: Sequence[int]) -> None:
-        """Add readings of a stream, taken at `times_ns`; before rows `gaps` of them (ascending) readings were lost."""
+    def add_rows(self, times_ns: Sequence[int], bursts: bytes, gaps: Sequence[int], *, overrun: bool = False) -> None:
+        """Add readings of a stream, taken at `times_ns`; before rows `gaps` of them (ascending) readings were lost, and
+        with `overrun` before the first because the chip's queue ran over.
+        """
         rows = len(self._times_ns)
         if self._set_up_again:
             self._reconfigured.append(rows)
@@ -227,6 +229,8 @@ class SampleBuffer:
         first_lost = [0] if self._missing and 0 not in gaps else []
         self._lost_before += [rows + row for row in (*first_lost, *gaps)]
         self._missing = False
+        if overrun:
+            self._overrun.append(rows)
         self._times_ns += times_ns
         self._bursts += bursts
 

@@ -15,14 +15,16 @@ from datetime import UTC, datetime
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.recording import RecordingOptions, Summary
-from imuarray.acquire.sample_buffer import Intake, SampleBuffer
+from imuarray.acquire.sample_buffer import Intake
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.acquire.start_up import StartUp
 from imuarray.acquire.stream_health import StreamHealth
 from imuarray.acquire.stream_plan import LINK, Rows, plan
+from imuarray.acquire.stream_queue import rows_of
 from imuarray.bus.protocol import MuxChannel, OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
+from imuarray.drivers.unattended import burst_queue_of
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
@@ -41,10 +43,12 @@ PAUSE_NS = 3_000_000_000
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
-    """Return whether `Streaming` records these routes: on a microcontroller, and no queue among them, whose chip keeps
-    the time itself and can be polled through the link.
+    """Return whether `Streaming` records these routes: on a microcontroller that can drain every queue among them
+    without knowing the chip. Otherwise all of them are polled through the link.
     """
-    return isinstance(bus, SerialBus) and not any(route.sensor.fifo for route in routes)
+    return isinstance(bus, SerialBus) and all(
+        burst_queue_of(route.driver) is not None for route in routes if route.sensor.fifo
+    )
 
 
 class Streaming:
@@ -67,9 +71,7 @@ class Streaming:
         self._faults = FaultEpisodes(self._event)
         self._intake = Intake(log, epoch_ns, options.observe, self._faults, self.summary.lost)
         self._plan = plan(routes, rate_hz)
-        self._rows = [
-            Rows(SampleBuffer(route, rate_hz), places) for route, places in zip(routes, self._plan.visits, strict=True)
-        ]
+        self._rows = rows_of(routes, self._plan, rate_hz)
         now_ns = bus.clock.now_ns()
         start_up = StartUp([rows.buffer for rows in self._rows], options.judge, now_ns) if options.judge else None
         self._health = StreamHealth(self._rows, self._plan.watched, start_up, self._note)
@@ -113,6 +115,8 @@ class Streaming:
 
     def _start(self) -> None:
         try:
+            for rows in self._rows:
+                rows.begin()
             self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         except OSError as error:
             raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
@@ -172,6 +176,8 @@ class Streaming:
             missing, why = rows.take(samples_by_list, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
                 self._lost(rows, missing, why or LINK)
+            if rows.is_doubtful:
+                self._health.doubt_queue(rows)
         self._health.look(samples_by_list, self._bus.fit.rate)
 
     def _lost(self, rows: Rows, count: int, why: str) -> None:
@@ -203,15 +209,14 @@ class Streaming:
         self._health.set_up_again(self._tried_ns)
         self._begun += self._newest + 1
         for rows in self._rows:
-            self._count_lost(rows, rows.missing(self._newest))
-            rows.buffer.mark_lost()
+            self._count_lost(rows, rows.interrupted(self._newest))
             rows.restart()
         self._newest = -1
         self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         now_ns = self._bus.clock.now_ns()
         left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._period_rate_hz))
         for rows in self._rows:
-            self._count_lost(rows, left_out // rows.places[-1].every)
+            self._count_lost(rows, rows.left_out(left_out))
         self._begun += left_out
         self._heard_ns = now_ns
 
@@ -238,7 +243,7 @@ class Streaming:
         self._forget_channels()
         self._health.finish(self._bus.clock.now_ns())
         for rows in self._rows:
-            self._count_lost(rows, rows.missing(self._newest))
+            self._count_lost(rows, rows.unread(self._newest, self._bus.clock.now_ns()))
         self._write(last=True)
         now_ns = self._bus.clock.now_ns()
         self._faults.close(now_ns)
@@ -286,4 +291,4 @@ class Streaming:
 def _until(samples: Samples, number: int) -> Samples:
     """The samples of frames before `number`."""
     count = int((samples.numbers < number).sum())
-    return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.payload[:count])
+    return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.sent_us[:count], samples.payload[:count])

@@ -71,6 +71,12 @@ class StreamHealth:
             address, wanted = setting.register.address, setting.into(value)
             self._note(rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}")
 
+    def doubt_queue(self, rows: Rows) -> None:
+        """What the chip's queue gave is no sequence of samples: the chip must be set up again."""
+        if id(rows) not in self.ill:
+            self.ill[id(rows)] = rows
+            self._note(rows, "configuration", "its queue gave no valid samples")
+
     def tick(self, now_ns: int) -> None:
         """Look for frozen sensors and wrong starts."""
         for rows in self._rows:

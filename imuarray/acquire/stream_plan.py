@@ -6,7 +6,8 @@ each twice in `SWEEP_S`, so that two wrong reads in a row are at most a second a
 
 A chip that converts on demand is visited several times for one reading. Where frames are so rare that a result would be
 too old by the next one, the microcontroller is given shorter periods, several to a frame (`Plan.split`): the other
-sensors are read in the first of them. A reading that did not arrive has no row; the next row is flagged.
+sensors are read in the first of them. The same is done for a queue that holds more samples than one request can read.
+A reading that did not arrive has no row; the next row is flagged.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.arrays import Integers
 from imuarray.bus.protocol import MuxChannel
 from imuarray.bus.serial_bus import Samples, SerialSpiPort
-from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, PollList, Request
+from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, MAX_PAYLOAD, PollList, Request
 from imuarray.bus.spi import SpiChip
 from imuarray.drivers import OnDemandDriver
-from imuarray.drivers.unattended import Visit, visits_of
+from imuarray.drivers.unattended import Visit, burst_queue_of, drain_of, least_drains_hz, visits_of
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
 
@@ -81,29 +82,47 @@ class Plan:
     watched: tuple[ReadbackPlace, ...]
 
 
+_Key = tuple[int, int, int]
+"""Every, offset, and which of the lists with these."""
+_MUX_BYTES = 2
+"""A switch to a channel, before a visit."""
+
+
 class _Lists:
     """Lists that grow, by (every, offset)."""
 
     def __init__(self) -> None:
-        self._asked: dict[tuple[int, int], list[Request]] = {}
-        self._numbers: dict[tuple[int, int], int] = {}
-        self._sizes: dict[tuple[int, int], int] = {}
-        self._selected: dict[tuple[int, int], tuple[int, int, int]] = {}
-        self._newest: dict[tuple[int, int], tuple[Request, int]] = {}
+        self._asked: dict[_Key, list[Request]] = {}
+        self._numbers: dict[_Key, int] = {}
+        self._sizes: dict[_Key, int] = {}
+        self._selected: dict[_Key, tuple[int, int, int]] = {}
+        self._newest: dict[_Key, tuple[Request, int]] = {}
+        self._parts: dict[tuple[int, int], int] = {}
 
     def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> Place:
         """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
-        key = every, offset
+        requests = [_on_the_bus(route, request) for request in visit.requests]
+        key = self._with_room(every, offset, requests)
         number = self._numbers.setdefault(key, len(self._numbers))
         ages = [self._select(key, route)] if isinstance(route.driver.registers.bus, MuxChannel) else []
-        own = [self._ask(key, _on_the_bus(route, request)) for request in visit.requests]
+        own = [self._ask(key, request) for request in requests]
         first = own[0] + 2
         stop = first + visit.requests[0].read
         return Place(
             number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
         )
 
-    def _select(self, key: tuple[int, int], route: SensorRoute) -> int:
+    def _with_room(self, every: int, offset: int, requests: Sequence[Request]) -> _Key:
+        """The list of these frames, or another one if a frame of the link can't carry its answer then."""
+        key = every, offset, self._parts.setdefault((every, offset), 0)
+        size = _MUX_BYTES + sum(2 + request.read for request in requests)
+        is_repeated = len(requests) == 1 and self._newest.get(key, (None, 0))[0] == requests[0]
+        if 1 + self._sizes.get(key, 0) + size <= MAX_PAYLOAD or is_repeated:
+            return key
+        self._parts[every, offset] += 1
+        return every, offset, self._parts[every, offset]
+
+    def _select(self, key: _Key, route: SensorRoute) -> int:
         """Return the position of the age that shows whether the channel of `route` could be selected."""
         bus = route.driver.registers.bus
         if not isinstance(bus, MuxChannel):
@@ -115,7 +134,7 @@ class _Lists:
             self._selected[key] = bus.mux.address, bus.number, age
         return age
 
-    def _ask(self, key: tuple[int, int], request: Request) -> int:
+    def _ask(self, key: _Key, request: Request) -> int:
         """Position of the age of this request. The two halves of a six-axis chip, one after the other, want the same
         bytes: they are read once.
         """
@@ -130,7 +149,7 @@ class _Lists:
 
     def finished(self) -> tuple[PollList, ...]:
         """All of them, by number."""
-        return tuple(PollList(*key, tuple(self._asked[key])) for key in self._numbers)
+        return tuple(PollList(*key[:2], tuple(self._asked[key])) for key in self._numbers)
 
 
 def _on_the_bus(route: SensorRoute, request: Request) -> Request:
@@ -142,7 +161,7 @@ def _on_the_bus(route: SensorRoute, request: Request) -> Request:
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
-    """The plan for reading `routes` in `rate_hz` frames a second; ValueError for one whose queue is drained."""
+    """The plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host drains."""
     split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
@@ -150,8 +169,15 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
     segments = list(dict.fromkeys(route.segment for route in routes))
     ordered = sorted(routes, key=lambda route: segments.index(route.segment))
     for route in ordered:
-        visits = visits_of(route.sensor)
-        offsets, every = _rhythm(route, visits, rate_hz, split)
+        queue = burst_queue_of(route.driver)
+        if queue is None:
+            visits = visits_of(route.sensor)
+            offsets, every = _rhythm(route, visits, rate_hz, split)
+        else:
+            chip_rate_hz = route.sensor.chip_rate_hz
+            every = max(1, math.floor(period_rate_hz / least_drains_hz(queue, chip_rate_hz)))
+            visits = (drain_of(queue, route.driver.registers.address, chip_rate_hz, every / period_rate_hz),)
+            offsets = [0]
         places[id(route)] = tuple(
             lists.visit(route, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
         )
@@ -181,9 +207,17 @@ def _read_back(route: SensorRoute, setting: Setting) -> Visit:
 
 
 def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
-    """Return the number of periods in a frame: one if no result of a conversion is too old a frame later."""
-    drivers = [route.driver for route in routes if isinstance(route.driver, OnDemandDriver)]
-    return max((math.ceil(1e9 / rate_hz / driver.lasting_ns - 1e-6) for driver in drivers), default=1)
+    """Return the number of periods in a frame: one if no result of a conversion is too old a frame later, and no queue
+    has more samples by then than a request can read.
+    """
+    periods = [1]
+    for route in routes:
+        queue = burst_queue_of(route.driver)
+        if queue is not None:
+            periods.append(math.ceil(least_drains_hz(queue, route.sensor.chip_rate_hz) / rate_hz - 1e-6))
+        elif isinstance(route.driver, OnDemandDriver):
+            periods.append(math.ceil(1e9 / rate_hz / route.driver.lasting_ns - 1e-6))
+    return max(periods)
 
 
 def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
@@ -199,11 +233,12 @@ def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: 
     return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))
 
 
-_WHY = {
+WHY = {
     AGE_NOBODY: "no acknowledgement (errno 121)",
     AGE_HELD: "the clock is held (errno 110)",
     0: "the conversion was not finished",
 }
+"""The words of an event for an age that tells of a failure."""
 _KEPT = 1024
 LINK = "lost on the link, or the microcontroller was late"
 
@@ -222,20 +257,20 @@ class Readings(NamedTuple):
 def readings_at(place: Place, samples: Samples, rate: float) -> Readings:
     """Return the readings at `place`; `rate` is that of the host's clock over the microcontroller's."""
     payload = samples.payload
-    ages = np.stack([_ages(payload, position) for position in place.ages], axis=1)
+    ages = np.stack([ages_at(payload, position) for position in place.ages], axis=1)
     worst = ages.max(axis=1)
     why = np.where(worst >= AGE_HELD, worst, 1)
     if place.busy:
         why = np.where((why == 1) & (payload[:, place.first] & place.busy != 0), 0, why)
     good = why == 1
-    times_ns = samples.sent_ns - np.rint(_ages(payload, place.age) * (1000 * rate)).astype(np.int64)
+    times_ns = samples.sent_ns - np.rint(ages_at(payload, place.age) * (1000 * rate)).astype(np.int64)
     failed = why[~good]
-    failure = _WHY[int(failed[-1])] if len(failed) else ""
+    failure = WHY[int(failed[-1])] if len(failed) else ""
     return Readings(samples.numbers[good], times_ns[good], payload[good, place.start : place.stop], failure)
 
 
-def _ages(payload: npt.NDArray[np.uint8], position: int) -> Integers:
-    """(n,) ages at this position."""
+def ages_at(payload: npt.NDArray[np.uint8], position: int) -> Integers:
+    """The ages (n,) in microseconds, or what failed, at a position of the answers (n, size) of a list."""
     return payload[:, position].astype(np.int64) | payload[:, position + 1].astype(np.int64) << 8
 
 
@@ -245,10 +280,22 @@ class Rows:
     def __init__(self, buffer: SampleBuffer, places: tuple[Place, ...]) -> None:
         self.buffer = buffer
         self.places = places
-        self.restart()
+        self._forget()
+
+    @property
+    def is_doubtful(self) -> bool:
+        """True if what was read last can't be trusted."""
+        return False
+
+    def begin(self) -> None:
+        """The recording begins; OSError as the bus gives it."""
 
     def restart(self) -> None:
-        """Frames are counted from 0 again."""
+        """Frames are counted from 0 again; readings were lost meanwhile."""
+        self.buffer.mark_lost()
+        self._forget()
+
+    def _forget(self) -> None:
         self._last = self.places[-1].offset - self.places[-1].every
         self._parts: dict[int, npt.NDArray[np.uint8]] = {}
 
@@ -256,6 +303,18 @@ class Rows:
         """Readings that should have come by frame `number` and have not."""
         last = self.places[-1]
         return max(0, (number - last.offset) // last.every - (self._last - last.offset) // last.every)
+
+    def interrupted(self, number: int) -> int:
+        """Readings that are lost because the stream was stopped after frame `number`."""
+        return self.missing(number)
+
+    def left_out(self, periods: int) -> int:
+        """Readings that are lost because there was no stream for so many periods."""
+        return periods // self.places[-1].every
+
+    def unread(self, number: int, now_ns: int) -> int:
+        """Readings that have not come although the recording is over, after frame `number` at `now_ns`."""
+        return self.missing(number)
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
         """Add the readings among what came; how many are missing before the last of them, and why the last of those."""

@@ -40,11 +40,12 @@ BUSY_BYTES = 8192
 
 class Samples(NamedTuple):
     """The frames of one list that arrived: numbers of the frames (n,), when each was sent (n,) in ns on the host's
-    clock, and what was sent (n, size), the list's number left out.
+    clock and in us of the microcontroller's counter, and what was sent (n, size), the list's number left out.
     """
 
     numbers: Integers
     sent_ns: Times
+    sent_us: Times
     payload: npt.NDArray[np.uint8]
 
 
@@ -211,7 +212,7 @@ class SerialBus:
         for number, where in sorted(rows.items()):
             together = b"".join([data.frames[row].payload for row in where])
             matrix = np.frombuffer(together, np.uint8).reshape(len(where), -1)
-            samples[number] = Samples(data.numbers[where], sent_ns[where], matrix[:, 1:])
+            samples[number] = Samples(data.numbers[where], sent_ns[where], data.sent_us[where], matrix[:, 1:])
         return samples
 
     def __enter__(self) -> Self:

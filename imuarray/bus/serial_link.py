@@ -33,9 +33,9 @@ acknowledges is tried a second time. STOP forgets all lists. What comes in betwe
 
     D0 DATA      sequence: frame number mod 65536;  list number, then for each request: age u16, the bytes read
 
-`age` is how many microseconds before `time` the request's START was on the wire; FFFF in its place means that nobody
-acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that comes late leaves
-frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
+`age` is how many microseconds before `time` the request's START was on the wire, FFFD for any longer time; FFFF in its
+place means that nobody acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that
+comes late leaves frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
 
 A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
 
@@ -69,6 +69,8 @@ from typing import NamedTuple
 VERSION = 1
 SYNC = b"\xa5\x5a"
 MAX_PAYLOAD = 1024
+MAX_LIST_READ = 255
+"""Bytes that one request of a list reads at most."""
 HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
 RESEND, STATUS, SELECT = 0x06, 0x07, 0x08
 CAN_RESEND, CAN_STATUS = 0x01, 0x02
@@ -77,7 +79,7 @@ FIRST_SELECT = 0x80
 ANSWER = 0x80
 DATA = 0xD0
 DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
-AGE_NOBODY, AGE_HELD = 0xFFFF, 0xFFFE
+AGE_NOBODY, AGE_HELD, AGE_LONGEST = 0xFFFF, 0xFFFE, 0xFFFD
 SEQUENCES = 1 << 16
 TIMES_US = 1 << 32
 

@@ -34,10 +34,15 @@ def header_of(halves: Collection[str], *, high_resolution: bool = False) -> int:
     return sum(HALVES[half] for half in halves) | (_MORE_BITS if high_resolution else 0)
 
 
+def is_empty(header: int) -> bool:
+    """True for the header that says that the queue is empty."""
+    return bool(header & _EMPTY)
+
+
 def packet_size(header: int) -> int:
     """Bytes of a packet with this header; 0 if the header says that the queue is empty, or belongs to no packet."""
     triads = header & (HALVES["acc"] | HALVES["gyro"])
-    if header & _EMPTY or not triads:
+    if is_empty(header) or not triads:
         return 0
     both = triads == HALVES["acc"] | HALVES["gyro"]
     if header & _MORE_BITS:

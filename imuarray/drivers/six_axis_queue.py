@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -31,6 +31,12 @@ or four on SPI.
 """
 MOST_READ_BYTES = 1020
 """Bytes of a queue in one transaction, in whole samples: what the serial link carries (`imuarray.bus.serial_link`)."""
+_FLAGS_AND_COUNT = 3
+"""Bytes of INT_STATUS and the count of an ICM-42688-P, which FIFO_DATA follows (TDK-85)."""
+_UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
+"""How far a count may be from what the time since the last one promises: by some samples, and by a share that a chip is
+slow.
+"""
 MOST_ROWS = 4096
 """Rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
 
@@ -110,6 +116,11 @@ class DieQueue:
         """The halves that read it."""
         return tuple(self._readers)
 
+    @property
+    def is_trusted(self) -> bool:
+        """False if it must be emptied before its samples are of use."""
+        return self._trusted
+
     def distrust(self) -> None:
         """Empty the queue before the next drain."""
         self._trusted = False
@@ -176,6 +187,28 @@ class DieQueue:
         raise NotImplementedError
 
 
+@runtime_checkable
+class BurstQueue(Protocol):
+    """A queue that is counted and read in one transaction, whose length need not suit the count: a microcontroller that
+    knows no chip can drain it.
+    """
+
+    ran_over: bool
+    """True if it had run over before the samples that were accepted last."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of a sample."""
+
+    def burst(self, samples: int) -> tuple[Register, int]:
+        """The register where a transaction begins that reads up to so many samples, and its bytes."""
+
+    def accept(self, burst: bytes, counted_ns: tuple[int, int]) -> bool:
+        """Let the samples of a burst wait for their readers; their number was counted in the given time. False if the
+        bytes can't be trusted; then nothing is accepted until the queue was emptied. OSError for an impossible count.
+        """
+
+
 def impossible(count: int, capacity: int) -> OSError:
     """The error of a count that no queue of this capacity can have: a dead bus reads so."""
     return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
@@ -197,7 +230,13 @@ class Icm42688Queue(DieQueue):
         self.high_resolution = high_resolution
         self._stamp: int | None = None
         self._full = False
+        self.ran_over = False
+        self._accepted_ns, self._unread = -(1 << 62), 0
         self._period_us = 1e6 / rate_hz
+
+    @property
+    def _has_stamp(self) -> bool:
+        return self.size != packet_format.ONE_TRIAD
 
     @property
     def size(self) -> int:
@@ -206,14 +245,18 @@ class Icm42688Queue(DieQueue):
 
     def _flush(self) -> None:
         self.registers.poke(icm42688.SIGNAL_PATH_RESET, icm42688.FIFO_FLUSH(1).value)
-        self.registers.peek(icm42688.INT_STATUS, 3)  # the first count after a flush is 0: TDK-84
+        self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT)  # the first count after a flush is 0: TDK-84
 
     def _restart(self) -> None:
         super()._restart()
         self._stamp, self._full = None, False
+        self._accepted_ns, self._unread = -(1 << 62), 0
 
     def _count(self) -> tuple[int, int]:
-        status, high, low = self.registers.peek(icm42688.INT_STATUS, 3)
+        return self._counted_in(self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT))
+
+    def _counted_in(self, burst: bytes) -> tuple[int, int]:
+        status, high, low = burst[:_FLAGS_AND_COUNT]
         filled = high << 8 | low
         if filled > self.CAPACITY + self.size:
             raise impossible(filled, self.CAPACITY)
@@ -222,25 +265,57 @@ class Icm42688Queue(DieQueue):
 
     def _drain(self) -> bool:
         count, full, counted_ns = self._counted()
-        size = self.size
-        has_stamp = size != packet_format.ONE_TRIAD
-        if full and not has_stamp:  # nothing would show where packets are missing
+        if full and not self._has_stamp:  # nothing would show where packets are missing
             return False
         if not count:
             return True
-        packets = self._read(icm42688.FIFO_DATA, count, size)
-        kinds = {header & 0xF0 for header in set(packets[::size])}
-        if kinds != {self._header}:
-            return False
-        gap, self._full = bool(full), False
-        if has_stamp:
+        packets = self._read(icm42688.FIFO_DATA, count, self.size)
+        kinds = {header & 0xF0 for header in set(packets[:: self.size])}
+        return kinds == {self._header} and self._put(packets, 0, counted_ns, gap=bool(full))
+
+    def burst(self, samples: int) -> tuple[Register, int]:
+        """See `BurstQueue`: flags, count and packets are registers that follow each other, and the last one stays."""
+        return icm42688.INT_STATUS, _FLAGS_AND_COUNT + samples * self.size
+
+    def accept(self, burst: bytes, counted_ns: tuple[int, int]) -> bool:
+        """See `BurstQueue`. Behind the packets that there were, headers say that the queue is empty (TDK-81)."""
+        count, full = self._counted_in(burst)
+        headers = burst[_FLAGS_AND_COUNT :: self.size]
+        present = next((index for index, header in enumerate(headers) if header & 0xF0 != self._header), len(headers))
+        is_whole = present >= min(count, len(headers))
+        is_trusted = self._trusted and is_whole and all(map(packet_format.is_empty, headers[present:]))
+        self._trusted = False
+        if is_trusted and present:
+            self.ran_over = bool(full)
+            gap = self.ran_over or self._is_burst_missing(count, counted_ns[0])
+            packets = burst[_FLAGS_AND_COUNT : _FLAGS_AND_COUNT + present * self.size]
+            is_trusted = self._put(packets, count - present, counted_ns, gap=gap)
+            self._accepted_ns, self._unread = counted_ns[1], count - present
+        elif is_trusted:
+            self.times.look(count, *counted_ns)
+        self._trusted = is_trusted
+        return is_trusted
+
+    def _is_burst_missing(self, count: int, at_ns: int) -> bool:
+        """True if fewer samples wait than were taken since the last burst: another one was read and never arrived. Time
+        stamps do not tell if that is as long ago as they take to begin anew.
+        """
+        taken = (at_ns - self._accepted_ns) / self.times.period_ns
+        return self._unread + taken - count > _UNEVEN_SAMPLES + _UNEVEN_SHARE * taken
+
+    def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
+        """Let packets wait for their readers; `unread` more were counted. False if packets are missing among them."""
+        size = self.size
+        count = len(packets) // size
+        self._full = False
+        if self._has_stamp:
             offset = packet_format.stamp_offset(size)
             first, last = (packets[at] << 8 | packets[at + 1] for at in (offset, len(packets) - size + offset))
             if self._are_missing(last - first, count - 1):
                 return False
             gap |= self._stamp is not None and self._are_missing(first - self._stamp, 1)
             self._stamp = last
-        times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1])
+        times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1], unread=unread)
         for half, reader in self._readers.items():
             reader.put(self._rows(packets, half), times, gap=gap)
         return True

@@ -7,13 +7,17 @@ driver's `decode` reads.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from imuarray.array import SensorConfig
-from imuarray.bus.serial_link import Request
-from imuarray.drivers import DRIVERS
+from imuarray.bus.serial_link import MAX_LIST_READ, Request
+from imuarray.drivers import DRIVERS, Driver
 from imuarray.drivers.ak8975 import Ak8975
+from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.drivers.on_demand_barometer import ForcedBarometer
+from imuarray.drivers.six_axis import QueuedHalf
+from imuarray.drivers.six_axis_queue import BurstQueue
 from imuarray.facts import bmp180
 
 
@@ -49,6 +53,24 @@ class _NoClock:
 
     def sleep_until(self, at_ns: int) -> None:
         pass
+
+
+def burst_queue_of(driver: Driver) -> BurstQueue | None:
+    """The queue of a driver, if a microcontroller can drain it."""
+    queue = driver.die_queue if isinstance(driver, QueuedHalf) else None
+    return queue if isinstance(queue, BurstQueue) else None
+
+
+def least_drains_hz(queue: BurstQueue, rate_hz: float) -> float:
+    """How often the queue of a chip that takes `rate_hz` samples a second must be drained at least."""
+    most = (MAX_LIST_READ - queue.burst(0)[1]) // queue.size
+    return rate_hz * (1 + TOLERANCE) / (most - 1)
+
+
+def drain_of(queue: BurstQueue, address: int, rate_hz: float, pause_s: float) -> Visit:
+    """The visit that drains the queue of the chip at `address`, `pause_s` after the one before."""
+    register, size = queue.burst(math.ceil(rate_hz * (1 + TOLERANCE) * pause_s) + 1)
+    return Visit((Request(address, bytes([register.address]), size),))
 
 
 def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:

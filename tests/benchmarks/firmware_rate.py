@@ -2,8 +2,10 @@
 second of processor, with chips that answer at once; and what its host build puts on a pseudo-terminal at 1 kHz.
 
 On paper a frame of the link has 144 bytes: 15 of the link, the number of the list, and of each chip an age and 14
-bytes. The host build's bytes are counted with the read-backs of registers in between, and its processor time with the
-questions on the socket of its bus; where machine or bus are busy, it leaves frames out.
+bytes. The queues of eight ICM-42688-P at 1 kHz are read 100 times a second in two frames of the link, of each chip an
+age, 3 bytes and 13 packets of 16 (tests/acquire/test_stream_queue.py). The host build's bytes are counted with the
+read-backs of registers in between, and its processor time with the questions on the socket of its bus; where machine or
+bus are busy, it leaves frames out.
 """
 
 from __future__ import annotations
@@ -36,6 +38,12 @@ PYTHON_FRAMES = 5000
 READ_BACKS = 16
 SECONDS = 3.0
 ASKED = PollList(1, 0, tuple(Request(0x80 + chip, b"\x9d", BURST) for chip in range(CHIPS)))
+DRAINS_HZ, DRAINED = 100, 3 + 13 * 16
+DRAINS = [
+    PollList(1, 0, tuple(Request(0x80 + chip, b"\xad", DRAINED) for chip in range(first, first + 4)))
+    for first in (0, 4)
+]
+DRAIN_BYTES = 2 * (OVERHEAD + 1 + 4 * (2 + DRAINED))
 
 
 class CannedBus:
@@ -89,7 +97,8 @@ def _rows(folder: Path) -> list[Row]:
     printed = subprocess.run([core], capture_output=True, text=True, check=True).stdout.split()
     if float(printed[1]) != FRAME_BYTES:
         raise RuntimeError(f"the core sends {printed[1]} bytes for a frame of {FRAME_BYTES}")
-    busy_s, size = hosted(folder)
+    busy_s, size = hosted(folder, [ASKED], RATE_HZ)
+    drain_s, drain_size = hosted(folder, DRAINS, DRAINS_HZ)
     return [
         row(
             "firmware, frames a second of CPU: C core, emulated firmware",
@@ -110,6 +119,22 @@ def _rows(folder: Path) -> list[Row]:
         row(
             "firmware's host build, processor at 1 kHz: share of one processor", busy_s * RATE_HZ, 1.0, "", 0.5, "lower"
         ),
+        row(
+            "firmware's host build, bytes a second of the queues of 8 chips at 1 kHz: on paper",
+            drain_size * DRAINS_HZ,
+            DRAIN_BYTES * DRAINS_HZ,
+            "B/s",
+            1.1,
+            "lower",
+        ),
+        row(
+            "firmware's host build, processor for these queues: share of one processor",
+            drain_s * DRAINS_HZ,
+            1.0,
+            "",
+            0.5,
+            "lower",
+        ),
     ]
 
 
@@ -127,20 +152,21 @@ def python() -> float:
     return PYTHON_FRAMES / (time.process_time() - begun_s)
 
 
-def hosted(folder: Path) -> tuple[float, float]:
-    """Seconds of processor that the host build needs for a frame at 1 kHz, and bytes of a frame with the read-backs of
-    eight chips.
+def hosted(folder: Path, asked: list[PollList], rate_hz: int) -> tuple[float, float]:
+    """Seconds of processor that the host build needs for a frame of these lists at `rate_hz`, and bytes of a frame with
+    the read-backs of eight chips.
     """
     program = compiled(folder, "imuarray-firmware", (*CORE, SOURCES / "host/main.c"), "-O2")
-    lists = [ASKED]
-    lists += [
-        PollList(RATE_HZ * 2 // 5, turn * 25, (Request(0x80 + turn % CHIPS, b"\xce", 1),)) for turn in range(READ_BACKS)
+    sweep = rate_hz * 2 // 5
+    lists = asked + [
+        PollList(sweep, turn * sweep // READ_BACKS, (Request(0x80 + turn % CHIPS, b"\xce", 1),))
+        for turn in range(READ_BACKS)
     ]
     before = getrusage(RUSAGE_CHILDREN)
     with HostBuild(program, CannedBus(), folder / "ttyACM0") as host:
         port = CountingPort(host.path)
         with SerialBus(lambda: port) as bus:
-            bus.start(lists, 1_000_000 // RATE_HZ)
+            bus.start(lists, 1_000_000 // rate_hz)
             port.count = frames = 0
             until_s = time.monotonic() + SECONDS
             while time.monotonic() < until_s:

@@ -1,4 +1,4 @@
-"""Queues that are drained through the firmware's core, in the place of the emulated firmware."""
+"""Queues that are drained by and through the firmware's core, in the place of the emulated firmware."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ from collections.abc import Iterator
 import pytest
 
 from tests.acquire.test_serial_queue import test_every_sample_passes_the_link
+from tests.acquire.test_stream_queue import (
+    test_a_bad_line_costs_packets_and_never_makes_any,
+    test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue,
+    test_a_microcontroller_that_is_reset,
+    test_each_row_is_a_packet_at_the_time_of_its_stamp,
+    test_packets_that_arrive_during_the_burst_are_taken,
+)
 from tests.bus import serial_bench
 from tests.firmware.build import CoreFirmware
 
-__all__ = ["test_every_sample_passes_the_link"]
+__all__ = [
+    "test_a_bad_line_costs_packets_and_never_makes_any",
+    "test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue",
+    "test_a_microcontroller_that_is_reset",
+    "test_each_row_is_a_packet_at_the_time_of_its_stamp",
+    "test_every_sample_passes_the_link",
+    "test_packets_that_arrive_during_the_burst_are_taken",
+]
 
 
 @pytest.fixture(autouse=True)
