@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,10 @@ def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
 def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any]) -> None:
     bus, (first, _) = connected(B1=0, A=0, B2=1)
     bus.transfer(0x70, b"\x04")
-    seen = {(first.right(), first.seen.route.sensor.name)[1] for _ in range(len(first.witnesses))}
-    assert seen == {"A", "B1"}
+    number = len(first.witnesses)
+    turns = [(first.right(), first.witnesses.index(first.seen))[1] for _ in range(2 * number)]
+    assert {witness.route.sensor.name for witness in first.witnesses} == {"A", "B1"}
+    assert [(after - before) % number for before, after in pairwise(turns)] == [1] * (2 * number - 1)
 
 
 @pytest.mark.slow

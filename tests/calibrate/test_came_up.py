@@ -14,7 +14,7 @@ import pytest
 from imuarray.array import parse_array
 from imuarray.calibrate import load_calibration
 from imuarray.calibrate.start_up import came_up
-from imuarray.calibrate.start_up_judge import StartUpJudge
+from imuarray.calibrate.start_up_judge import StartUpJudge, _restlessness
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
@@ -152,3 +152,12 @@ def test_log_says_it_while_it_records(
     assert any(text.startswith("G started in a wrong state") for text in report["start_up"])
     for text in report["start_up"]:
         assert f"imuarray: {text}" in captured.err
+
+
+def test_restlessness_is_a_ratio_of_variances() -> None:
+    """Ten parts of four readings, one count to either side of 0 and 10 in turn: 4/3 and a rounding of 1/12 within them,
+    of which a mean has a quarter; 250 / 9 between them.
+    """
+    parts = [level + side for level in [0, 10] * 5 for side in (-1, 1, -1, 1)]
+    counts = np.array(parts)[:, None] * [0, 1, 0]
+    assert _restlessness(counts) == pytest.approx(250 / 9 / ((4 / 3 + 1 / 12) / 4))

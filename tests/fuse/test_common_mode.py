@@ -222,3 +222,12 @@ def test_smoother_does_not_depend_on_blocks(cuts: Sequence[int]) -> None:
 def test_smoother_keeps_what_it_knew_through_a_gap() -> None:
     rows = np.array([[1.0], [1.0], [np.nan], [np.nan], [1.0]])
     assert Smoother(0.02, 1)(np.arange(5, dtype=np.int64) * 10_000_000, rows).ravel() == pytest.approx([1.0] * 5)
+
+
+def test_a_common_error_is_believed_by_the_ratio_of_variances() -> None:
+    """Three axes one way and two the other: their own errors have 2 + 1 degrees of freedom, and the sum of the ways'
+    means varies by them by 1/3 + 1/2. Squares of 6 are 2 each, so 5/3 in the sum; 600 are 360 times as much.
+    """
+    mode = CommonMode(OpposingGroup((0, 1, 2), (3, 4)))
+    own = [2.0, 2.0, 2.0, 0.0, 0.0]
+    assert mode._trust(np.array([[600.0, *own], [5 / 3, *own], [0.0, *own]])) == pytest.approx([1 - 1 / 360, 0, 0])

@@ -22,7 +22,7 @@ from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError
 from imuarray.log import Block, Log, LogWriter, Stimulus, disk_space, open_log
 from imuarray.log.format import Event, Phase
-from imuarray.log.hdf5_superblock import is_marked_open
+from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalLock, is_running, journal_of
 from tests.selection import some
 
@@ -477,3 +477,12 @@ def test_hdf5s_paragraphs_become_one_line(
     assert type(error) is kind
     assert str(error).startswith(f"run.h5: {said}")
     assert len(str(error).splitlines()) == 1
+
+
+@pytest.mark.parametrize(("version", "checksum"), [(3, b"\0\0\0\0"), (2, b"\0\0\0\0")])
+def test_a_superblock_that_is_not_understood_is_left_alone(tmp_path: Path, version: int, checksum: bytes) -> None:
+    """Of another version, or with a check sum that does not fit: what is wrong with the file shows."""
+    content = b"\x89HDF\r\n\x1a\n" + bytes([version, 8, 8, 1]) + bytes(32) + checksum + bytes(100)
+    (tmp_path / "r.h5").write_bytes(content)
+    with UnclosedFile(tmp_path / "r.h5", check_heaps=False) as file:
+        assert file.read(len(content)) == content

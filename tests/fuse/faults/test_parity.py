@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.arrays import Floats
-from imuarray.fuse.faults.window import Parity, parity
+from imuarray.fuse.faults.window import Parity, parity, slope, slopes
 from tests.selection import examples
 
 
@@ -91,3 +91,13 @@ def test_an_axis_that_nobody_checks_shows_nothing() -> None:
 
 def test_too_few_axes_have_no_parity_space() -> None:
     assert parity(np.eye(3), np.array([1.0, 1.0, 0.0])) is None
+
+
+def test_slopes_are_central_and_one_sided_at_the_ends() -> None:
+    """Of t^2 at 0, 1, 3 and 4 s: 1 from 0 to 1, 9/3 from 0 to 3, 15/3 from 1 to 4, 7 from 3 to 4."""
+    time = np.array([0, 1, 3, 4]) * 1_000_000_000 + 7
+    triads = np.array([0.0, 1.0, 9.0, 16.0])[:, None] * [1.0, -2.0, 0.0]
+    wanted = np.array([1.0, 3.0, 5.0, 7.0])[:, None] * [1.0, -2.0, 0.0]
+    assert slope(time, triads) == pytest.approx(wanted)
+    both = slopes(np.stack([time, time]), np.stack([triads, 2 * triads]))
+    assert both == pytest.approx(np.stack([wanted, 2 * wanted]))

@@ -159,3 +159,12 @@ def test_correlated_readings_teach_less() -> None:
         optimal({FORCE: frames_of(np.zeros((1, 6)))})
         sds.append(np.array([learned.sd for learned in optimal.learned()[FORCE]]))
     assert sds[0] == pytest.approx(sds[1], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"correlation": 1.0}, {"correlation": -1.0}, {"drift_time_constant_s": 0.0}, {"bias": np.inf}, {"noise": 0.0}],
+)
+def test_errors_that_no_axis_can_have_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(FusionError, match="error model"):
+        AxisErrors(**{"noise": 0.1, **wrong})
