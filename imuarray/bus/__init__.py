@@ -49,7 +49,7 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
 
 def _spi(rest: str, array: ArrayConfig) -> OpenBus:
     """``spi:``; each sensor names its chip select."""
-    from imuarray.bus.spi import SpiBus
+    from imuarray.bus.linux import SpiBus
 
     if rest:
         raise BusUrlError(f'bus \'spi:{rest}\': say "spi:" alone, and bus = "/dev/spidevN.M" of each sensor')

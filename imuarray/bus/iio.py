@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 from imuarray.bus.iio_scan import ScanElement, ScanLayout
+from imuarray.bus.linux import SpiBus
 from imuarray.bus.protocol import Bus, SpiPort
-from imuarray.bus.spi import SpiBus
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.printable import printable

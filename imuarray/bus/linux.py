@@ -255,6 +255,48 @@ class LinuxBus:
         self._spi.close()
 
 
+class SpiBus:
+    """The bus ``spi:`` of an array whose sensors name their chip selects; other sensors may name an I2C bus."""
+
+    source = "spi"
+
+    def __init__(self, *, clock: Clock | None = None) -> None:
+        self.clock: Clock = MonotonicClock() if clock is None else clock
+        self._ports = SpiPorts()
+        self._others: dict[str, LinuxBus] = {}
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """There is no I2C bus at the root: OSError with ENXIO."""
+        raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")
+
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+        """The chip select at `path`, opened once."""
+        return self._ports.port(path, mode, clock_hz)
+
+    def channel_bus(self, path: str) -> Bus:
+        """The I2C adapter at `path`, opened once."""
+        if path not in self._others:
+            self._others[path] = LinuxBus(path, clock=self.clock)
+        return self._others[path]
+
+    def claim(self, address: int, path: str | None = None) -> None:
+        """See `LinuxBus.claim`."""
+        if path is None:
+            return
+        self.channel_bus(path)
+        self._others[path].claim(address)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for bus in self._others.values():
+            bus.__exit__(kind, error, trace)
+        self._ports.close()
+
+
 class _Block(NamedTuple):
     """The structures of one I2C_RDWR; the kernel leaves what was read in `answers`, one for each request."""
 

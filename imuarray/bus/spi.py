@@ -9,16 +9,13 @@ because the poll loop repeats the same few.
 from __future__ import annotations
 
 import ctypes
-import errno
 import fcntl
 import os
 from functools import lru_cache
-from types import TracebackType
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import NamedTuple
 
-from imuarray.bus.protocol import Bus, SpiPort
+from imuarray.bus.protocol import SpiPort
 from imuarray.chips import SpiRules
-from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError
 
 READ = 0x80
@@ -153,52 +150,3 @@ class SpiPorts:
         for port in self._ports.values():
             port.close()
         self._ports.clear()
-
-
-class SpiBus:
-    """The bus ``spi:`` of an array whose sensors name their chip selects; other sensors may name an I2C bus."""
-
-    source = "spi"
-
-    def __init__(self, *, clock: Clock | None = None) -> None:
-        self.clock: Clock = MonotonicClock() if clock is None else clock
-        self._ports = SpiPorts()
-        self._others: dict[str, Any] = {}
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """There is no I2C bus at the root: OSError with ENXIO."""
-        _refuse()
-
-    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, opened once."""
-        return self._ports.port(path, mode, clock_hz)
-
-    def channel_bus(self, path: str) -> Bus:
-        """The I2C adapter at `path`, opened once."""
-        from imuarray.bus.linux import LinuxBus
-
-        if path not in self._others:
-            self._others[path] = LinuxBus(path, clock=self.clock)
-        bus: Bus = self._others[path]
-        return bus
-
-    def claim(self, address: int, path: str | None = None) -> None:
-        """See `LinuxBus.claim`."""
-        if path is None:
-            return
-        self.channel_bus(path)
-        self._others[path].claim(address)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for bus in self._others.values():
-            bus.__exit__(kind, error, trace)
-        self._ports.close()
-
-
-def _refuse() -> NoReturn:
-    raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")

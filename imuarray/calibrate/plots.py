@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats, Reals
-from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError
 from imuarray.figures import PALETTE, estimates_figure, new_figure
 from imuarray.html_table import number
@@ -17,6 +16,8 @@ from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from imuarray.calibrate.model import Calibration, SensorCalibration
 
 
 class _Estimates(NamedTuple):

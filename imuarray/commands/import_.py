@@ -104,7 +104,7 @@ def _run(options: ImportOptions) -> None:
 
 def _exported(source: Path) -> Importer | None:
     """Return the reader of a file that `imuarray export` wrote; None for any other file. SourceError."""
-    from imuarray.importers.exported import importer_of
+    from imuarray.importers import importer_of
 
     return importer_of(source) if not source.is_dir() else None
 

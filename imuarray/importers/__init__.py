@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import BinaryIO, Protocol, cast
 
 from imuarray.errors import SourceError
+from imuarray.export.formats import CSV_MAGIC, CSV_VERSION
 from imuarray.spelling import guess_file
 
 FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.mimu4444"})
@@ -27,6 +28,15 @@ NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
 
 _GZIP = b"\x1f\x8b"
 """First bytes of a gzip file (RFC 1952)."""
+
+CSV_HEAD = f'{{"{CSV_VERSION}": '.encode()
+"""First bytes of the JSON file beside CSV files."""
+
+_CSV = "imuarray.importers.exported_csv"
+MAGICS: Mapping[bytes, str] = MappingProxyType(
+    {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): _CSV, CSV_HEAD: _CSV}
+)
+"""First bytes, and the module that reads such a file."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +75,32 @@ class Importer(Protocol):
 def importer(name: str) -> Importer:
     """Return the importer of the format `name`; KeyError unless it is one of `FORMATS`."""
     return cast(Importer, import_module(FORMATS[name]).import_file)
+
+
+def importer_of(source: str | PathLike[str]) -> Importer | None:
+    """Return the importer of a file that `imuarray export` wrote; None for any other file. SourceError if it is
+    unreadable.
+    """
+    path = Path(source)
+    first = [_first_bytes(path)]
+    described = path.with_suffix(".json")
+    if path.suffix.lower() == ".csv" and described.is_file():
+        first.append(_first_bytes(described))
+    if first[0].startswith(b"PAR1"):
+        parquet = import_module("imuarray.importers.exported_parquet")
+        return cast(Importer, parquet.import_file) if parquet.is_exported(path) else None
+    for magic, module in MAGICS.items():
+        if any(begin.startswith(magic) for begin in first):
+            return cast(Importer, import_module(module).import_file)
+    return None
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(max(map(len, MAGICS)))
+    except OSError as error:
+        raise unreadable(path, error) from None
 
 
 def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> BinaryIO:

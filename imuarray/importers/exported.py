@@ -10,33 +10,21 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from importlib import import_module
 from os import PathLike
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
-from imuarray.export.formats import CSV_MAGIC, CSV_VERSION
-from imuarray.importers import Importer, Summary, unreadable
+from imuarray.importers import Summary
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
 from imuarray.log.layout import STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
-
-CSV_HEAD = f'{{"{CSV_VERSION}": '.encode()
-"""First bytes of the JSON file beside CSV files."""
-
-_CSV = "imuarray.importers.exported_csv"
-MAGICS: Mapping[bytes, str] = MappingProxyType(
-    {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): _CSV, CSV_HEAD: _CSV}
-)
-"""First bytes, and the module that reads such a file."""
 
 COLUMN_UNITS: Mapping[str, str] = MappingProxyType({"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS})
 """Units in the names of an exported table's columns, by column of the log."""
@@ -58,33 +46,6 @@ class Head:
     preamble: Preamble
     groups: Mapping[str, tuple[str, ...]]
     """The columns of the groups besides the sensors; a reference need not have all."""
-
-
-def importer_of(source: str | PathLike[str]) -> Importer | None:
-    """Return the importer of a file that `imuarray export` wrote; None for any other file. SourceError if it is
-    unreadable.
-    """
-    path = Path(source)
-    first = [_first_bytes(path)]
-    described = path.with_suffix(".json")
-    if path.suffix.lower() == ".csv" and described.is_file():
-        first.append(_first_bytes(described))
-    if first[0].startswith(b"PAR1"):
-        from imuarray.importers import exported_parquet
-
-        return exported_parquet.import_file if exported_parquet.is_exported(path) else None
-    for magic, module in MAGICS.items():
-        if any(begin.startswith(magic) for begin in first):
-            return cast(Importer, import_module(module).import_file)
-    return None
-
-
-def _first_bytes(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(max(map(len, MAGICS)))
-    except OSError as error:
-        raise unreadable(path, error) from None
 
 
 def parse_header(text: str | bytes, where: str) -> dict[str, Any]:

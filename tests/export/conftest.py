@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import FusedBlock, write_fused
-from imuarray.importers.exported import importer_of
+from imuarray.importers import importer_of
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 

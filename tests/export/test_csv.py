@@ -14,7 +14,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError, ExportError, LogError, OutputExistsError
 from imuarray.export import export
-from imuarray.importers.exported import importer_of
+from imuarray.importers import importer_of
 from imuarray.log import open_log
 from tests.export.conftest import ACC_COUNTS, EPOCH, MESSAGE, back
 

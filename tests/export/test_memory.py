@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.export import export
-from imuarray.importers.exported import importer_of
+from imuarray.importers import importer_of
 from imuarray.log import Block, LogWriter
 from tests.export.conftest import ACC, EPOCH
 

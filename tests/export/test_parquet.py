@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from imuarray.errors import MissingExtraError, SourceError
 from imuarray.export import export
-from imuarray.importers.exported import importer_of
+from imuarray.importers import importer_of
 from imuarray.importers.guess import guess_map
 from imuarray.log import Block, LogWriter, open_log
 from tests.export.conftest import ACC, ACC_COUNTS, EPOCH, MESSAGE, back, write_run

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from imuarray.cli import main
 from imuarray.errors import OutputExistsError, SourceError
 from imuarray.export import export
-from imuarray.importers.exported import importer_of
+from imuarray.importers import importer_of
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from tests.export.conftest import EPOCH, back, write_fused_run, write_run
