@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.gap.findings.closure import (
+    BEYOND_CHOICE,
     BY_ITSELF,
     DEVIATES,
     LARGEST,
@@ -97,14 +98,26 @@ def test_too_little_to_close() -> None:
 
 
 def test_what_counts_is_chosen_on_the_training_part() -> None:
-    """The last is there on the training part alone; what the fourth has there is zero for the fit, and little here."""
+    """The last is there on the training part alone; what the fourth has there is zero for the fit, and little here; the
+    third deviates here alone.
+    """
     keys = [key(number=number) for number in range(5)]
     pairs = Pairs(tuple(keys), np.arange(5), np.array([5, 6, 7, 8, ABSENT]))
-    before = np.array([9.0, -9.0, 1.0, 9.0, 9.0, 2.0, NAN, 50.0, 4.0])
+    before = np.array([9.0, -9.0, 1.0, 9.0, 9.0, 2.0, NAN, BEYOND_CHOICE - 0.1, 4.0])
     found = deviating(pairs, before, before / 2, np.arange(9) == 3)
     assert found.keys == (keys[0],)
     np.testing.assert_array_equal(found.before, [2.0])
     np.testing.assert_array_equal(found.after, [1.0])
+
+
+def test_what_is_beyond_chance_on_the_held_out_part_counts_whatever_the_training_part_shows() -> None:
+    """Of four thousand normal scores the largest is beyond this in one of ten billion draws."""
+    keys = [key(number=number) for number in range(2)]
+    pairs = Pairs(tuple(keys), np.arange(2), np.arange(2, 4))
+    before = np.array([9.0, 1.0, 4.0, -BEYOND_CHOICE - 0.1])
+    counted = deviating(pairs, before, np.zeros(4), np.zeros(4, bool))
+    assert counted.keys == tuple(keys)
+    assert 4000 * math.erfc(BEYOND_CHOICE / math.sqrt(2)) < 1e-10
 
 
 def test_what_only_the_held_out_part_shows_is_chosen_there() -> None:

@@ -25,6 +25,11 @@ DEVIATES, BY_ITSELF = 3.5, 5.0
 part cannot show.
 """
 
+BEYOND_CHOICE = 8.0
+"""Least score on the held-out part of a statistic that counts whatever the training part shows: so far out, chance and
+the choice of the largest add little to it.
+"""
+
 _DRAWS = 400
 _FAR = 10.0
 _LEAST_EXCESS = 1.0
@@ -103,14 +108,16 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
     """Statistics that deviate on the training part, from scores (n,) of all statistics.
 
     A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), such
-    as the level of another run, is chosen by itself and has to deviate further.
+    as the level of another run, is chosen by itself and has to deviate further; any other one that deviates on the
+    held-out part alone, further still: the first half of a heating may hardly show the bend that the second one does.
     """
     train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
     alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
-    size = np.where(alone, np.abs(np.nan_to_num(held_out)) - (BY_ITSELF - DEVIATES), np.abs(np.nan_to_num(train)))
-    chosen = np.isfinite(held_out) & (size > DEVIATES)
+    held_out_size = np.abs(np.nan_to_num(held_out))
+    size = np.where(alone, held_out_size - (BY_ITSELF - DEVIATES), np.abs(np.nan_to_num(train)))
+    chosen = np.isfinite(held_out) & ((size > DEVIATES) | (held_out_size > BEYOND_CHOICE))
     if not chosen.any():
-        chosen = np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
+        chosen = np.isfinite(held_out) & (held_out_size > DEVIATES)
     places = pairs.held_out[chosen]
     keys = tuple(key for key, is_chosen in zip(pairs.keys, chosen, strict=True) if is_chosen)
     return _of(keys, places, before, after)

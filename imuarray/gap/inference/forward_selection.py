@@ -149,7 +149,7 @@ def searched(
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
     for unit, narrowed in _narrowed(run, standings, looks).items():
-        looks[unit].append(narrowed)
+        looks[unit] += narrowed
     likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
     refined = _results_of(run, _refine, standings, likely)
     best = {unit: likeliest(hypotheses, CONFIRMED) for unit, hypotheses in refined.items()}
@@ -273,24 +273,33 @@ def _partly(
 
 def _narrowed(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
-) -> dict[Unit, FittedHypothesis]:
-    """The best trial of each unit whose beginning lies within known moments, as in a motion, at the beginning that
-    explains most.
+) -> dict[Unit, list[FittedHypothesis]]:
+    """The best trial of each unit and effect whose beginning lies within known moments, as in a motion, at the
+    beginning that explains most.
     """
-    best = {
-        unit: max(several, key=lambda look: look.gain)
-        for unit, unit_looks in looks.items()
-        if (several := [look for look in unit_looks if look.trial.begin_bounds_s is not None and look.gain > WORTH])
-    }
+    best: dict[Unit, list[FittedHypothesis]] = {}
+    for unit, unit_looks in looks.items():
+        several = [look for look in unit_looks if look.trial.begin_bounds_s is not None and look.gain > WORTH]
+        if several:
+            best[unit] = _best_of_effects(several)
     for _ in range(_NARROWINGS if best else 0):
-        requests: dict[Unit, list[Hypothesis]] = {}
-        for unit, look in best.items():
-            if look.trial.begin_bounds_s is not None:
-                moments_s = np.linspace(*look.trial.begin_bounds_s, _MOMENTS + 2).tolist()
-                requests[unit] = [look.trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
-        for unit, unit_looks in _looked_at(run, standings, requests).items():
-            best[unit] = max(unit_looks, key=lambda look: look.gain)
+        requests: dict[Unit, list[Hypothesis]] = {unit: [] for unit in best}
+        for unit, unit_looks in best.items():
+            for trial in (look.trial for look in unit_looks):
+                if trial.begin_bounds_s is not None:
+                    moments_s = np.linspace(*trial.begin_bounds_s, _MOMENTS + 2).tolist()
+                    requests[unit] += [trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
+        best = {unit: _best_of_effects(unit_looks) for unit, unit_looks in _looked_at(run, standings, requests).items()}
     return best
+
+
+def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis]:
+    """The look at each effect that gains most."""
+    best: dict[str, FittedHypothesis] = {}
+    for look in looks:
+        if look.trial.name not in best or look.gain > best[look.trial.name].gain:
+            best[look.trial.name] = look
+    return list(best.values())
 
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:

@@ -49,6 +49,30 @@ def test_an_axis_within_the_population_has_no_part_in_it() -> None:
     assert found.error[1:] == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    "effect", [Scale((0.1,) * 3, spans=(0, 17.0, 1e9)), Bias((0.0, 0.0, 0.1), spans=(0, 17.0, 1e9))]
+)
+def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect: Effect) -> None:
+    """The box lies with its z axis up before the motion and after it: 0.1 g of bias, or a tenth of what z feels."""
+    evidence = evidence_of("motion", "A1", {"A1": (effect,)})
+    trials = [*bias.guesses(evidence), *(trial for trial in scale.guesses(evidence) if trial.when.spans)]
+    sizes = [trial.effects[0].offset if trial.name == "bias" else trial.effects[0].error for trial in trials]
+    assert [trial.name for trial in trials] == ["bias", "scale", "scale"]
+    np.testing.assert_allclose(sizes, [(0.0, 0.0, 0.1), (0.0, 0.0, 0.1), (0.1, 0.1, 0.1)], atol=0.001)
+    for trial in trials:
+        (span,) = trial.when.spans
+        assert (span.log, span.length_s) == (0, np.inf)
+        assert trial.begin_bounds_s == pytest.approx((5.0, 25.0), abs=0.05)  # of the motion
+        assert trial.free == ({"bias": "offset", "scale": "error"}[trial.name],)
+
+
+def test_a_level_that_changes_at_rest_is_that_of_a_bias() -> None:
+    evidence = evidence_of("static", "A1", {"A1": (Scale((0.1,) * 3, spans=(0, 15.0, 1e9)),)})
+    (trial,) = bias.guesses(evidence)
+    assert trial.begin_bounds_s is None
+    assert not list(scale.guesses(evidence))
+
+
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.1), ("motion", "G1", 0.5)], 1))
 def test_misalignment(kind: str, sensor: str, within: float) -> None:
     angles = (4.0, 0.0, 0.0, 0.0, 0.0, -3.0)

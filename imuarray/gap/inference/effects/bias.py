@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,8 +52,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The step that divides the logs best, in the order in which they were recorded; stretches of a log with another
     level; or the level of all logs, where the base model's is of an earlier recording.
     """
-    if evidence.is_odd(*_WITHIN):
-        yield from _within_logs(levels(evidence))
+    for step in level_steps(evidence):
+        x, y, z = step.size.tolist()
+        bias = Hypothesis((Bias((x, y, z)),), ("offset",)).at(step.when)
+        yield replace(bias, begin_bounds_s=step.begin_bounds_s)
     if not evidence.is_odd(*_TRACES):
         return
     if not evidence.is_refitted:
@@ -67,8 +71,21 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((Bias((x, y, z), float(logs[at])),), ("offset",))
 
 
-def _within_logs(table: Levels) -> Iterator[Hypothesis]:
-    """Suggests a bias in one to three stretches of a log whose levels are steady otherwise."""
+class LevelStep(NamedTuple):
+    """Levels that are other ones by `size` (3,), in the sensor's unit, in stretches of a log, `when`; the last of these
+    begins somewhere between the moments `begin_bounds_s` where no segment at rest tells (None: segments tell).
+    """
+
+    size: Floats
+    when: When
+    begin_bounds_s: tuple[float, float] | None
+
+
+def level_steps(evidence: Evidence) -> Iterator[LevelStep]:
+    """One to three stretches of a log with another level, whose levels are steady otherwise."""
+    if not evidence.is_odd(*_WITHIN):
+        return
+    table = levels(evidence)
     for log in np.unique(table.log).tolist():
         rows = np.flatnonzero(table.log == log)
         order = rows[np.argsort(table.time_s[rows])]
@@ -84,8 +101,17 @@ def _within_logs(table: Levels) -> Iterator[Hypothesis]:
             sure = np.abs(step) > _SURE * scatter * math.sqrt(1 / inside.sum() + 1 / (~inside).sum())
             is_steady = without_step.std(axis=0) < _STEADY * scatter
             if len(edges) <= 2 * _STRETCHES and (sure & is_steady).any() and not (sure & ~is_steady).any():
-                x, y, z = np.where(sure, step, 0.0).tolist()
-                yield Hypothesis((Bias((x, y, z)),), ("offset",)).at(_when(log, table, order, inside, edges))
+                when = _when(log, table, order, inside, edges)
+                yield LevelStep(np.where(sure, step, 0.0), when, _begin_bounds_s(table, order, inside))
+
+
+def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[float, float] | None:
+    """The gap between segments at rest in which the last stretch begins; None if the segments touch."""
+    begin = int(np.flatnonzero(inside[1:] & ~inside[:-1])[-1])
+    before_s, after_s = table.time_s[order][begin : begin + 2].tolist()
+    half_s = float(table.width_s[order][begin : begin + 2].mean()) / 2
+    bounds_s = before_s + half_s, after_s - half_s
+    return bounds_s if bounds_s[1] - bounds_s[0] > 2 * half_s else None
 
 
 def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:

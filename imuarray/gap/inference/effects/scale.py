@@ -1,27 +1,42 @@
-"""`scale` is recognised by opposite faces that differ by more or less than they should, or by a share of motion."""
+"""`scale` is recognised by opposite faces that differ by more or less than they should, by a share of motion, or by a
+level that changes along the axes that feel gravity.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from imuarray.arrays import Floats
+from imuarray.gap.inference.effects.bias import LevelStep, level_steps
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.statistics.probes.level import mean
 from imuarray.simulate.effects.scale import Scale
 
 _LARGEST = 0.9
 """More than that isn't an error of scale."""
 
+_FELT = 0.3
+"""Least share of the force along an axis whose level tells a scale."""
+
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The diagonal of the response's error, on axes that stray beyond the population."""
+    """The diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer the error
+    that makes a level's step within a log, on the axes that show it or on all. If the box always lies alike, such a
+    step is that of a bias: a scale has to show in motion or on several faces.
+    """
     yield from with_removal(evidence, Scale.name, _hypotheses(evidence))
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    if evidence.header.quantity == "specific_force":
+        for step in level_steps(evidence):
+            yield from _of_step(evidence, step)
     score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
     if measured_response is None or not (score > ODD).any():
         return
@@ -30,6 +45,34 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if error.any():
         x, y, z = error.tolist()
         yield Hypothesis((Scale((x, y, z)),), ("error",))
+
+
+def _of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
+    phases = [phase for phase in evidence.phases if phase.log == step.when.spans[-1].log]
+    if all(phase.is_still for phase in phases) and len({phase.raw.phase.up for phase in phases}) < 2:
+        return
+    felt = _felt(evidence, step)
+    size = np.abs(felt).max(initial=0.0)
+    along = np.abs(felt) > _FELT * size
+    if not size or np.abs(step.size).argmax() not in np.flatnonzero(along):
+        return
+    error = np.divide(step.size, felt, out=np.zeros(3), where=along)
+    largest = float(error[np.abs(error).argmax()])
+    if abs(largest) < _LARGEST:
+        for x, y, z in dict.fromkeys([tuple(error.tolist()), (largest,) * 3]):
+            scale = Hypothesis((Scale((x, y, z)),), ("error",)).at(step.when)
+            yield replace(scale, begin_bounds_s=step.begin_bounds_s)
+
+
+def _felt(evidence: Evidence, step: LevelStep) -> Floats:
+    """(3,) what the axes should read, without bias, in the phases at rest that reach into the step's last stretch."""
+    span = step.when.spans[-1]
+    felt = [
+        evidence.fitted.by_response(evidence.fitted.unbiased(phase.raw) - mean(phase.residual))
+        for phase in evidence.still
+        if phase.log == span.log and span.moment_s < phase.raw.phase.end_ns * 1e-9 and phase.raw.rows
+    ]
+    return np.mean(felt, axis=0) if felt else np.zeros(3)
 
 
 SCALE = Candidate(
