@@ -114,10 +114,12 @@ class Streaming:
         return self._begun + self._newest >= self._periods - split + min(last, split - 1)
 
     def _start(self) -> None:
-        try:
+        def begin() -> None:
             for rows in self._rows:
                 rows.begin()
-            self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
+
+        try:
+            self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz), begin)
         except OSError as error:
             raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
         self._heard_ns = self._bus.clock.now_ns()

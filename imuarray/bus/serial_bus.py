@@ -155,8 +155,10 @@ class SerialBus:
         payload = link.select_payload(select, mode, clock_hz)
         self._transact(link.SELECT, payload, 0, f"chip select {select} in mode {mode} at {clock_hz} Hz")
 
-    def start(self, lists: Sequence[PollList], period_us: int) -> None:
-        """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room."""
+    def start(self, lists: Sequence[PollList], period_us: int, prepare: Callable[[], None] | None = None) -> None:
+        """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room.
+        `prepare` is called when it has the lists, right before the first frame.
+        """
         size = link.request_bytes(lists)
         if len(lists) > self.capacity.lists or size > self.capacity.request_bytes:
             raise OSError(
@@ -166,6 +168,8 @@ class SerialBus:
             )
         for number, asked in enumerate(lists):
             self._do(link.LIST, link.list_payload(number, asked), f"list {number}")
+        if prepare is not None:
+            prepare()
         link.outcome_of(self._session.start(lists, period_us), 0, "start")
         self._period_us = period_us
 
