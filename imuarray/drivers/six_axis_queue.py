@@ -14,6 +14,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from imuarray.bus.message_limits import LONGEST_READ
 from imuarray.clock import Clock
 from imuarray.drivers import icm42688_packets as packet_format
 from imuarray.drivers.driver import Bytes, Registers
@@ -29,8 +30,6 @@ BEFORE_COUNT = 0.4
 """Share of a transaction that has passed before a chip takes its count: three bytes of five or six on I2C, one of three
 or four on SPI.
 """
-MOST_READ_BYTES = 1020
-"""Bytes of a queue in one transaction, in whole samples: what the serial link carries (`imuarray.bus.serial_link`)."""
 _FLAGS_AND_COUNT = 3
 """Bytes of INT_STATUS and the count of an ICM-42688-P, which FIFO_DATA follows (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
@@ -171,7 +170,7 @@ class DieQueue:
 
     def _read(self, register: Register, count: int, size: int) -> bytes:
         """`count` samples of `size` bytes from the queue's register, in as many transactions as that takes."""
-        most = MOST_READ_BYTES // size
+        most = LONGEST_READ // size
         pieces = (min(most, count - begin) for begin in range(0, count, most))
         return b"".join(self.registers.peek(register, samples * size) for samples in pieces)
 

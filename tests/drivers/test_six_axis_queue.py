@@ -19,6 +19,8 @@ from firmware_emulator.board import Board
 from firmware_emulator.chip import Triple
 from imuarray.acquire.sensor_routes import SensorRoute, connect
 from imuarray.array import parse_array
+from imuarray.bus import message_limits
+from imuarray.drivers import six_axis_queue
 from imuarray.errors import ConfigError
 
 MS = 1_000_000
@@ -93,6 +95,29 @@ class Bench:
 def steps(counts: np.ndarray, rate_hz: float) -> np.ndarray:
     """How many samples each row is after the one before."""
     return np.rint(np.diff(counts[:, 0].astype(int)) / (20e3 / rate_hz)).astype(int)
+
+
+def test_what_every_bus_carries() -> None:
+    """i2c-dev refuses more than 8192 bytes, spidev has a buffer of 4096, a frame of the link holds 1024 (LNX-05, -52)."""
+    assert message_limits.LONGEST_READS == {"i2c:": 8192, "spi:": 4095, "serial:": 1023}
+    assert message_limits.LONGEST_READ == 1023
+
+
+@pytest.mark.parametrize("longest", [20, 61, 1023, 8192])
+@pytest.mark.parametrize("die", RATES_HZ)
+def test_a_queue_is_read_in_whole_samples_of_what_a_bus_carries(
+    die: str, longest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(six_axis_queue, "LONGEST_READ", longest)
+    bench = Bench(die, "both")
+    reads: list[int] = []
+    bench.broken = lambda write, read: reads.append(read)
+    bench.wait(40)
+    rows, _, gap = bench.fetch(0)
+    assert max(reads) <= longest
+    assert not gap
+    assert len(rows) >= 0.04 * RATES_HZ[die] - 2
+    assert set(steps(rows, RATES_HZ[die])) == {1}
 
 
 @pytest.mark.parametrize("die", RATES_HZ)
