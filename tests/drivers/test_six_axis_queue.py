@@ -98,7 +98,7 @@ def steps(counts: np.ndarray, rate_hz: float) -> np.ndarray:
 
 
 def test_what_every_bus_carries() -> None:
-    """i2c-dev refuses more than 8192 bytes, spidev has a buffer of 4096, a frame of the link holds 1024 (LNX-05, -52)."""
+    """i2c-dev refuses more than 8192 bytes, spidev buffers 4096, a frame of the link holds 1024 (LNX-05, LNX-52)."""
     assert message_limits.LONGEST_READS == {"i2c:": 8192, "spi:": 4095, "serial:": 1023}
     assert message_limits.LONGEST_READ == 1023
 
