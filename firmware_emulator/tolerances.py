@@ -44,15 +44,17 @@ def one_sigma(sigma: float, limit: float | None = None) -> Spread:
 NONE = Spread(0.0, 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one."""
+    """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one.
+    A tolerance that the data sheet does not state is none.
+    """
 
-    bias: tuple[Spread, Spread, Spread]
-    slope_per_degc: tuple[Spread, Spread, Spread]
-    scale: Spread
-    cross_axis: Spread
-    alignment_deg: Spread
+    bias: tuple[Spread, Spread, Spread] = (NONE, NONE, NONE)
+    slope_per_degc: tuple[Spread, Spread, Spread] = (NONE, NONE, NONE)
+    scale: Spread = NONE
+    cross_axis: Spread = NONE
+    alignment_deg: Spread = NONE
     noise: Triple
     noise_full_scale: float
     noise_bandwidth_hz: float

@@ -15,7 +15,7 @@ from firmware_emulator import martin2013
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips import HALVES
 from firmware_emulator.element import Matrix, Unit, stream
-from firmware_emulator.tolerances import NONE, Sheet, Spread, Tolerances, one_sigma, typical
+from firmware_emulator.tolerances import Sheet, Spread, Tolerances, one_sigma, typical
 
 
 def adxl345(range_g: float) -> Tolerances:
@@ -68,7 +68,6 @@ def l3g4200d(range_dps: float) -> Tolerances:
         bias=(typical(L3G4200D_BIAS_DPS.get(range_dps, 75.0)),) * 3,
         slope_per_degc=(typical(0.03 if range_dps <= 250 else 0.04),) * 3,
         scale=typical(0.01),
-        cross_axis=NONE,
         alignment_deg=typical(1.0),
         noise=(0.03 * math.sqrt(50.0),) * 3,
         noise_full_scale=range_dps,
@@ -80,8 +79,6 @@ def l3g4200d(range_dps: float) -> Tolerances:
 def hmc5883l(range_gauss: float) -> Tolerances:
     """HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
     return Tolerances(
-        bias=(NONE,) * 3,
-        slope_per_degc=(NONE,) * 3,
         scale=typical(0.05),
         cross_axis=typical(0.002),
         alignment_deg=typical(1.0),
@@ -107,10 +104,6 @@ def lis3mdl(_: float) -> Tolerances:
     """LIS-21; scale and alignment are not specified, and ideal."""
     return Tolerances(
         bias=(typical(1.0),) * 3,
-        slope_per_degc=(NONE,) * 3,
-        scale=NONE,
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(3.2e-3, 3.2e-3, 4.1e-3),
         noise_full_scale=12.0,
         noise_bandwidth_hz=77.5,
@@ -120,11 +113,7 @@ def lis3mdl(_: float) -> Tolerances:
 def mmc5983(_: float) -> Tolerances:
     """MMC-20; where the bridges stand is the chip's own, alignment is left out."""
     return Tolerances(
-        bias=(NONE,) * 3,
-        slope_per_degc=(NONE,) * 3,
         scale=typical(0.05),
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(0.4e-3,) * 3,
         noise_full_scale=8.0,
         noise_bandwidth_hz=100.0,
@@ -135,10 +124,7 @@ def ak8963(_: float) -> Tolerances:
     """AKM-17; noise of two counts is ours (DEC-233), alignment is left out."""
     return Tolerances(
         bias=(typical(0.75),) * 3,
-        slope_per_degc=(NONE,) * 3,
         scale=typical(0.05),
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(3e-3,) * 3,
         noise_full_scale=49.12,
         noise_bandwidth_hz=50.0,
@@ -149,10 +135,7 @@ def ak8975(_: float) -> Tolerances:
     """AKM-28; noise of a count is ours (DEC-233), alignment is left out."""
     return Tolerances(
         bias=(typical(3.0),) * 3,
-        slope_per_degc=(NONE,) * 3,
         scale=typical(0.05),
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(3e-3,) * 3,
         noise_full_scale=12.29,
         noise_bandwidth_hz=50.0,

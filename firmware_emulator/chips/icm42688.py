@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple, registers_of
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, Grid, SixAxis, clipped
-from firmware_emulator.tolerances import NONE, Tolerances, typical
+from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register
 
@@ -346,7 +346,6 @@ def accelerometer_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(0.15e-3),) * 3,
         scale=typical(0.005),
         cross_axis=typical(0.01),
-        alignment_deg=NONE,
         noise=(70e-6 * math.sqrt(100.0),) * 3,
         noise_full_scale=2.0,
         noise_bandwidth_hz=100.0,
@@ -362,7 +361,6 @@ def gyroscope_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(0.005),) * 3,
         scale=typical(0.005),
         cross_axis=typical(0.0125),
-        alignment_deg=NONE,
         noise=(2.8e-3 * math.sqrt(100.0),) * 3,
         noise_full_scale=250.0,
         noise_bandwidth_hz=100.0,

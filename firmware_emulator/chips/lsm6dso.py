@@ -15,7 +15,7 @@ from typing import ClassVar
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
-from firmware_emulator.tolerances import NONE, Tolerances, typical
+from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import lsm6dso as facts
 from imuarray.facts.registers import Field, Register
 
@@ -280,8 +280,6 @@ def accelerometer_tolerances(range_g: float) -> Tolerances:
         bias=(typical(0.020),) * 3,
         slope_per_degc=(typical(0.1e-3),) * 3,
         scale=typical(0.01),
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(density * math.sqrt(104.0),) * 3,
         noise_full_scale=range_g or 2.0,
         noise_bandwidth_hz=104.0,
@@ -296,8 +294,6 @@ def gyroscope_tolerances(_: float) -> Tolerances:
         bias=(typical(1.0),) * 3,
         slope_per_degc=(typical(0.01),) * 3,
         scale=typical(0.01),
-        cross_axis=NONE,
-        alignment_deg=NONE,
         noise=(3.8e-3 * math.sqrt(66.8),) * 3,
         noise_full_scale=250.0,
         noise_bandwidth_hz=66.8,

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from firmware_emulator.chip import Element, Triple
 from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
-from firmware_emulator.tolerances import NONE, Tolerances, typical
+from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register
 
@@ -126,7 +126,6 @@ def accelerometer_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(0.035 / warmer), typical(0.035 / warmer), typical(0.060 / warmer)),
         scale=typical(0.03),
         cross_axis=typical(0.02),
-        alignment_deg=NONE,
         noise=(400e-6 * math.sqrt(44.0),) * 3,
         noise_full_scale=2.0,
         noise_bandwidth_hz=44.0,
@@ -143,7 +142,6 @@ def gyroscope_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(20.0 / warmer),) * 3,
         scale=typical(0.03),
         cross_axis=typical(0.02),
-        alignment_deg=NONE,
         noise=(0.005 * math.sqrt(42.0),) * 3,
         noise_full_scale=250.0,
         noise_bandwidth_hz=42.0,

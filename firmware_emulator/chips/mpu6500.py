@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from firmware_emulator.chip import Element, Triple
 from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
-from firmware_emulator.tolerances import NONE, Tolerances, typical
+from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import mpu6500 as facts
 from imuarray.facts.registers import Field, Register
 
@@ -103,7 +103,6 @@ def accelerometer_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(1.5e-3),) * 3,
         scale=typical(0.03),
         cross_axis=typical(0.02),
-        alignment_deg=NONE,
         noise=(300e-6 * math.sqrt(41.0),) * 3,
         noise_full_scale=2.0,
         noise_bandwidth_hz=41.0,
@@ -119,7 +118,6 @@ def gyroscope_tolerances(_: float) -> Tolerances:
         slope_per_degc=(typical(30.0 / warmer),) * 3,
         scale=typical(0.03),
         cross_axis=typical(0.02),
-        alignment_deg=NONE,
         noise=(0.01 * math.sqrt(41.0),) * 3,
         noise_full_scale=250.0,
         noise_bandwidth_hz=41.0,
