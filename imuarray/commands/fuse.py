@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from imuarray.commands.fuse_notes import notes_sentences
-from imuarray.commands.fuse_pairs import pair_lines, pairs_of
+from imuarray.commands.fuse_report import evaluated, notes_sentences, pair_lines, pairs_of, print_evaluation
 from imuarray.commands.options import (
     bars,
     force_option,
@@ -155,8 +154,6 @@ def _run(options: FuseOptions) -> None:
             written, notes = _written(work, options.output, str(options.calibration_file or ""), options.force)
             report |= written
         if options.evaluate:
-            from imuarray.commands.fuse_evaluate import evaluated
-
             report["evaluation"] = evaluated(log, calibration, names)
     if options.as_json:
         print_json(report)
@@ -362,9 +359,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
     for sentence in notes_sentences(notes) if notes else ():
         click.echo(f"  {sentence}")
     if "evaluation" in report:
-        from imuarray.commands.fuse_evaluate import print_report
-
-        print_report(report["evaluation"])
+        print_evaluation(report["evaluation"])
 
 
 def _print_results(report: dict[str, Any]) -> None:

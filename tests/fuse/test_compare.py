@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
-from imuarray.commands.fuse_evaluate import print_report
+from imuarray.commands.fuse_report import print_evaluation
 from imuarray.fuse import ErrorFrames, FusedBlock, compare, fuse, technique_names
 from imuarray.fuse.compare import both
 from imuarray.fuse.fuse import fuse_together
@@ -139,7 +139,7 @@ def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.
     assert set(ranges) >= {"mean", "noise", "rms", "drift", "ratio_to_mean", "consistency"}
     assert ranges["ratio_to_mean"]["XYZ"]["ratio"] == pytest.approx(0.8, abs=0.03)
     assert report["evaluation"]["coasting"]["mean"]["coasts"] == 1
-    print_report(report["evaluation"])
+    print_evaluation(report["evaluation"])
     out = capsys.readouterr().out
     for technique in technique_names():
         assert sum(line.startswith(f"  {technique} ") for line in out.splitlines()) >= 3

@@ -12,7 +12,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.cli import main
-from imuarray.commands.fuse_pairs import pair_lines, pairs_of
+from imuarray.commands.fuse_report import pair_lines, pairs_of
 from imuarray.fuse import errors_of, fuse
 from imuarray.fuse.techniques.opposed import capabilities
 from imuarray.log import Log, open_log

@@ -1,0 +1,218 @@
+"""The reports of `imuarray fuse`: what it estimated of the sensors, what opposing axes cancel, and its evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.commands.options import progress
+from imuarray.printable import counted
+from imuarray.units import INERTIAL, READABLE_SI
+
+if TYPE_CHECKING:
+    from imuarray.calibrate import Calibration
+    from imuarray.fuse import Coasting, Comparison, FusionNotes, Score
+    from imuarray.fuse.optimal import LearnedBias
+    from imuarray.fuse.techniques.opposed import Reduction
+    from imuarray.log import Log
+
+_MOST_REMARKS = 40
+"""Remarks that are printed."""
+
+
+def notes_sentences(notes: FusionNotes) -> Iterator[str]:
+    """A table of biases, a row a sensor, and the remarks."""
+    for quantity, biases in notes.biases.items():
+        yield from _bias_table(quantity, biases)
+    yield from notes.remarks[:_MOST_REMARKS]
+    if len(notes.remarks) > _MOST_REMARKS:
+        yield f"{len(notes.remarks) - _MOST_REMARKS} more remarks (--json lists all)"
+
+
+def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
+    """The table of one quantity: the slow error of every axis with its uncertainty, and the uncertainty before."""
+    factor, unit = READABLE_SI[quantity]
+    before = [factor * bias.sd_before for bias in biases]
+    span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"
+    yield f"slow errors of the {quantity} sensors at the end, {unit} (before: 0 +- {span})"
+    for sensor, axes in groupby(biases, key=lambda bias: bias.axis.rpartition(" ")[0]):
+        cells = (f"{each.axis[-1]} {factor * each.bias:+9.3f} +- {factor * each.sd:.3f}" for each in axes)
+        yield f"  {sensor:8} {'  '.join(cells)}"
+
+
+# Opposing axes -----------------------------------------------------------------------------------------------------
+
+_SIGNIFICANT = 0.05
+_WORTH = 1.25
+"""An error that is so many times less, for sure, is worth opposing axes for."""
+
+_MOST_PAIRS = 20
+"""Pairs that are printed."""
+
+_HEADING = f"{'each':>8} {'together':>9} {'less by':>12}"
+
+
+def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
+    from imuarray.characterise.result import json_ready
+    from imuarray.fuse.techniques.opposed import capabilities
+
+    pairs = []
+    for quantity in INERTIAL:
+        sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
+        for pair in capabilities(sensors, calibration):
+            errors = {name: _former_names(getattr(pair, name)) for name in ("drift", "bias")}
+            pairs.append({"quantity": quantity, **json_ready(asdict(pair) | errors)})
+    return pairs
+
+
+def _former_names(error: Reduction | None) -> dict[str, Any] | None:
+    """The figures of an error, and the former names `left` and `left_sem` of two, for programs that read them."""
+    if error is None:
+        return None
+    return {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
+
+
+def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
+    """A table of the first pairs that the calibration knows something of, and a line for all others;
+    `follows_temperature`: slopes are taken out before the axes meet.
+    """
+    known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
+    if known:
+        yield f"{'axes of one design that oppose each other':43}{'drift with 1 degC':>30}{'bias':>33}"
+        yield f"{'':43}{_HEADING}   {_HEADING}"
+        yield from map(_pair_row, known[:_MOST_PAIRS])
+        yield "less by: 95 % interval; -: no significant gain; *: the slope may be that of scale, which does not cancel"
+        taken = "biases and slopes" if follows_temperature else "biases"
+        yield f"the calibration removes known {taken}; opposing the axes cancels what has changed since"
+    if len(known) > _MOST_PAIRS:
+        yield f"{len(known) - _MOST_PAIRS} more opposing pairs (--json lists all)"
+    if len(known) < len(pairs):
+        yield f"{len(pairs) - len(known)} opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
+
+
+def _pair_row(pair: dict[str, Any]) -> str:
+    """A pair in the table."""
+    factor, unit = READABLE_SI[pair["quantity"]]
+    axes = f"{pair['first']} and {pair['second']}"
+    doubt = " " if pair["is_bias"] else "*"
+    drift, bias = (_cells(pair[what], factor) for what in ("drift", "bias"))
+    return f"{axes:22} along {pair['box_axis']}   in {unit:5}   {drift} {doubt} {bias}".rstrip()
+
+
+def _cells(error: dict[str, Any] | None, factor: float) -> str:
+    """The errors of each axis and of both together, and their ratio where the gain is significant."""
+    if error is None:
+        return " " * len(_HEADING)
+    sizes = f"{factor * error['single']:8.3g} {factor * abs(error['remaining']):9.3g}"
+    if error["p_value"] > _SIGNIFICANT or (error["reduction"] is not None and error["reduction"] < _WORTH):
+        return f"{sizes} {'-':>12}"
+    if error["most"] is None:
+        return f"{sizes} {'> ' + format(error['least'], '.3g'):>12}"
+    return f"{sizes} {format(error['least'], '.3g') + ' to ' + format(error['most'], '.3g'):>12}"
+
+
+# Evaluation --------------------------------------------------------------------------------------------------------
+
+_STEPS = 1000
+"""Steps of a progress bar."""
+
+
+def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
+    """All techniques on a log (with these sensors, if any are named), JSON-ready; a bar on standard error."""
+    from imuarray.fuse import compare
+
+    with progress(_STEPS, "techniques") as done:
+        comparison = compare(log, calibration, only=names, progress=lambda share: done(int(share * _STEPS)))
+    return evaluation_of(comparison)
+
+
+def evaluation_of(comparison: Comparison) -> dict[str, Any]:
+    """Return the whole evaluation, JSON-ready, SI but for headings in degrees."""
+    return {
+        "scores": [_score(score) for score in comparison.scores],
+        "coasting": {technique: _coasting(coast) for technique, coast in comparison.coasting.items()},
+    }
+
+
+def _score(score: Score) -> dict[str, Any]:
+    error = score.error
+    figures = {name: getattr(error, name).tolist() for name in ("mean", "noise", "rms", "drift")}
+    return {
+        "technique": score.technique,
+        "quantity": score.quantity,
+        "frames": error.frames,
+        **figures,
+        "ratio_to_mean": {
+            axis: {name: _finite(value) for name, value in vars(ratio).items()} for axis, ratio in score.ratio.items()
+        },
+        "consistency": score.consistency and {**vars(score.consistency), "holds": score.consistency.holds},
+    }
+
+
+def _coasting(coast: Coasting) -> dict[str, Any]:
+    return {
+        "coasts": len(coast.begins_s),
+        "heading_rms_deg": _finite(coast.heading_rms_deg),
+        "velocity_rms_mps": _finite(coast.velocity_rms_mps),
+        "heading_deg": coast.heading_deg.tolist(),
+        "velocity_mps": coast.velocity_mps.tolist(),
+        "begins_s": coast.begins_s.tolist(),
+    }
+
+
+_SHOWN = ("rms", "noise", "drift")
+
+
+def print_evaluation(report: dict[str, Any]) -> None:
+    """A table per quantity, then coasting; mean errors are for programs."""
+    for quantity, (factor, unit) in READABLE_SI.items():
+        scores = [score for score in report["scores"] if score["quantity"] == quantity]
+        if scores:
+            frames = scores[0]["frames"]
+            click.echo(
+                f"{quantity.replace('_', ' ')}: errors against the truth along box x, y, z in {unit}, {frames} frames"
+            )
+            heads = "".join(f" {name:^23}" for name in _SHOWN)
+            click.echo(f"  {'':8}{heads} {'rms over the mean':^22} normalised^2")
+        for score in scores:
+            click.echo(_score_line(score, factor))
+    _print_coasting(report["coasting"])
+
+
+def _score_line(score: dict[str, Any], factor: float) -> str:
+    figures = " ".join(_three(factor * value for value in score[name]) for name in _SHOWN)
+    ratio, held = score["ratio_to_mean"]["XYZ"], score["consistency"]
+    interval = "-" if ratio["high"] is None else f"{ratio['ratio']:6.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"
+    normal = "-" if held is None else f"{held['normalised']:.3g} ({held['low']:.2f} to {held['high']:.2f})"
+    wrong = "" if held is None or held["holds"] else " !"
+    return f"  {score['technique']:8} {figures} {interval:22} {normal}{wrong}"
+
+
+def _print_coasting(coasting: dict[str, Any]) -> None:
+    if not coasting:
+        return
+    if not any(coast["coasts"] for coast in coasting.values()):
+        click.echo("coasting: the box never stood still long enough before a coast")
+        return
+    click.echo("coasting for a minute after standing still for ten seconds, rms")
+    for technique, coast in coasting.items():
+        heading, velocity = coast["heading_rms_deg"], coast["velocity_rms_mps"]
+        if heading is not None:
+            click.echo(
+                f"  {technique:10} heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
+                f"   of {counted(coast['coasts'], 'coast')}"
+            )
+
+
+def _three(values: Iterable[float]) -> str:
+    return " ".join(f"{value:7.3f}" for value in values)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
