@@ -1,4 +1,4 @@
-"""quantisation, saturation, stale_samples, glitches, stuck, odr_error: guessed from codes, repeats and tails."""
+"""Effects of converters and of what the bus delivers: guessed from codes, repeats and tails."""
 
 from __future__ import annotations
 
@@ -8,10 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects import glitches, odr_error, quantisation, saturation, stale_samples, stuck
+from imuarray.gap.inference.effects import (
+    adaptive_range,
+    glitches,
+    odr_error,
+    quantisation,
+    saturation,
+    stale_samples,
+    stuck,
+)
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.adaptive_range import AdaptiveRange
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.glitches import Glitches
 from imuarray.simulate.effects.odr_error import OdrError
@@ -281,6 +290,18 @@ def test_a_bit_that_is_never_set_in_motion() -> None:
     assert not list(quantisation.guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
     first = next(iter(quantisation.guesses(shown("motion", "G1", Quantisation(dead_bits=128.0)))))
     assert first == Hypothesis((Quantisation(dead_bits=128.0),))
+
+
+@pytest.mark.parametrize(
+    ("chip", "kind", "is_guessed"),
+    [("icm42688_gyro", "motion", True), ("icm42688_gyro", "static", False), ("l3g4200d", "motion", False)],
+)
+def test_readings_that_stall_as_the_range_changes(chip: str, kind: str, is_guessed: bool) -> None:
+    """The erratum of one chip (TDK-18): 1 to 2 ms near 100 dps. Another one has other reasons, as has one at rest."""
+    evidence = shown(kind, "G1", AdaptiveRange(40.0, 0.05) if kind == "motion" else Stuck(30.0, 1.0))
+    assert evidence.is_odd("repeats", "longest_repeat")
+    trials = list(adaptive_range.guesses(replace(evidence, header=replace(evidence.header, chip=chip))))
+    assert trials == ([Hypothesis((AdaptiveRange(100.0, 0.0015),), ("hold_s",))] if is_guessed else [])
 
 
 @pytest.mark.slow

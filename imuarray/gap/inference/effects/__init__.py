@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from imuarray.gap.inference.effects.adaptive_range import ADAPTIVE_RANGE
 from imuarray.gap.inference.effects.axis_error import AXIS_ERROR
 from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
 from imuarray.gap.inference.effects.bias import BIAS
@@ -69,6 +70,7 @@ CANDIDATES: Mapping[str, Candidate] = MappingProxyType(
         "range_reset": RANGE_RESET,
         "quantisation": QUANTISATION,
         "saturation": SATURATION,
+        "adaptive_range": ADAPTIVE_RANGE,
         "stale_samples": STALE_SAMPLES,
         "glitches": GLITCHES,
         "stuck": STUCK,

@@ -50,7 +50,7 @@ def _hundredth(_: Summary) -> float:
 
 
 _DROPPED = ("dropped_samples",)
-_REPEATED = ("odr_error", "stale_samples", "stuck")
+_REPEATED = ("odr_error", "stale_samples", "stuck", "adaptive_range")
 
 INTERVAL = PhaseProbe(
     "timing", "log of the mean interval between rows", "log s", (), interval, True, lambda _: 1e-6, by_column=False
