@@ -222,7 +222,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info",), "Missing argument"),
     (("info", "none.h5"), "none.h5: no such file"),
     (("info", "folder"), "folder: is a folder"),
-    (("info", "one.toml"), "one.toml: is no HDF5 file"),
+    (("info", "one.toml"), "one.toml: is not an HDF5 file"),
     (("info", "x.csv"), "format 'imuarray-log'; imuarray import makes a log of a .csv"),
     (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but no log"),
     (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),

@@ -76,7 +76,7 @@ class IioDevice:
             raise SensorError(f"{self}: {len(fits)} devices have this name; allowed are {names}")
         if not devices:
             raise SensorError(
-                f"{self}: there is no device in /{DEVICES}; load the module of the sensor's driver, and let it bind"
+                f"{self}: there is no device in /{DEVICES}; load the kernel module of the sensor's driver, and bind it"
             )
         raise SensorError(f"{self}: no such device; allowed are {names}")
 

@@ -134,7 +134,8 @@ def _fit(axis: Axis) -> Iterator[str]:
     if fit is not None and fit["verdict"]:
         way = "above" if fit["worst_ratio"] > 1 else "below"
         off = abs(fit["worst_ratio"] - 1)
-        yield f"its Allan curve is no sum of the fitted noises: {off:.0%} {way} the fit at {fit['worst_tau_s']:.3g} s"
+        tau = f"{fit['worst_tau_s']:.3g} s"
+        yield f"its Allan curve is not a sum of the fitted noises: {off:.0%} {way} the fit at {tau}"
 
 
 def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:

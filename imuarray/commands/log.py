@@ -173,7 +173,7 @@ _PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{fa
 def _mention_misspelt(phase: str) -> None:
     """Say that a phase is called almost as one that the commands know."""
     if phase and phase not in _PHASES and not re.fullmatch(r"run \d+", phase) and (near := guess(phase, _PHASES)):
-        click.echo(f"imuarray: phase {phase!r} is no name that other commands know{near}", err=True)
+        click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
 
 
 def _record(options: LogOptions) -> int:

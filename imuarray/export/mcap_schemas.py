@@ -93,7 +93,7 @@ def table_schema(table: Table) -> dict[str, Any]:
 
 
 def table_message(nanoseconds: int, frame: str, columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
-    """A row of a sensor's table, but for its time; what is no number is left out."""
+    """A row of a sensor's table, but for its time; what is not a number is left out."""
     message: dict[str, Any] = {"timestamp": time_of(nanoseconds), "frame_id": frame}
     for column, value in zip(columns, row, strict=True):
         cells = value if column.cells else [value]

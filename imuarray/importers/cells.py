@@ -131,7 +131,7 @@ class Table:
             elif self.line > self._layout.skip_rows and line:
                 if not self.width and _is_binary(line):
                     raise SourceError(
-                        f"{self.source}: line {self.line} is no text; allowed are tables of text (also .gz), .npz,"
+                        f"{self.source}: line {self.line} is not text; allowed are tables of text (also .gz), .npz,"
                         " .npy, .mat, .parquet and ROS bags"
                     )
                 yield line
@@ -286,7 +286,7 @@ def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
     if codes.sensitivity is None and (whole != values).any():
         row = int(np.argmax(whole != values))
         hint = "if the column is in a unit, the map says values = 'physical'"
-        raise column.refuse(row, f"{column.text(row)} is no whole number of counts; {hint}")
+        raise column.refuse(row, f"{column.text(row)} is not a whole number of counts; {hint}")
     if codes.bits is not None:
         span = 1 << codes.bits
         odd = (whole < -span / 2) | (whole >= span)
@@ -361,7 +361,7 @@ class Clock:
     def _later_hint(self) -> str:
         if self._span_ns:
             return ""
-        return "; of a counter that begins anew the map says wraps_at; several recordings are imported one by one"
+        return "; for a counter that restarts, the map says wraps_at; import several recordings one by one"
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Separate equal times by 1 ns."""
@@ -385,7 +385,7 @@ class Clock:
             wrong = np.abs(values.astype(np.float64)) > float(_LAST_NS / self._tick_ns)
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
+            raise column.refuse(row, f"{column.text(row)} is not a time; allowed are {self._allowed}")
         if values.dtype.kind == "f":
             whole = np.floor(values)
             part = np.rint((values - whole) * float(self._tick_ns)).astype(np.int64)
@@ -411,10 +411,10 @@ class Clock:
         try:
             value = Decimal(text)
         except InvalidOperation:
-            hint = "; of dates the map says unit = 'iso8601'" if _DATE.match(text) else _number_hint(column, row)
-            raise column.refuse(row, f"{column.text(row)!r} is no number" + hint) from None
+            hint = "; for dates, the map says unit = 'iso8601'" if _DATE.match(text) else _number_hint(column, row)
+            raise column.refuse(row, f"{column.text(row)!r} is not a number" + hint) from None
         if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
-            raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
+            raise column.refuse(row, f"{column.text(row)} is not a time; allowed are {self._allowed}")
         if isinstance(self._tick_ns, int):
             return int((value * self._tick_ns).to_integral_value())
         return round(Fraction(value) * self._tick_ns)
@@ -428,7 +428,9 @@ def _date_ns(column: Column, row: int, text: str) -> int:
         moment = datetime.fromisoformat(whole + rest[len(digits) :])
         passed = (moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment) - datetime(1970, 1, 1, tzinfo=UTC)
     except (ValueError, OverflowError):
-        raise column.refuse(row, f"{column.text(row)!r} is no date and time as 2013-09-16T08:30:00.5Z") from None
+        raise column.refuse(
+            row, f"{column.text(row)!r} is not a date and time such as 2013-09-16T08:30:00.5Z"
+        ) from None
     return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0)
 
 
@@ -455,7 +457,7 @@ def numbers(column: Column) -> npt.NDArray[np.float64]:
             read = []
         values = np.array(read)
     if row is not None:
-        raise column.refuse(row, f"{column.text(row)!r} is no number" + _number_hint(column, row))
+        raise column.refuse(row, f"{column.text(row)!r} is not a number" + _number_hint(column, row))
     return values
 
 
@@ -465,7 +467,7 @@ def _number_hint(column: Column, row: int) -> str:
     if text.count(",") == 1 and _is_number(text.replace(",", ".")):
         return "; of decimal commas the map says decimal = ','"
     if column.lines[row] == 1 and text[:1].isalpha() and text.lower() not in ("nan", "inf"):
-        return "; of a header the map names the columns, or says skip_rows = 1"
+        return "; for a header, the map names the columns, or says skip_rows = 1"
     return ""
 
 

@@ -204,7 +204,7 @@ def _numbers(column: Column, kind: np.dtype[Any]) -> npt.NDArray[Any]:
         return np.array([read(text) for text in column.texts], kind)
     except (ValueError, OverflowError):
         row = next(row for row, text in enumerate(column.texts) if not _fits(text, kind))
-    raise column.refuse(row, f"{column.texts[row][:40]!r} is no number of type {kind.name}")
+    raise column.refuse(row, f"{column.texts[row][:40]!r} is not a number of type {kind.name}")
 
 
 def _fits(text: str, kind: np.dtype[Any]) -> bool:

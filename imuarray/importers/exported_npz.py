@@ -91,7 +91,9 @@ class _Arrays:
         with self._archive.open(info) as file:
             dtype, shape = self._declared(file, NPZ_HEADER)
             if dtype.kind != "S" or shape != ():
-                raise SourceError(f"{self._where}: its array {NPZ_HEADER!r} is no header written by `imuarray export`")
+                raise SourceError(
+                    f"{self._where}: its array {NPZ_HEADER!r} is not a header written by `imuarray export`"
+                )
             return file.read(dtype.itemsize)
 
     def _member(self, name: str) -> zipfile.ZipInfo:

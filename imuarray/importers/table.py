@@ -254,7 +254,7 @@ class _Rounding:
                 f" {sensitivity:.6g} counts per {unit} are too few, or the unit is another"
             )
         if (off > 0.1).any() and not self.is_learnt:
-            return f"{name}: its values are no whole counts at {sensitivity:.6g} per {unit}; they were rounded"
+            return f"{name}: its values are not whole counts at {sensitivity:.6g} per {unit}; they were rounded"
         return ""
 
 
@@ -410,7 +410,7 @@ class _Stream:
         if self._clock.tied:
             yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
         if self._clock.wrapped:
-            yield f"the time column began anew {counted(self._clock.wrapped, 'time')}"
+            yield f"the time column restarted {counted(self._clock.wrapped, 'time')}"
         for name, count in self.rows_of.items():
             incomplete = self._incomplete[name]
             if blank := self.count - count - incomplete:

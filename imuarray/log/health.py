@@ -112,7 +112,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         yield _Reason(f"{counted(sum(gaps.values()), 'gap')} in the readings of {_names(gaps)}", _EVENTS)
     if clipped := {name: count for name, count in seen.clipped.items() if count}:
         text = f"{counted(sum(clipped.values()), 'reading')} of {_names(clipped)} at the end of the range"
-        yield _Reason(text, "choose a wider range if the motion was meant")
+        yield _Reason(text, "choose a wider range if the motion was intended")
     if faults := {key: count for key, count in seen.faults.items() if not _is_counted(seen, *key)}:
         kinds = dict.fromkeys(kind.replace("_", " ") for _, kind in faults)
         total = counted(sum(faults.values()), "fault")

@@ -36,7 +36,7 @@ def open_file(path: Path) -> h5py.File:
     try:
         return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
     except OSError as error:
-        kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
+        kind = "is truncated" if "truncated" in str(error) else "is not an HDF5 file, or is damaged"
         suffix = path.suffix.lower()
         hint = f"; imuarray import makes a log of a {suffix}" if suffix in _IMPORTED else ""
         raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}{hint}") from None

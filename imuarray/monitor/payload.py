@@ -194,5 +194,5 @@ def _numbers(values: Floats) -> list[float | None]:
 
 
 def _number(value: float) -> float | None:
-    """Five digits; None for what is no number."""
+    """Five digits; None for what is not a number."""
     return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None

@@ -129,7 +129,7 @@ def _problems(table: Any) -> Iterator[str]:
         return
     effects = table.get("effects")
     if not isinstance(effects, list):
-        yield "effects is no list"
+        yield "effects is not a list"
         return
     for effect in effects:
         if not isinstance(effect, Mapping) or not isinstance(effect.get("effect"), str) or "sensors" not in effect:

@@ -67,7 +67,7 @@ BAD: dict[str, tuple[Callable[[Members], Members], str]] = {
     "no array at all": (lambda m: {COUNTS: b"MZ"}, "array Acc_counts"),
     "a header that is code": (lambda m: {COUNTS: _npy(b"__import__('os').abort()")}, "array Acc_counts"),
     "no header": (lambda m: {"header.npy": b""}, "array header"),
-    "a header of numbers": (lambda m: {"header.npy": array(np.arange(3))}, "no header written by"),
+    "a header of numbers": (lambda m: {"header.npy": array(np.arange(3))}, "not a header written by"),
     "a header of a list": (lambda m: {"header.npy": array(np.array(b"[1]"))}, "no header written by"),
     "a header of brackets": (lambda m: {"header.npy": array(np.array(b"[" * 100_000))}, "no header written by"),
     "times that go back": (
@@ -177,14 +177,19 @@ CSV_BAD = {
     "a row less": ("r.csv", "sensors/Acc,5", "sensors/Acc,6", "5 rows, r.csv states 6"),
     "no rows": ("r.csv", "sensors/Acc,5", "sensors/Acc,many", "its files must be in the same folder"),
     "no such table": ("r.csv", "sensors/Acc,5", "sensors/Bcc,5", "its list and its header differ"),
-    "a cell of text": ("r_Acc.csv", "8191", "lots", "line 3, column counts_y: 'lots' is no number of type int16"),
-    "too large a count": ("r_Acc.csv", "8191", "81910", "line 3, column counts_y: '81910' is no number of type int16"),
+    "a cell of text": ("r_Acc.csv", "8191", "lots", "line 3, column counts_y: 'lots' is not a number of type int16"),
+    "too large a count": (
+        "r_Acc.csv",
+        "8191",
+        "81910",
+        "line 3, column counts_y: '81910' is not a number of type int16",
+    ),
     "a cell of a megabyte": ("r_Acc.csv", "8191", "8" * 1_000_000, "longer than 65536 characters"),
-    "a number of many digits": ("r_Acc.csv", "8191", "8" * 9000, "is no number of type int16"),
+    "a number of many digits": ("r_Acc.csv", "8191", "8" * 9000, "is not a number of type int16"),
     "a column less": ("r_Acc.csv", "counts_y", "counts", "no column 'counts_y'"),
     "a cell more": ("r_Acc.csv", "8191", "8191,0", "7 cells, the first row has 6"),
     "time that goes back": ("r_Acc.csv", "0.020000000", "0.000000001", "is not later than the row before"),
-    "an event without time": ("r_events.csv", "0.030000000", "now", "'now' is no number"),
+    "an event without time": ("r_events.csv", "0.030000000", "now", "'now' is not a number"),
     "an open quote": ("r_events.csv", '=1+1"', "=1+1", "r_events.csv"),
 }
 

@@ -52,7 +52,7 @@ def test_the_example_map_reads_the_table_in_its_comments(tmp_path: Path, capsys:
         ([], "give either --map MAP.toml or --format mimu4444"),
         (["--format", "mimu4444", "--map", str(EXAMPLE)], "give either --map MAP.toml or --format mimu4444"),
         (["--format", "mimu"], "'mimu' is not 'mimu4444'"),
-        (["--map", str(EXAMPLE)], "is no text; allowed are tables of text"),
+        (["--map", str(EXAMPLE)], "is not text; allowed are tables of text"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(

@@ -116,7 +116,7 @@ def test_a_broken_packet_is_lost_and_garbage_alone_loses_nothing(tmp_path: Path,
         assert log["IMU5_acc"].status[:].tolist() == [0, LOST_BEFORE, 0]
         assert [event.message for event in log.events if event.kind in ("garbage", "end")] == [
             "7 bytes that belong to no packet left out",
-            "99 bytes at the end are no whole packet",
+            "99 bytes at the end are not a whole packet",
         ]
 
 

@@ -233,11 +233,11 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("0,1,2,3\n1,4,oops,6\n", "data.csv: line 2, column 2: 'oops' is no number"),
-        ("0,1,2,3\n1,4,inf,6\n", "data.csv: line 2, column 2: 'inf' is no number"),
+        ("0,1,2,3\n1,4,oops,6\n", "data.csv: line 2, column 2: 'oops' is not a number"),
+        ("0,1,2,3\n1,4,inf,6\n", "data.csv: line 2, column 2: 'inf' is not a number"),
         (
             "#\n0,1,2,3\n\n1,4,5.5,6\n",
-            "data.csv: line 4, column 2: 5.5 is no whole number of counts; if the column is in a",
+            "data.csv: line 4, column 2: 5.5 is not a whole number of counts; if the column is in a",
         ),
         ("0,1,2,3\n1,4,5,32768\n", "data.csv: line 2, column 3: 32768; allowed are -32768 to 32767"),
         ("0,1,2,3\n1,4,5,-1e300\n", "data.csv: line 2, column 3: -1e300; allowed are -32768 to 32767"),
@@ -246,9 +246,9 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
             "data.csv: line 2, column 0: 0 is not later than the row before; allowed are increasing",
         ),
         ("1,1,2,3\n0.9,4,5,6\n", "data.csv: line 2, column 0: 0.9 is not later than the row before"),
-        ("later,1,2,3\n", "data.csv: line 1, column 0: 'later' is no number"),
-        ("NaN,1,2,3\n", "data.csv: line 1, column 0: NaN is no time; allowed are numbers up to 4611686018"),
-        ("1e999999999,1,2,3\n", "data.csv: line 1, column 0: 1e999999999 is no time; allowed are"),
+        ("later,1,2,3\n", "data.csv: line 1, column 0: 'later' is not a number"),
+        ("NaN,1,2,3\n", "data.csv: line 1, column 0: NaN is not a time; allowed are numbers up to 4611686018"),
+        ("1e999999999,1,2,3\n", "data.csv: line 1, column 0: 1e999999999 is not a time; allowed are"),
         ("0,1,2\n1,4,5\n", "data.csv: line 1: 3 cells, so there is no column 3 (counted from 0)"),
         ("0,1,2,3\n1,4,5\n", "data.csv: line 2: 3 cells, the first row has 4"),
         ("0,1,2,3\n1,4,5,6,7\n", "data.csv: line 2: 5 cells, the first row has 4"),
@@ -273,7 +273,7 @@ def test_cells_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:
         ("", "data.csv: line 0: no column 't'; the header has "),
         ("t,x,y,z\n", "data.csv: no data rows"),
         ("t,x,y,z\n0,1,2\n", "data.csv: line 2: 3 cells, the first row has 4"),
-        ("t,x,y,z\n0,1,?,3\n", "data.csv: line 2, column 'y': '?' is no number"),
+        ("t,x,y,z\n0,1,?,3\n", "data.csv: line 2, column 'y': '?' is not a number"),
     ],
 )
 def test_headers_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:

@@ -453,7 +453,7 @@ def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
     with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
         assert (seen.state, seen.sensors) == ("waiting", ())
-        assert "is no HDF5 file" in seen.remark
+        assert "is not an HDF5 file" in seen.remark
         log_path.unlink()
         with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
             Logger(writer).go_on(1.0)

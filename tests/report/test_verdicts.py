@@ -54,7 +54,7 @@ def recorded(path: Path, rows: int = 1000, gyro_rows: int = 1000, status: int = 
             (1000, 1000, 4),
             "doubtful",
             "run.h5 is usable, with losses: 6 readings of Acc, Gyro at the end of the range;"
-            " choose a wider range if the motion was meant.",
+            " choose a wider range if the motion was intended.",
         ),
         (
             (1000, 1000, 0, Event(0, "", "imported", "from x.csv"), Event(1, "", "bus", "works again, after 1 s")),

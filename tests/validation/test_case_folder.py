@@ -86,7 +86,7 @@ def test_a_truth_becomes_a_case(tmp_path: Path) -> None:
     ("table", "said"),
     [
         ({"kind": "odd", "effects": []}, "kind is missing or none of control, effect, unknown, pair"),
-        ({"kind": "effect"}, "effects is no list"),
+        ({"kind": "effect"}, "effects is not a list"),
         (truth({"effect": "a"}), "an effect has an effect, a design_name and sensors"),
         (truth(effect("ghost")), "effect 'ghost': allowed are"),
     ],

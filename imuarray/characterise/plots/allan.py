@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _READING = (
-    "Falls like the grey line: white noise, averaging helps. Flat: flicker noise, averaging longer is no use. "
+    "Falls like the grey line: white noise, averaging helps. Flat: flicker noise, averaging longer does not help. "
     "Rises: drift.\n"
     "N is the white noise and K the random walk of the axes whose curve a sum of noises fits (thin curves)."
 )

@@ -61,7 +61,7 @@ class _Cells(NamedTuple):
         return Column(self.source, name, self.lines, self.text[name])
 
     def numbers(self, *names: str) -> Floats:
-        """(n, number of names); SourceError for a cell that is no number."""
+        """(n, number of names); SourceError for a cell that is not a number."""
         return np.array([[_number(self.column(name), row) for name in names] for row in range(len(self.lines))])
 
 

@@ -146,7 +146,7 @@ ROW = "0,0,0,9.8,0,0,0"
         (f"{HEADER}\n{ROW}\n1,0,nan,9.8,0,0,0\n", "line 3, column force_y_mps2: 'nan' is not a number"),
         (f"{HEADER}\n{ROW}\n1,0,0,9.8,0,0,1e300\n", "line 3, column rate_z_dps: '1e300' is not a number between"),
         (f"{HEADER}\n{ROW}\n{ROW}\n", "line 3, column time_s: 0 is not later than the row before"),
-        (f"{HEADER}\n{ROW}\nsoon,0,0,0,0,0,0\n", "line 3, column time_s: 'soon' is no number"),
+        (f"{HEADER}\n{ROW}\nsoon,0,0,0,0,0,0\n", "line 3, column time_s: 'soon' is not a number"),
         (
             f"time_s,{PLACE},qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,0,0,0,0\n",
             "line 3: qw, qx, qy, qz have length 0; 1 is required",
