@@ -271,7 +271,7 @@ def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path,
     """Other names are allowed: they are recorded as they are."""
     code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
     assert code == 0
-    mentioned = [line for line in err if "no name that other commands know" in line]
+    mentioned = [line for line in err if "not a name that other commands recognise" in line]
     assert len(mentioned) == bool(said)
     assert all(said in line for line in mentioned)
     with open_log(here / "r.h5") as log:

@@ -173,7 +173,7 @@ CSV_BAD = {
     "a path": ("r.csv", "r_Acc.csv,", "../r_Acc.csv,", "its files must be in the same folder"),
     "a whole path": ("r.csv", "r_Acc.csv,", "/etc/passwd,", "its files must be in the same folder"),
     "a file that is not there": ("r.csv", "r_Acc.csv,", "r_Bcc.csv,", "no such file"),
-    "another file": ("r.csv", "r_Acc.csv,", "run.h5,", "line 1 is no text"),
+    "another file": ("r.csv", "r_Acc.csv,", "run.h5,", "line 1 is not text"),
     "a row less": ("r.csv", "sensors/Acc,5", "sensors/Acc,6", "5 rows, r.csv states 6"),
     "no rows": ("r.csv", "sensors/Acc,5", "sensors/Acc,many", "its files must be in the same folder"),
     "no such table": ("r.csv", "sensors/Acc,5", "sensors/Bcc,5", "its list and its header differ"),
