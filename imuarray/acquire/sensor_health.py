@@ -269,7 +269,10 @@ class SensorHealth:
                 _tell_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")
         if (block.status & OVERRUN).any():
             overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
-            _tell_at(overrun, state.overrun, "samples were lost: the chip's buffer was full")
+            why = (
+                "they were overwritten before they were read" if buffer.queue is None else "the chip's buffer was full"
+            )
+            _tell_at(overrun, state.overrun, f"samples were lost: {why}")
 
 
 def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:
