@@ -16,7 +16,7 @@ from imuarray.calibrate import load_calibration
 from imuarray.calibrate.correlated import Noise, products, regress
 from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.segments import Segments, Thermometer, segment_means
-from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal, fit_axes
+from imuarray.calibrate.thermal import ThermalResult, _tells_curvature, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
@@ -513,3 +513,11 @@ def test_the_other_slopes_of_the_published_ramp(tmp_path: Path) -> None:
         sems = np.hypot(thermal.slope_sem_lsb_per_degc, 9.0 * 2 * thermal.quadratic_sem_lsb_per_degc2)
         sigmas = (thermal.slope_lsb_per_degc - [*slopes, *[np.nan] * (3 - len(slopes))]) / sems
         assert np.nanmax(np.abs(sigmas)) < 4, (name, sigmas)
+
+
+@pytest.mark.parametrize("span_degc", [0.01, 1.0, 100.0])
+def test_two_temperatures_tell_no_curvature_and_a_bow_does_at_any_size(span_degc: float) -> None:
+    """Squares of two levels are a straight line in them; those of a sine in time are not, in whatever unit."""
+    clock = np.linspace(-1, 1, 101)
+    assert not _tells_curvature(clock, span_degc * (clock > 0.3))
+    assert _tells_curvature(clock, span_degc * np.sin(3 * clock))

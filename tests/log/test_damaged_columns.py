@@ -12,6 +12,8 @@ import pytest
 from imuarray.cli import main
 from imuarray.errors import LogError
 from imuarray.log import open_log
+from imuarray.log.columns import clocks_of
+from imuarray.log.layout import CLOCKS
 from tests.selection import some
 
 
@@ -90,3 +92,16 @@ def test_a_refused_log_does_not_keep_others_from_reading(small: Path) -> None:
     other.start()
     other.join(20)
     assert read == [3], refused
+
+
+def test_clocks_are_whole_numbers_of_one_length() -> None:
+    names = [name for name, _, _ in CLOCKS]
+    with h5py.File("clocks", "w", driver="core", backing_store=False) as file:
+        for number, name in enumerate(names):
+            file[name] = np.array([number, number + 10], np.int64)
+        assert [column[:].tolist() for column in clocks_of(file, "here")] == [[n, n + 10] for n in range(5)]
+        for wrong in (np.zeros(2), np.zeros(3, np.int64)):
+            del file[names[-1]]
+            file[names[-1]] = wrong
+            with pytest.raises(LogError, match="here is missing a column"):
+                clocks_of(file, "here")
