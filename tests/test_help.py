@@ -34,3 +34,11 @@ def test_there_is_an_example_and_the_command_knows_its_options(words: tuple[str,
     for example in examples:
         said = shlex.split(example.split(" > ")[0], comments=True)
         command.make_parser(context).parse_args(said)  # click.NoSuchOption for one that it has not
+
+
+@pytest.mark.parametrize("group", ["", "calibrate", "gap"])
+def test_lists_of_commands_have_whole_sentences(group: str) -> None:
+    """Click cuts a first sentence that is longer than 45 characters, and ends it with three dots."""
+    found = program.get_command(click.Context(program), group) if group else program
+    assert found is not None
+    assert "..." not in found.get_help(click.Context(found)).split("Commands:")[1]

@@ -33,12 +33,19 @@ _logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, typ
 @click.group("calibrate", invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> None:
-    """Determine sensor parameters from logs and write them to a TOML file."""
+    """Determine sensor parameters from logs and write them to a TOML file.
+
+    Begin with tumble; the others add to its file with --update.
+
+    \b
+    imuarray calibrate tumble poses.h5 -o cal.toml
+    imuarray calibrate noise rest.h5 -o cal.toml --update
+    """
     if context.invoked_subcommand is None:
         raise click.UsageError(f"choose what to calibrate: {', '.join(command.commands)}")
 
 
-@command.command("tumble")
+@command.command("tumble", short_help="bias and response, from six faces or from poses")
 @_logs
 @_output
 @_update
@@ -65,7 +72,7 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     _finish(result.calibration, report, print_report, Target(output, update, force, as_json))
 
 
-@command.command("noise")
+@command.command("noise", short_help="noise, its spectrum and drift, from rest")
 @_logs
 @_output
 @_update
@@ -89,7 +96,7 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     _finish(calibration, report_of(calibration), print_report, Target(output, update, force, as_json))
 
 
-@command.command("thermal")
+@command.command("thermal", short_help="how biases change with temperature")
 @_logs
 @_output
 @_update
@@ -112,7 +119,7 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     _finish(result.calibration, report_of(result), print_report, Target(output, update, force, as_json))
 
 
-@command.command("turn-on")
+@command.command("turn-on", short_help="how biases change from one switch-on to the next")
 @_logs
 @_output
 @_update
@@ -139,7 +146,7 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     _finish(calibration, report, print_report, Target(output, update, force, as_json))
 
 
-@command.command("axes")
+@command.command("axes", short_help="axes of every sensor, from a few poses held by hand")
 @click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -185,7 +192,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     _print_result({**report, "configuration": str(output)}, print_report, output, as_json)
 
 
-@command.command("compare")
+@command.command("compare", short_help="what changed between calibrations of one array")
 @click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @json_option
 def compare(files: tuple[Path, ...], as_json: bool) -> None:

@@ -37,7 +37,7 @@ def command() -> None:
 command.add_command(validate)
 
 
-@command.command("diagnose")
+@command.command("diagnose", short_help="name the effects that the simulator of recorded logs lacks")
 @click.argument("logs", nargs=-1, required=True, metavar="REAL.h5...", type=click.Path(path_type=Path))
 @click.option(
     "--model",

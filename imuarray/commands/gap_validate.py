@@ -21,7 +21,7 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
 """`imuarray.validation.plans.SIZES`, which costs too much to import for a list of names; a test compares."""
 
 
-@click.command("validate")
+@click.command("validate", short_help="score the diagnosis on cases whose cause is withheld")
 @click.option(
     "-o",
     "--output",

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from imuarray.printable import counted
 from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, format_row, lost_by, transfer_line
 
 _MOST_NAMED = 5
@@ -65,7 +66,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
         if transfer.name == HEADLINE:
             yield f"{transfer_line(transfer).capitalize()}."
     by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
-    yield f"{figures.cases} cases, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
+    yield f"{counted(figures.cases, 'case')}, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
     judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
     yield f"Bars are judged on {judged_on} unless a figure says otherwise; intervals hold 95 %."
     yield from figures.notes
