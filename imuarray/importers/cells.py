@@ -6,6 +6,7 @@ bytes, a repeated header, lines of text, an incomplete last line, a separator at
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import math
@@ -96,7 +97,7 @@ class Table:
     """
 
     def __init__(self, file: BinaryIO, source: str, layout: FileTable, named: bool) -> None:
-        self._text = io.TextIOWrapper(file, encoding=_encoding(file), errors="replace")
+        self._text = io.TextIOWrapper(file, encoding=_encoding(file), errors=WINDOWS_1252)
         self._layout = layout
         self._reader = csv.reader(self._lines(), delimiter=layout.delimiter, skipinitialspace=True)
         self._is_damaged = self._is_last = False
@@ -238,6 +239,25 @@ def _is_binary(line: str) -> bool:
     """Return whether a line has control characters and undecodable bytes as no text has."""
     strange = sum(letter == "\ufffd" or (letter < " " and letter not in "\t\x0b\x0c") for letter in line)
     return strange > 0.1 * len(line)
+
+
+def _western(error: UnicodeError) -> tuple[str, int]:
+    """Read bytes that are no UTF-8 as Windows-1252, in which spreadsheets write units, as far as they are letters or
+    signs of units; others as U+FFFD, so that a file that is no text is recognised (small negative numbers of 16 bits
+    begin with FF or FE).
+    """
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    text = error.object[error.start : error.end].decode("latin-1")
+    return "".join(sign if sign in _UNIT_SIGNS or "À" <= sign < "þ" else "\ufffd" for sign in text), error.end
+
+
+_UNIT_SIGNS = "°²³µ·º"
+
+WINDOWS_1252 = "imuarray-windows-1252"
+"""How texts that are not UTF-8 throughout are decoded, as the `errors` of a codec."""
+
+codecs.register_error(WINDOWS_1252, _western)
 
 
 def _encoding(file: BinaryIO) -> str:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
 from imuarray.importers import decompress, open_source
+from imuarray.importers.cells import WINDOWS_1252
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
@@ -283,7 +284,7 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     with open_source(path, path.with_suffix(".guess")) as file:
         data = decompress(file).read(_HEAD_BYTES)
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    whole = data.decode(encoding, "replace").split("\n")
+    whole = data.decode(encoding, WINDOWS_1252).split("\n")
     whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
     lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
     lines = [(number, line) for number, line in lines if line and "\0" not in line]

@@ -163,6 +163,22 @@ def test_a_matrix_with_time_and_padding(tmp_path: Path, capsys: pytest.CaptureFi
     assert "2000 rows each over 20.0 s" in report and "300 rows of zeros only" in report
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_units_of_a_spreadsheet_in_any_encoding(encoding: str, tmp_path: Path) -> None:
+    """Names in German, units with ° and ², decimal commas."""
+    names = [*(f"Beschl. {axis} [m/s²]" for axis in "XYZ"), *(f"Drehrate {axis} [°/s]" for axis in "XYZ")]
+    values = np.hstack([SI[:, :3], np.degrees(SI[:, 3:])])
+    text = text_of(",".join(["Zeit [s]", *names]), values, form="{:.5f}").replace(",", ";").replace(".", ",")
+    path = tmp_path / "run.csv"
+    path.write_bytes(text.replace("Beschl,", "Beschl.").encode(encoding))
+    target = tmp_path / "map.toml"
+    assert main(["import", str(path), "--guess", "-o", str(target)]) == 0
+    assert 'columns = ["Beschl. X [m/s²]", "Beschl. Y [m/s²]", "Beschl. Z [m/s²]"]' in target.read_text("utf-8")
+    assert main(["import", str(path), "--map", str(target), "-o", str(tmp_path / "run.h5")]) == 0
+    with open_log(tmp_path / "run.h5") as log:
+        assert [sensor.unit for sensor in log.sensors.values()] == ["g", "dps"]
+
+
 def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
     """Phones write a file for each sensor, with columns x, y, z."""
     values = SI[:, 5:2:-1]
