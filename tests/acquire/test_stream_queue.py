@@ -32,13 +32,18 @@ ERRORS = (0.01, -0.0043)
 
 
 def array_of(
-    chips: int, *, rate_hz: int = 1000, halves: tuple[str, ...] = ("acc", "gyro"), more: str = "", sensor: str = ""
+    chips: int,
+    *,
+    rate_hz: int = 1000,
+    halves: tuple[str, ...] = ("acc", "gyro"),
+    ranges: tuple[int, int] = (16, 2000),
+    sensor: str = "",
 ) -> ArrayConfig:
     text = '[array]\nname="s"\n'
     for chip in range(chips):
         for half in halves:
             text += f'[[sensor]]\nname="I{chip}_{half}"\nchip="icm42688"\nbus="/dev/spidev0.{chip}"\n'
-            text += f"range={16 if half == 'acc' else 2000}\nrate_hz={rate_hz}\nfifo=true\n{more}"
+            text += f"range={ranges[half == 'gyro']}\nrate_hz={rate_hz}\nfifo=true\n"
     return parse_array(text + sensor)
 
 
@@ -328,7 +333,7 @@ def test_a_line_that_nobody_drives_gives_no_rows(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_chip_that_was_reset_is_set_up_again(tmp_path: Path) -> None:
     """After a reset the chip is off, with no queue: noticed within a second, and nothing after it is stored as good."""
-    array = array_of(2)
+    array = array_of(2, ranges=(4, 500))  # after power-on 16 g and 2000 dps
     bench = bench_of(array)
     stream(
         bench,
