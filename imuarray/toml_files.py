@@ -76,7 +76,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong in a TOML text: its place, the subject in words ("sensor 1 'A'", or ""), and the complaint.
+    """An error in a TOML text: its place, the subject in words ("sensor 1 'A'", or ""), and the complaint.
 
     A complaint about a key of the table at `place` begins with this key.
     """

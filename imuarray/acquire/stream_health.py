@@ -72,7 +72,7 @@ class StreamHealth:
             self._note(rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}")
 
     def doubt_queue(self, rows: Rows) -> None:
-        """What the chip's queue gave is no sequence of samples: the chip must be set up again."""
+        """Set the chip up again, whose queue gave bytes that are not a sequence of samples."""
         if id(rows) not in self.ill:
             self.ill[id(rows)] = rows
             self._note(rows, "configuration", "its queue gave no valid samples")
