@@ -122,8 +122,8 @@ class QueueRows(Rows):
                 half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate)
 
     def _visits(self, samples: Samples) -> Iterator[tuple[int, int, int]]:
-        """Return of each visit that succeeded its row in `samples`, and between which times on the microcontroller's counter
-        (us) it took place.
+        """Yield the row in `samples` of each visit that succeeded, and between which times on the microcontroller's
+        counter (us) it took place.
         """
         place, payload = self.places[0], samples.payload
         ages = [ages_at(payload, position) for position in place.ages]
