@@ -34,7 +34,7 @@ typedef struct {
 
 typedef struct {
     double made[COURSES * MOST_AXES], seen_as[COURSES * MOST_AXES], products[COURSES * MOST_AXES];
-    double means[MOST_AXES], doubt[MOST_AXES], weights[MOST_AXES], shown[MOST_AXES];
+    double means[MOST_AXES], noise[MOST_AXES], doubt[MOST_AXES], weights[MOST_AXES], shown[MOST_AXES];
     double usual[MOST_AXES * STATES];
     double *residual, *aged; /* (n, m), (m, STATES, STATES) */
     char sound[MOST_AXES];
@@ -205,7 +205,8 @@ static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssiz
         aged[0] += limits->wander * a->variance[i];
         for (int j = 0; j < STATES; j++)
             for (int l = 0; l < STATES; l++) doubt += felt[j] * aged[j * STATES + l] * felt[l];
-        w->doubt[i] = (a->colour[i] * a->variance[i] + jitter[i]) / (double)n + doubt;
+        w->noise[i] = a->colour[i] * a->variance[i] + jitter[i];
+        w->doubt[i] = w->noise[i] / (double)n + doubt;
     }
     return find_sound(a, limits, m, w);
 }
@@ -214,7 +215,7 @@ static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssiz
 static int learn_state(const Arrays *a, const double *moments, const Work *w, Py_ssize_t i, Py_ssize_t m,
                        const double offset[3], double covariance[STATES][STATES], double change[STATES]) {
     double sheared[STATES][STATES], both[STATES][STATES], spoken[STATES][STATES], products[STATES];
-    double weight = 1 / (a->colour[i] * a->variance[i]);
+    double weight = 1 / w->noise[i];
     for (int row = 0; row < STATES; row++)
         for (int column = 0; column < STATES; column++) {
             double less = row >= 1 && row <= 3 ? offset[row - 1] * moments[column] : 0.0;

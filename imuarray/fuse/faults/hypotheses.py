@@ -91,13 +91,18 @@ in its middle."""
 _USUAL_SCATTER = 3.0
 """Mean square of a few normal readings, over their variance, that is not unusual."""
 
+_USUAL_READING = 9.0
+"""Square of a single normal reading, over its variance, that is not unusual: three standard deviations."""
+
 
 def disagreement(seen: WindowResiduals, normal: Normal) -> float:
     """Variance (SI) of single readings by which at least half of the sensors differ from the others in this window,
-    beyond noise; 0 where fewer do, infinite where too few have three complete readings, as when most clip.
+    beyond noise, on average or in one frame; 0 where fewer do, infinite where too few have three complete readings, as
+    when most clip.
 
     A knock, or motion that is too fast for the rate of the rows, is felt at other moments by every chip, so that all of
-    them disagree at once. One faulty sensor of four or more has no part in it: each is compared with the median.
+    them disagree at once; a knock may be over within one frame. One faulty sensor of four or more has no part in it:
+    each is compared with the median.
     """
     shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
     used: Booleans = np.asarray(seen.included.reshape(-1, 3).any(axis=1))
@@ -110,10 +115,14 @@ def disagreement(seen: WindowResiduals, normal: Normal) -> float:
     residual = seen.residual[frames].T.reshape(len(used), 3, -1)[whole]
     off = np.linalg.solve(seen.rows.reshape(-1, 3, 3)[whole], residual)  # (s, 3, n), along the box
     off[np.repeat(~shown[whole][:, None, frames], 3, axis=1)] = np.nan
-    squares = np.nanmean((off - np.nanmedian(off, axis=0)) ** 2, axis=2)
-    usual = _USUAL_SCATTER * normal.variance.reshape(-1, 3)[whole].max(axis=1)
-    excess = np.sort(squares.max(axis=1) - usual)
-    return _UNEVEN * max(0.0, float(excess[(len(excess) - 1) // 2]))
+    squares = (off - np.nanmedian(off, axis=0)) ** 2
+    noise = normal.variance.reshape(-1, 3)[whole].max(axis=1)
+    middle = (len(noise) - 1) // 2
+    excess = np.sort(np.nanmean(squares, axis=2).max(axis=1) - _USUAL_SCATTER * noise)[middle]
+    single = np.where(np.isnan(squares), 0.0, squares).max(axis=1)  # (s, n)
+    over = np.sort(single - _USUAL_READING * noise[:, None], axis=0)[middle]
+    knock = np.sort(single - noise[:, None], axis=0)[middle][over > 0]
+    return _UNEVEN * float(max(0.0, excess, *knock))
 
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:

@@ -189,10 +189,11 @@ class Normal:
 
     def learn_sums(self, moments: Floats, products: Floats, which: Booleans) -> None:
         """The same by the sums over a window, of the p axes `which`: products of the regressors with each other (p, 5,
-        5) and with the residuals (p, 5).
+        5) and with the residuals (p, 5). Readings tell less where their unknown age is felt, as in a jerk.
         """
         axes = slice(None) if which.all() else np.flatnonzero(which)
-        weight = (1 / (self.colour * self.variance))[axes, None]
+        age = self.jitter_of(moments[:, 4, 4] / np.maximum(moments[:, 0, 0], 1.0))
+        weight = 1 / ((self.colour * self.variance)[axes] + age)[:, None]
         covariance = self.covariance[axes]
         spoken = covariance @ (moments * weight[:, :, None])
         spoken += _ONE
