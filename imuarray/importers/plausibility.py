@@ -24,7 +24,6 @@ from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_ste
 from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
-from imuarray.log.format import LOST_BEFORE
 from imuarray.printable import counted
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
@@ -182,9 +181,7 @@ def report_of(log: Log) -> Report:
         if not sensor.is_triad:
             continue
         timing = row_timing(sensor)
-        if timing.kind == "bursts" and _has_counted_losses(sensor, timing):
-            pass  # gaps of counted losses, which the summary reports; a recording cut short may look like bursts
-        elif timing.sentence:
+        if timing.sentence:
             hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
         elif missing := _missing_rows(sensor, timing):
@@ -315,12 +312,6 @@ def _doubled(ratio: float) -> str:
         return ""
     factor = f"{2 ** abs(power)} times too {'small' if power > 0 else 'large'}"
     return f"range and sensitivity may be those of another setting, the counts per g {factor}"
-
-
-def _has_counted_losses(sensor: SensorLog, timing: RowTiming) -> bool:
-    """Return whether most gaps have a row behind them that says that rows before it were lost."""
-    lost = sum(int(np.sum((np.asarray(sensor.status[block]) & LOST_BEFORE) != 0)) for block in sensor.blocks())
-    return 2 * lost > timing.gaps
 
 
 def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:

@@ -18,12 +18,17 @@ from imuarray.gap.recording.row_timing import (
     row_timing,
 )
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 
 Times = npt.NDArray[np.int64]
 
 
-def log_with(path: Path, time_s: npt.NDArray[np.float64], counts: npt.NDArray[np.int16] | None = None) -> Path:
+def log_with(
+    path: Path,
+    time_s: npt.NDArray[np.float64],
+    counts: npt.NDArray[np.int16] | None = None,
+    status: npt.NDArray[np.uint16] | None = None,
+) -> Path:
     """A sensor of an unheard-of chip that was read at these times, at rest."""
     header = SensorHeader("S", "unheard_of", "specific_force", "g", 4.0, 8000.0)
     if counts is None:
@@ -31,7 +36,8 @@ def log_with(path: Path, time_s: npt.NDArray[np.float64], counts: npt.NDArray[np
         counts = np.rint(noise).astype(np.int16)
     end_ns = round(time_s[-1] * 1e9)
     with LogWriter(path, [header], source="imported", epoch="1970-01-01T00:00:00Z") as log:
-        log.append("S", Block(np.rint(time_s * 1e9).astype(np.int64), counts, np.zeros(len(counts), np.uint16)))
+        flags = np.zeros(len(counts), np.uint16) if status is None else status
+        log.append("S", Block(np.rint(time_s * 1e9).astype(np.int64), counts, flags))
         log.phase(Phase(0, end_ns, "static", "+Z"))
     return path
 
@@ -187,3 +193,17 @@ def test_rows_that_return_to_the_grid_after_a_stall_are_no_burst(tmp_path: Path)
     timing = timing_of(tmp_path / "log.h5", np.concatenate(time_s))
     assert timing.kind == "stalls"
     assert (timing.gaps, timing.usual_s) == (12, pytest.approx(0.05))
+
+
+@pytest.mark.parametrize(("flagged", "kind"), [(0.0, "bursts"), (0.4, "bursts"), (0.6, "steady"), (1.0, "steady")])
+def test_no_burst_makes_up_for_rows_that_are_flagged_as_lost(tmp_path: Path, flagged: float, kind: str) -> None:
+    """Times that look like bursts, where the recorder counted what it lost in a share of the gaps."""
+    _, arrived_s = bursts(3000, 99.3)
+    gaps = np.flatnonzero(np.diff(arrived_s) > 3 * np.median(np.diff(arrived_s))) + 1
+    status = np.zeros(3000, np.uint16)
+    status[gaps[: round(flagged * len(gaps))]] = LOST_BEFORE
+    with open_log(log_with(tmp_path / "log.h5", arrived_s, status=status)) as log:
+        timing = row_timing(log["S"])
+    assert timing.kind == kind
+    assert timing.gaps == len(gaps)
+    assert bool(timing.sentence) == (kind == "bursts")

@@ -3,7 +3,7 @@
 A recorder that stalls reads nothing for a while and goes on at the usual pace. A host that is late reads in a burst
 what a chip has buffered, or stamps what a driver has buffered: then the times are those of arrival and not of the
 readings. The rows after a gap distinguish the two: a burst is as long as the gap before it requires, the rows after a
-stall are not.
+stall are not. Rows that are flagged as lost never arrive, in a burst or otherwise.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers, Times
+from imuarray.arrays import Booleans, Floats, Integers, Times
 from imuarray.log import SensorLog
+from imuarray.log.format import LOST_BEFORE
 
 Kind = Literal["steady", "stalls", "bursts"]
 
@@ -45,6 +46,9 @@ LEAST_HURRY = 1.5
 """Rows of bursts come at least so many times as fast as on average, or after a gap as usual; others do not make up for
 anything.
 """
+
+LOST_SHARE = 0.5
+"""Share of gaps in which rows are flagged as lost from which on no burst makes up for them."""
 
 SAME = 0.8
 """Least share of the gaps that follow after the same number of rows for stalls to have a period."""
@@ -102,7 +106,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         return RowTiming("steady", rows, 0.0, 0.0)
     seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
     usual_s = float(np.median(np.diff(np.asarray(sensor.time[: 1 << 16], np.int64)))) * 1e-9
-    after, length_s, next_s = _gaps(sensor, GAP * usual_s)
+    after, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
     if len(after):
         steady = replace(steady, gaps=len(after), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
@@ -114,8 +118,11 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     is_periodic = np.mean(before == period_rows) >= SAME
     hurry = seconds / (rows - 1) / usual_s
     makes_up = hurry > LEAST_HURRY or float(np.median(next_s)) < usual_s / LEAST_HURRY
+    in_bursts = makes_up and _is_burst(length_s, rows_after, hurry)
+    if in_bursts and np.mean(is_lost) > LOST_SHARE:
+        return steady
     return RowTiming(
-        "bursts" if makes_up and _is_burst(length_s, rows_after, hurry) else "stalls",
+        "bursts" if in_bursts else "stalls",
         rows,
         seconds,
         usual_s,
@@ -126,11 +133,11 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     )
 
 
-def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats]:
+def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, Booleans]:
     """The row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one may
-    only bring the rows back to the grid of the frames.
+    only bring the rows back to the grid of the frames. And whether rows in it are flagged as lost (k,).
     """
-    after, length_s, next_s = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)]
+    after, length_s, next_s, is_lost = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
     for block in sensor.blocks():
         first = max(block.start - 1, 0)
         times_ns = np.asarray(sensor.time[first : block.stop], np.int64)
@@ -139,7 +146,9 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats]:
         after.append(first + long)
         length_s.append(intervals_s[long])
         next_s.append(intervals_s[np.minimum(long + 2, len(intervals_s) - 1)])
-    return np.concatenate(after), np.concatenate(length_s), np.concatenate(next_s)
+        flags = np.asarray(sensor.status[first : block.stop])[long + 1] if len(long) else np.zeros(0, np.uint16)
+        is_lost.append((flags & LOST_BEFORE) != 0)
+    return np.concatenate(after), np.concatenate(length_s), np.concatenate(next_s), np.concatenate(is_lost)
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
