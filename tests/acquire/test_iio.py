@@ -436,7 +436,7 @@ def test_a_bus_without_devices_and_a_folder_that_is_no_machine(tmp_path: Path) -
     (tmp_path / "sys").mkdir()
     with (
         open_bus(f"iio:{tmp_path}", array) as bus,
-        pytest.raises(SensorError, match="there is no device in /sys/bus/iio/devices; load the module"),
+        pytest.raises(SensorError, match="there is no device in /sys/bus/iio/devices; load the kernel module"),
     ):
         connect(array, bus)
     with open_bus("spi:", array) as bus, pytest.raises(BusUrlError, match="A: iio:kx023 is served by the kernel"):

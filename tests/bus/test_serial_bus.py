@@ -36,7 +36,8 @@ def received(bus: SerialBus, number: int, count: int) -> tuple[list[int], np.nda
             found.append(came[number])
         if sum(len(samples.numbers) for samples in found) >= count:
             break
-    numbers, times, payloads = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    parts = [(samples.numbers, samples.sent_ns, samples.payload) for samples in found]
+    numbers, times, payloads = (np.concatenate(column) for column in zip(*parts, strict=True))
     return numbers.tolist(), times, payloads
 
 

@@ -43,6 +43,7 @@ class TestSpelled:
             "runs",
             "moments_s",
             "lengths_s",
+            "readings_g",
             "spans",
         ]
 
