@@ -21,9 +21,12 @@ from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.g_sensitivity import GSensitivity
+from imuarray.simulate.effects.glitches import Glitches
 from imuarray.simulate.effects.quantisation import Quantisation
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stuck import Stuck
@@ -110,6 +113,25 @@ def test_a_cause_in_full(bench: Bench) -> None:
     late = replace(trial, whole=True)
     (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", late, nats(15.0))))
     assert found.needs_both
+
+
+@pytest.mark.parametrize(
+    ("effect", "axes"),
+    [
+        (AxisError("+X+Y-Z"), ("z",)),
+        (AxisError("+Y+X+Z"), ("x", "y")),
+        (AxisError("-X-Y-Z"), ()),
+        (GSensitivity((0, 0, 0, 0.1, 0, 0, 0, 0, 0)), ("y",)),
+        (Glitches(runs=(0, 0), moments_s=(1.0, 2.0), jumps=(0, 0, 3.0, 0, 0, -3.0)), ("z",)),
+        (Glitches(0.01, amplitude=1.0), ()),
+        (Bias((0.0, 0.1, 0.2)), ("y", "z")),
+        (Stuck(0.0, 5.0), ()),
+    ],
+)
+def test_the_axes_on_which_a_cause_acts(bench: Bench, effect: Effect, axes: tuple[str, ...]) -> None:
+    """No axis is named where all are concerned."""
+    (cause,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", effect, nats(15.0))))
+    assert (cause.effect, cause.axes) == (effect.name, axes)
 
 
 def test_what_is_as_likely_is_confusable(bench: Bench) -> None:

@@ -1,9 +1,9 @@
 """The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent.
 
 A share among rivals says which effect the data prefer. It is too confident: simulated effects do not have exactly the
-form of real ones, and the true effect need not be in the library. It is therefore tempered by rates measured on
-emulated cases whose mechanisms have forms of their own (`imuarray.validation.calibration`), and a gate comes first: if
-no combination of known effects makes a recording likely, no known effect is probable.
+form of real ones, and the true effect need not be in the library. It is therefore tempered by rates measured on cases
+of other generators, whose effects have forms of their own (`imuarray.validation.calibration`), and a gate comes first:
+if no combination of known effects makes a recording likely, no known effect is probable.
 """
 
 from __future__ import annotations
@@ -48,10 +48,11 @@ class Rates(NamedTuple):
     rivals: float
 
 
-RATES = Rates(0.02, 0.99, 1.6, 0.33)
-"""Maximum likelihood on 160 causes from cases of two sealed runs that had been opened and of one of the development
-half, 105 of them right. Of those without a rival that closed 0.98 and more, 30 of 31 were right in the latest run; at
-odds of ten against a rival every third was wrong.
+RATES = Rates(0.1, 0.88, 3.0, 0.28)
+"""Between the maximum likelihood on 169 causes of five opened sealed halves of worlds that others generated (0.18,
+0.83, 3.7, 0.28; 81 of them right, most answered by earlier versions) and on 160 causes of the emulated plan (0.02,
+0.99, 1.6, 0.33; 105 right). Of causes without a rival that closed 0.98 and more, 42 of 58 and 30 of 31 were right. On
+the 169 the calibration error is 0.07, as chance makes it, and the Brier score 0.20.
 """
 
 
