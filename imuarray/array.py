@@ -379,10 +379,10 @@ def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
             continue
         if sensor.on_iio:
             devices = [other for other in array.sensors[: index + 1] if other.bus == sensor.bus]
-            found = _against_device(rival, sensor, devices)
+            mistakes = _against_device(rival, sensor, devices)
         else:
-            found = _against_half(rival, sensor, halves.setdefault(id(rival), [rival.chip]))
-        for key, complaint in found:
+            mistakes = _against_half(rival, sensor, halves.setdefault(id(rival), [rival.chip]))
+        for key, complaint in mistakes:
             yield Mistake((*place, key), "", complaint)
 
 
