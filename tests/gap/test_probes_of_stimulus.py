@@ -95,7 +95,7 @@ def test_timing() -> None:
     np.testing.assert_allclose(value("gaps", found), np.arcsin(np.sqrt(1 / 2999)))
     np.testing.assert_allclose(value("longest_interval", found), np.log(5.0), atol=1e-9)
     np.testing.assert_allclose(value("repeats", found), np.arcsin(np.sqrt(3 / 2999)))
-    np.testing.assert_allclose(value("longest_repeat", found), np.log(3.5))
+    np.testing.assert_allclose(value("longest_repeat", found), 4.0)
 
 
 def test_status() -> None:

@@ -40,6 +40,9 @@ _VARIANCE = 2 * _RMS
 _GENEROUS = math.log(1.25)
 """Margin of the log density at one place of the spectrum, of which the integral over 60 s passes next to nothing."""
 
+_RUN_ROWS = 2.0
+"""Margin of the longest run of equal rows."""
+
 _CORRELATION = SHARE
 _SCORE = 3.0
 _WARMING_DEGC = 10.0
@@ -195,7 +198,7 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "gaps": _ROWS,
         "longest_interval": fixed(_GENEROUS),
         "repeats": _ROWS,
-        "longest_repeat": fixed(_GENEROUS),
+        "longest_repeat": fixed(_RUN_ROWS),
         "stale": _ROWS,
         "saturated": _ROWS,
         "lost": _ROWS,

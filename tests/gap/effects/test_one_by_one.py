@@ -73,11 +73,15 @@ def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
     return np.asarray(np.asarray(status) & flag != 0)
 
 
+@pytest.mark.parametrize("has_readings", [False, True])
 @pytest.mark.parametrize(("sensor", "kind"), some([("G1", "new"), ("G2", "stale")], 1))
-def test_rows_that_are_held(made: Made, sensor: str, kind: str) -> None:
-    """By a noise of some counts three rows are not equal by chance; the flag is as it was."""
-    found = [trial for trial in stuck.guesses(shown(made, sensor)) if trial.whole]
-    (trial,) = found
+def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bool) -> None:
+    """By a noise of some counts three rows are not equal by chance; the flag is as it was. The readings are those of
+    the recording, or what the simulation holds.
+    """
+    trials = [trial for trial in stuck.guesses(shown(made, sensor)) if trial.whole]
+    trial = trials[has_readings]
+    assert len(trials) == 2
     (effect,) = trial.effects
     assert isinstance(effect, Stuck)
     assert effect.kind == kind
@@ -88,6 +92,7 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str) -> None:
     there, real = repeated_rows_in([block]), campaign.logs[0].events[sensor].repeated
     np.testing.assert_array_equal(there.begin_ns, real.begin_ns)
     np.testing.assert_array_equal(there.end_ns, real.end_ns)
+    assert np.array_equal(there.counts, real.counts) == has_readings
     assert (_flagged(block.status, STALE) == _flagged(recording.log[sensor].status[:], STALE)).all()
 
 

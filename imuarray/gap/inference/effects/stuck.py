@@ -72,16 +72,20 @@ def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests all stretches that are longer than the model makes them, with the readings that they repeat."""
-    longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
+    """Suggests all stretches that are longer than the model makes them: with the readings that they repeat, which what
+    chance holds need not resemble, and without, since a bias that varies moves these readings away from the others.
+    """
+    longest = evidence.expected.get("longest_repeat", np.zeros((0, 1)))  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
     repeated = [repetition for repetition in evidence.repeated if repetition.rows >= least]
     if not _FEWEST <= len(repeated) <= SINGLE:
         return
     readings = tuple(count / evidence.header.sensitivity for repetition in repeated for count in repetition.counts)
-    known = stretches([_with_first_reading(repetition) for repetition in repeated])
-    stuck = Stuck(kind=_kind(evidence), **known, readings=readings)
-    yield Hypothesis((stuck,), whole=True, rarity=NUMBERS * len(repeated))
+    kind, rarity = _kind(evidence), NUMBERS * len(repeated)
+    alone = stretches([repetition.span for repetition in repeated])
+    yield Hypothesis((Stuck(kind=kind, **alone),), whole=True, rarity=rarity)
+    with_first = stretches([_with_first_reading(repetition) for repetition in repeated])
+    yield Hypothesis((Stuck(kind=kind, **with_first, readings=readings),), whole=True, rarity=rarity)
 
 
 def _with_first_reading(repetition: Repetition) -> Span:

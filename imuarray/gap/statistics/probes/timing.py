@@ -40,8 +40,8 @@ def repeats(summary: Summary) -> Floats:
 
 
 def longest_repeat(summary: Summary) -> Floats:
-    """Log of the length of the longest run of equal rows, and a half."""
-    return log(summary.repeats.longest - 0.5)
+    """Rows of the longest run of equal rows: by chance its length has an exponential tail, that of its log none."""
+    return np.asarray(float(summary.repeats.longest))
 
 
 def _hundredth(_: Summary) -> float:
@@ -81,11 +81,11 @@ REPEATS = PhaseProbe(
 )
 LONGEST_REPEAT = PhaseProbe(
     "timing",
-    "log of the longest run of equal rows",
+    "rows of the longest run of equal rows",
     "",
     ("stuck", "odr_error"),
     longest_repeat,
     True,
-    lambda _: 0.5,
+    lambda _: 1.0,
     False,
 )
