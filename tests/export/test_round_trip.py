@@ -187,7 +187,7 @@ class TestCommand:
                 (["run.h5", "-o", "there.csv"], "there.csv: exists already"),
                 (["run.h5", "-o", "r.csv", "--sensor", "X"], "no sensor 'X'; it has Acc, Baro, Gyro"),
                 (["run.h5", "-o", "r.csv", "--calibration", "none.toml"], "none.toml: No such file"),
-                (["there.csv", "-o", "r.csv"], "no HDF5 file"),
+                (["there.csv", "-o", "r.csv"], "is not an HDF5 file"),
                 (["run.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
                 (["fused.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
             ],

@@ -284,8 +284,12 @@ def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
     """Six boots; every second one is held out."""
     motions = [turn_on_run(run, 6.0) for run in range(1, 7)]
     found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.1, 0.1, 0.1)),)}, motions=motions))
-    assert found.causes[0].effect == "turn_on_bias"
-    assert found.verdict == "explained"
+    (cause,) = found.causes
+    assert cause.effect == "turn_on_bias"
+    assert cause.share > 0.9
+    assert found.gap.closed is not None
+    assert found.gap.closed > 0.95
+    assert found.verdict in ("explained", "partly explained")  # six boots make it about as likely as not
     assert found.held_out == "held out: 3 of 6 logs (every second of a kind)"
 
 
