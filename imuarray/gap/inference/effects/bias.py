@@ -72,8 +72,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class LevelStep(NamedTuple):
-    """Levels that are other ones by `size` (3,), in the sensor's unit, in stretches of a log, `when`; the last of these
-    begins somewhere between the moments `begin_bounds_s` where no segment at rest tells (None: segments tell).
+    """A step of the levels by `size` (3,), in the sensor's unit, during stretches of a log (`when`). The last stretch
+    begins between the moments `begin_bounds_s` if no segment at rest shows its beginning, as in a motion; else None.
     """
 
     size: Floats

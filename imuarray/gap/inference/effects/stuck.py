@@ -72,8 +72,8 @@ def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests all stretches that are longer than the model makes them: with the readings that they repeat, which what
-    chance holds need not resemble, and without, since a bias that varies moves these readings away from the others.
+    """Suggests all stretches that are longer than the model makes them, in two forms: with the recorded readings, and
+    with whatever reading the simulation holds. Recorded readings fit only if the simulated bias varies little.
     """
     longest = evidence.expected.get("longest_repeat", np.zeros((0, 1)))  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1

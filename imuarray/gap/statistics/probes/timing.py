@@ -40,7 +40,7 @@ def repeats(summary: Summary) -> Floats:
 
 
 def longest_repeat(summary: Summary) -> Floats:
-    """Rows of the longest run of equal rows: by chance its length has an exponential tail, that of its log none."""
+    """Rows of the longest run of equal rows. The length of chance runs has an exponential tail."""
     return np.asarray(float(summary.repeats.longest))
 
 
