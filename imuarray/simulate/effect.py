@@ -72,6 +72,14 @@ class Effect:
         """The run, from when, until when of each."""
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
+    def active_axes(self) -> tuple[bool, ...]:
+        """Return (3,) on which axes it acts, by its parameters of single axes; none if it has no such parameters."""
+        own = [item for item in fields(self) if item.metadata.get("per_axis")]
+        idle = type(self)()
+        return tuple(
+            any(getattr(self, item.name)[axis] != getattr(idle, item.name)[axis] for item in own) for axis in range(3)
+        )
+
     def lookback(self, at: Place) -> int:
         """Return how many rows before a stretch it must see to know what the stretch holds."""
         return 0

@@ -23,9 +23,6 @@ from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.axis_error import AxisError
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.glitches import Glitches
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.parameters import to_table
 
@@ -216,26 +213,8 @@ def _axes(effect: Effect | None) -> tuple[str, ...]:
     """The axes on which an effect acts; none if on all, or if it has no axes."""
     if effect is None:
         return ()
-    if isinstance(effect, AxisError):
-        active = [effect.axes[2 * at : 2 * at + 2] != f"+{axis.upper()}" for at, axis in enumerate(AXES)]
-    elif isinstance(effect, GSensitivity):
-        active = [any(effect.response[3 * at : 3 * at + 3]) for at in range(3)]
-    elif isinstance(effect, Glitches):
-        active = [any(effect.jumps[at::3]) for at in range(3)]
-    else:
-        active = _changed_axes(effect)
+    active = effect.active_axes()
     return () if all(active) or not any(active) else tuple(axis for axis, on in zip(AXES, active, strict=True) if on)
-
-
-def _changed_axes(effect: Effect) -> list[bool]:
-    """(3,) which axes have a parameter of their own that does something."""
-    idle = type(effect)()
-    active = [False] * 3
-    for name, item in type(effect).__dataclass_fields__.items():
-        if item.metadata.get("per_axis"):
-            pairs = zip(getattr(effect, name), getattr(idle, name), strict=True)
-            active = [on or value != default for on, (value, default) in zip(active, pairs, strict=True)]
-    return active
 
 
 def _origin(trial: Hypothesis) -> Origin:

@@ -36,6 +36,10 @@ class AxisError(Effect):
         if match is None or len(set(match.groups()[1::2])) < 3:
             raise ValueError(f"axes: {self.axes!r}; each of X, Y, Z once, signed, such as '+Y+X-Z'")
 
+    def active_axes(self) -> tuple[bool, ...]:
+        """Return (3,) which axes are not the nominal ones."""
+        return tuple(self.axes[at : at + 2] != _NOMINAL[at : at + 2] for at in (0, 2, 4))
+
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Exchanges axes and signs of the signal and of the specific force."""
         if self.axes == _NOMINAL:

@@ -29,6 +29,10 @@ class GSensitivity(Effect):
         super().__post_init__()
         object.__setattr__(self, "response", numbers("response", self.response, 9))
 
+    def active_axes(self) -> tuple[bool, ...]:
+        """Return (3,) which axes respond to force."""
+        return tuple(any(self.response[at : at + 3]) for at in (0, 3, 6))
+
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds what the force does."""
         if not any(self.response):

@@ -63,6 +63,10 @@ class Glitches(Effect):
                 f"moments_s: {len(self.moments_s)}; as many runs and three times as many jumps are required"
             )
 
+    def active_axes(self) -> tuple[bool, ...]:
+        """Return (3,) which axes have a known jump."""
+        return tuple(any(self.jumps[axis::3]) for axis in range(3))
+
     def lookback(self, at: Place) -> int:
         """A torn reading needs the row before it; so does one that is the first after a moment."""
         if self.moments_s:
