@@ -98,8 +98,13 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
         f"{f'{mistake.subject}: ' if mistake.subject else ''}{mistake.complaint}"
         for mistake in mistakes
     ]
+    return ConfigError(_joined(listed))
+
+
+def _joined(listed: Sequence[str]) -> str:
+    """The first complaints on one line, and how many more there are."""
     more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
-    return ConfigError("; ".join([*listed[:_TOLD], *more]))
+    return "; ".join([*listed[:_TOLD], *more])
 
 
 def _line(mistake: Mistake, lines: Mapping[Place, int]) -> int:
@@ -149,7 +154,7 @@ def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str)
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
     listed = _mistakes(error, table, model)
-    return "; ".join(f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed)
+    return _joined([f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed])
 
 
 def _mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Mistake]:

@@ -140,6 +140,13 @@ def test_what_is_no_figure_is_refused(value: object, complaint: str) -> None:
     assert "\n" not in str(refused.value)
 
 
+def test_a_table_of_many_mistakes_names_twelve_of_them() -> None:
+    with pytest.raises(ConfigError) as refused:
+        figure_of({"mean": 1.0, "sigma": 1.0, **{f"key_{number}": 1 for number in range(1000)}}, "K")
+    assert str(refused.value).count("unknown key") == 12
+    assert str(refused.value).endswith("; and 988 more")
+
+
 @pytest.mark.parametrize("value", [1.5, float("inf"), "spike", [1, 2.0, 3], [{"sigma": 1.0}, 2.0, 3.0]])
 def test_a_figure_is_written_as_it_was_read(value: object) -> None:
     assert table_of(figure_of(value, "")) == value
