@@ -235,7 +235,7 @@ def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
 
 def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
     """Rows before which others are missing, how many, and whether they have the flag, of each block that has such."""
-    usual_ns = 0.0
+    usual_ns, is_regular = 0.0, False
     for block in sensor.blocks():
         first = max(block.start - _AROUND - 1, 0)
         times = np.asarray(sensor.time[first : min(block.stop + _AROUND, len(sensor))], np.int64)
@@ -248,17 +248,18 @@ def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
         if usual_ns <= 0:
             continue
         periods = intervals / usual_ns
-        holes = np.flatnonzero(np.where(lost, periods >= _HOLE, _are_skips(periods))[own]) + own.start
+        if len(periods) >= _LEAST_REGULAR:  # a shorter block at the end is as regular as the one before
+            is_regular = bool(np.mean(np.abs(periods - 1) <= _OFF_GRID) >= _REGULAR)
+        are_holes = np.where(lost, periods >= _HOLE, is_regular & _are_skips(periods))
+        holes = np.flatnonzero(are_holes[own]) + own.start
         if len(holes):
             yield first + 1 + holes, np.rint(periods[holes]).astype(np.int64) - 1, lost[holes]
 
 
 def _are_skips(periods: Floats) -> Booleans:
-    """True for intervals (n,), in usual ones, that lack rows: near a whole number of periods, among intervals that are
-    nearly all of one period, and without a shorter one nearby, which would follow a row that is only late.
+    """True for intervals (n,) of a regular record, in usual ones, that lack rows: near a whole number of periods, and
+    without a shorter one nearby, which would follow a row that is only late.
     """
-    if len(periods) < _LEAST_REGULAR or np.mean(np.abs(periods - 1) <= _OFF_GRID) < _REGULAR:
-        return np.zeros(len(periods), bool)
     near = sliding_window_view(np.pad(periods, _AROUND, constant_values=1.0), 2 * _AROUND + 1).min(axis=1)
     fits = np.abs(periods - np.rint(periods)) <= _OFF_GRID
     return np.asarray(fits & (periods >= _HOLE) & (periods <= _LONGEST_SKIP) & (near >= 1 - _OFF_GRID))

@@ -225,10 +225,12 @@ def regular(rows: int, missing: Sequence[int], jitter: float = 0.02, seed: int =
     return np.rint((kept + np.random.default_rng(seed).normal(0, jitter, len(kept))) * PERIOD_NS).astype(np.int64)
 
 
-@pytest.mark.parametrize("rows", [1000, 70_000])
+@pytest.mark.parametrize("rows", [1000, 65_610, 70_000])
 def test_rows_that_a_regular_record_lacks_are_lost_whether_or_not_a_flag_says_so(tmp_path: Path, rows: int) -> None:
-    """Gaps of one, two and three rows at uneven distances, one of them where blocks of 65536 rows meet."""
-    missing = [50, 61, 62, 300, 301, 302, 700, *([65_537, 65_900] if rows > 65_536 else [])]
+    """Gaps of one, two and three rows at uneven distances, one of them where blocks of 65536 rows meet, and one in the
+    last block, however short that is.
+    """
+    missing = [50, 61, 62, 300, 301, 302, 700, *([65_537, rows - 30] if rows > 65_536 else [])]
     times = regular(rows, missing)
     with open_log(log_of(tmp_path / "log.h5", times, [])) as log:
         line = filled(log["A"])
