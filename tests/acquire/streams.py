@@ -20,6 +20,7 @@ from tests.bus.serial_bench import Bench
 
 MS, S = 1_000_000, 1_000_000_000
 STALE, OVERRUN, LOST, RECONFIGURED, SUSPECT = 1, 2, 8, 16, 32
+DATA = 0xD0
 
 
 def stream(
@@ -90,3 +91,28 @@ def logged(path: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def events(path: Path) -> list[tuple[str, str, str]]:
     with open_log(path) as log:
         return [(event.sensor, event.kind, event.message) for event in log.events]
+
+
+class BadLine:
+    """A line that damages a `share` of the frames of data: nothing arrives, a part, noise, a wrong bit, or, if it
+    `repeats`, the frame twice. `damaged` counts them.
+    """
+
+    def __init__(self, seed: int, share: float, *, repeats: bool = False) -> None:
+        self.damaged = 0
+        self._draw, self._share, self._repeats = np.random.default_rng(seed), share, repeats
+
+    def __call__(self, piece: bytes) -> bytes:
+        draw = self._draw
+        if not piece or piece[4] != DATA or draw.random() > self._share:
+            return piece
+        self.damaged += 1
+        at = int(draw.integers(len(piece)))
+        kinds = [
+            b"",
+            piece[:at],
+            bytes(draw.bytes(30)) + piece[5:],
+            piece[:at] + bytes([piece[at] ^ 1 << int(draw.integers(8))]) + piece[at + 1 :],
+            *([piece + piece] if self._repeats else []),
+        ]
+        return kinds[int(draw.integers(len(kinds)))]

@@ -18,7 +18,19 @@ from imuarray.acquire.recording import Summary
 from imuarray.acquire.sensor_routes import routes_of
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, parse_array
-from tests.acquire.streams import LOST, MS, OVERRUN, RECONFIGURED, SUSPECT, S, events, logged, on_the_wire, stream
+from tests.acquire.streams import (
+    LOST,
+    MS,
+    OVERRUN,
+    RECONFIGURED,
+    SUSPECT,
+    BadLine,
+    S,
+    events,
+    logged,
+    on_the_wire,
+    stream,
+)
 from tests.bus.serial_bench import Bench
 from tests.selection import some
 
@@ -26,7 +38,6 @@ BURST = b"\xad"  # register 2D, flags, with the bit that reads (TDK-70); count a
 PACKET = 16
 LONGEST_US = 130_000
 """No packet of 1 kHz is older: there are 128 of 16 bytes in 2048 (TDK-80)."""
-DATA = 0xD0
 WORLD = "world=shaking&still_s=0.2&motion_s=9"
 ERRORS = (0.01, -0.0043)
 
@@ -191,26 +202,9 @@ def test_packets_of_high_resolution(tmp_path: Path) -> None:
 def test_a_bad_line_costs_packets_and_never_makes_any(seed: int, tmp_path: Path) -> None:
     array = array_of(2)
     bench = bench_of(array, drift=-1e-3)
-    draw = np.random.default_rng(seed)
-    spoiled_frames = 0
-
-    def spoiled(piece: bytes) -> bytes:
-        nonlocal spoiled_frames
-        if not piece or piece[4] != DATA or draw.random() > 0.03:
-            return piece
-        spoiled_frames += 1
-        at = int(draw.integers(len(piece)))
-        return [
-            b"",
-            piece[:at],
-            bytes(draw.bytes(30)) + piece[5:],
-            piece[:at] + bytes([piece[at] ^ 1 << int(draw.integers(8))]) + piece[at + 1 :],
-            piece + piece,
-        ][int(draw.integers(5))]
-
-    bench.delivered = spoiled
+    line = bench.delivered = BadLine(seed, 0.03, repeats=True)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=20, seconds=4)
-    assert spoiled_frames > 5
+    assert line.damaged > 5
     check(bench, array, tmp_path / "r.h5", start_ns, summary)
 
 

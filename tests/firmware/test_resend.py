@@ -15,7 +15,7 @@ from imuarray.array import ArrayConfig
 from imuarray.bus.serial_admission import Admission
 from imuarray.bus.serial_link import Frame, PollList, Request
 from tests.acquire.conftest import an_array
-from tests.acquire.streams import LOST, SUSPECT, S, events, logged, on_the_wire, stream
+from tests.acquire.streams import DATA, LOST, SUSPECT, BadLine, S, events, logged, on_the_wire, stream
 from tests.bus import serial_bench
 from tests.bus.serial_bench import Bench
 from tests.firmware.build import CoreFirmware
@@ -23,7 +23,6 @@ from tests.selection import some
 
 __all__ = ["an_array"]
 
-DATA = 0xD0
 WORLD = "world=shaking&still_s=0.2&motion_s=9"
 
 
@@ -51,26 +50,10 @@ def check_rows(bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summ
 def test_what_a_bad_line_loses_is_sent_again(an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int) -> None:
     array = an_array(A=0, G=1, B=None)
     bench = Bench(array, WORLD, drift=-1e-3)
-    draw = np.random.default_rng(seed)
-    spoiled_frames = 0
-
-    def spoiled(piece: bytes) -> bytes:
-        nonlocal spoiled_frames
-        if not piece or piece[4] != DATA or draw.random() > 0.1:
-            return piece
-        spoiled_frames += 1
-        at = int(draw.integers(len(piece)))
-        return [
-            b"",
-            piece[:at],
-            bytes(draw.bytes(30)) + piece[5:],
-            piece[:at] + bytes([piece[at] ^ 1 << int(draw.integers(8))]) + piece[at + 1 :],
-        ][int(draw.integers(4))]
-
-    bench.delivered = spoiled
+    line = bench.delivered = BadLine(seed, 0.1)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", seconds=3)
     check_rows(bench, array, tmp_path / "r.h5", start_ns, summary)
-    assert spoiled_frames > 20
+    assert line.damaged > 20
     assert max(summary.lost.values()) <= 2  # three attempts were spoiled as well, or it was the last frame
     # An answer that was asked for twice is one too many; data never is.
     refusals = [text for _, kind, text in events(tmp_path / "r.h5") if kind == "refused"]
