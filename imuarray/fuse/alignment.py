@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -186,26 +186,25 @@ def _late(grid: Times, time: Times, period_ns: float) -> Floats:
 
 def nearest(time: Times, grid: Times) -> Times:
     """(n,) the index of the row of `time` (k,), k > 0, that is nearest to each of `grid` (n,)."""
-    after = np.minimum(np.searchsorted(time, grid), len(time) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.asarray(np.where(grid - time[before] <= time[after] - grid, before, after))
+    return np.asarray(np.searchsorted(time[:-1] + time[1:], 2 * grid))  # beyond the middle of two rows is the later one
 
 
 def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats:
-    """Rows (k, c) at times `known` (k,) ns, interpolated at `at` (n,) ns: (n, c).
+    """Rows (k, c) at times `known` (k,) ns, interpolated at `at` (n,) ns, which increase: (n, c).
 
     One spline for each stretch without a row that is not finite and without a pause longer than `gap_ns`; NaN outside
     the stretches.
     """
     result = np.full((len(at), rows.shape[1]), np.nan)
     for run in _stretches(known, rows, gap_ns):
-        inside = (at >= known[run][0]) & (at <= known[run][-1])
-        row = run.start + np.searchsorted(known[run], at[inside])
-        if np.array_equal(known[row], at[inside]):  # nothing lies between the rows
-            result[inside] = rows[row]
+        first, last = int(np.searchsorted(at, known[run][0])), int(np.searchsorted(at, known[run][-1], "right"))
+        inside = at[first:last]
+        row = run.start + np.searchsorted(known[run], inside)
+        if np.array_equal(known[row], inside):  # nothing lies between the rows
+            result[first:last] = rows[row]
             continue
         spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
-        result[inside] = spline.at((at[inside] - known[0]) * 1e-9)
+        result[first:last] = spline.at((inside - known[0]) * 1e-9)
     return result
 
 
@@ -213,7 +212,7 @@ def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floa
     """First and second derivative (k, c) per second of rows (k, c) at their own times (k,) ns, by the splines of
     `between_gaps`; zero where there is none.
     """
-    first, second = np.zeros(rows.shape), np.zeros(rows.shape)
+    first, second = np.zeros(rows.shape[::-1]).T, np.zeros(rows.shape[::-1]).T
     for run in _stretches(known, rows, gap_ns):
         spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
         first[run], second[run] = spline.slopes, spline.curvatures()
@@ -228,73 +227,80 @@ class _Spline:
     """The cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either side of
     the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV): the same
     spline as `scipy.interpolate.CubicSpline`, whose import would take a third of a second in every command.
+
+    Inside it every column is contiguous, (c, k): numpy takes several times as long over rows of three.
     """
 
     def __init__(self, knots: Floats, rows: Floats) -> None:
-        self._knots, self._rows = knots, rows
-        self._widths = np.diff(knots)[:, None]
-        self._rises = np.diff(rows, axis=0) / self._widths
-        self.slopes = self._solved()
-        """(k, c) at the knots."""
+        self._knots, self._columns = knots, np.ascontiguousarray(rows.T)
+        self._widths = np.diff(knots)
+        self._rises = np.diff(self._columns) / self._widths
+        self._slopes = self._solved()
+
+    @property
+    def slopes(self) -> Floats:
+        """(k, c) first derivatives at the knots."""
+        return self._slopes.T
 
     def curvatures(self) -> Floats:
         """(k, c) second derivatives at the knots."""
         square, cube = self._powers()
-        last = 2 * square[-1:] + 6 * cube[-1:] * self._widths[-1:]
-        return np.concatenate([2 * square, last])
+        last = 2 * square[:, -1:] + 6 * cube[:, -1:] * self._widths[-1]
+        return np.concatenate([2 * square, last], axis=1).T
 
     def at(self, places: Floats) -> Floats:
         """(n, c) at places (n,) from the first to the last knot."""
         piece = np.clip(np.searchsorted(self._knots, places, "right") - 1, 0, len(self._knots) - 2)
         square, cube = self._powers()
-        beyond = (places - self._knots[piece])[:, None]
-        return np.asarray(
-            self._rows[piece] + beyond * (self.slopes[piece] + beyond * (square[piece] + beyond * cube[piece]))
-        )
+        beyond = places - self._knots[piece]
+        result = beyond * cube[:, piece]
+        for power in (square, self._slopes):
+            result += power[:, piece]
+            result *= beyond
+        return np.asarray(self._columns[:, piece] + result).T
 
     def _powers(self) -> tuple[Floats, Floats]:
-        """(k - 1, c) factors of the square and the cube of the way from the knot before."""
-        bend = (self.slopes[:-1] + self.slopes[1:] - 2 * self._rises) / self._widths
-        return (self._rises - self.slopes[:-1]) / self._widths - bend, bend / self._widths
+        """(c, k - 1) factors of the square and the cube of the way from the knot before."""
+        bend = (self._slopes[:, :-1] + self._slopes[:, 1:] - 2 * self._rises) / self._widths
+        return (self._rises - self._slopes[:, :-1]) / self._widths - bend, bend / self._widths
 
     def _solved(self) -> Floats:
-        """The slopes at the knots that make the second derivative continuous."""
+        """(c, k) the slopes at the knots that make the second derivative continuous."""
         widths, rises, count = self._widths, self._rises, len(self._knots)
         if count == 2:
-            return np.repeat(rises, 2, axis=0)
-        wanted = np.empty(self._rows.shape)
-        wanted[1:-1] = 3 * (widths[1:] * rises[:-1] + widths[:-1] * rises[1:])
+            return np.repeat(rises, 2, axis=1)
+        wanted = np.empty(self._columns.shape)
+        wanted[:, 1:-1] = 3 * (widths[1:] * rises[:, :-1] + widths[:-1] * rises[:, 1:])
         if count == 3:  # one parabola
-            wanted[0], wanted[-1] = 2 * rises[0], 2 * rises[1]
-            h, g = widths[0, 0], widths[1, 0]
-            return np.asarray(
-                np.linalg.solve(np.array([[1.0, 1.0, 0.0], [g, 2 * (h + g), h], [0.0, 1.0, 1.0]]), wanted)
-            )
-        first, last = widths[0, 0] + widths[1, 0], widths[-2, 0] + widths[-1, 0]
-        wanted[0] = ((widths[0] + 2 * first) * widths[1] * rises[0] + widths[0] ** 2 * rises[1]) / first
-        wanted[-1] = (widths[-1] ** 2 * rises[-2] + (2 * last + widths[-1]) * widths[-2] * rises[-1]) / last
-        wanted[1] -= wanted[0]  # without the slope at either end, the rows of the others have a strong diagonal
-        wanted[-2] -= wanted[-1]
+            wanted[:, 0], wanted[:, -1] = 2 * rises[:, 0], 2 * rises[:, 1]
+            h, g = widths
+            matrix = np.array([[1.0, 1.0, 0.0], [g, 2 * (h + g), h], [0.0, 1.0, 1.0]])
+            return np.asarray(np.linalg.solve(matrix, wanted.T)).T
+        first, last = widths[0] + widths[1], widths[-2] + widths[-1]
+        wanted[:, 0] = ((widths[0] + 2 * first) * widths[1] * rises[:, 0] + widths[0] ** 2 * rises[:, 1]) / first
+        wanted[:, -1] = (widths[-1] ** 2 * rises[:, -2] + (2 * last + widths[-1]) * widths[-2] * rises[:, -1]) / last
+        wanted[:, 1] -= wanted[:, 0]  # without the slope at either end, the rows of the others have a strong diagonal
+        wanted[:, -2] -= wanted[:, -1]
         diagonal = 2 * (widths[:-1] + widths[1:])
         diagonal[0], diagonal[-1] = first, last
-        before, after = -widths[1:, 0] / diagonal[:, 0], -widths[:-1, 0] / diagonal[:, 0]
+        before, after = -widths[1:] / diagonal, -widths[:-1] / diagonal
         before[0] = after[-1] = 0.0
         slopes = wanted
-        slopes[1:-1] = _relaxed(before, after, wanted[1:-1] / diagonal)
-        slopes[0] = (wanted[0] - first * slopes[1]) / widths[1]
-        slopes[-1] = (wanted[-1] - last * slopes[-2]) / widths[-2]
+        slopes[:, 1:-1] = _relaxed(before, after, wanted[:, 1:-1] / diagonal)
+        slopes[:, 0] = (wanted[:, 0] - first * slopes[:, 1]) / widths[1]
+        slopes[:, -1] = (wanted[:, -1] - last * slopes[:, -2]) / widths[-2]
         return slopes
 
 
 def _relaxed(before: Floats, after: Floats, alone: Floats) -> Floats:
-    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (k, c); the two factors (k,) of every
+    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (c, k); the two factors (k,) of every
     row are below one together.
 
     Parallel cyclic reduction: putting in the neighbours' equations leaves the same equations between rows twice as far
     apart, whose factors are about the squares of those before, and soon too small for the precision (R. W. Hockney and
     C. R. Jesshope, "Parallel Computers 2", 1988, section 5.4.3).
     """
-    apart, result = 1, np.ascontiguousarray(alone.T)
+    apart, result = 1, alone
     while apart < len(before) and max(np.abs(before).max(), np.abs(after).max()) > _NEGLIGIBLE:
         later, sooner = before[apart:], after[:-apart]  # the factors of rows that have such a neighbour
         through = later * sooner
@@ -309,14 +315,17 @@ def _relaxed(before: Floats, after: Floats, alone: Floats) -> Floats:
         further_before[apart:] = later * before[:-apart]
         further_after[:-apart] = sooner * after[apart:]
         before, after, apart = further_before / own, further_after / own, 2 * apart
-    return np.asarray(result.T)
+    return result
 
 
 def _stretches(known: Times, rows: Floats, gap_ns: float) -> list[slice]:
     """The rows, two and more of them, between which nothing is missing."""
-    whole = np.asarray(np.isfinite(rows).all(axis=1))
-    ends = np.flatnonzero(~whole[1:] | ~whole[:-1] | (np.diff(known) > gap_ns)) + 1
-    bounds = [0, *ends.tolist(), len(known)]
+    finite = np.isfinite(rows)
+    apart = np.asarray(np.diff(known) > gap_ns)
+    if not finite.all():
+        whole = np.asarray(finite.all(axis=1))
+        apart |= ~whole[1:] | ~whole[:-1]
+    bounds = [0, *(np.flatnonzero(apart) + 1).tolist(), len(known)]
     return [slice(start, stop) for start, stop in itertools.pairwise(bounds) if stop - start > 1]
 
 
@@ -325,8 +334,6 @@ MARGIN = 32
 
 _AT_END = 0.95
 """Share of the measuring range beyond which an axis of a triad that is flagged as saturated is the one at its end."""
-
-_Kind = TypeVar("_Kind", bound=np.generic)
 
 _SAME_RATE = 0.1
 """Share by which the chip's rate and that of the frames may differ for them to be one."""
@@ -363,7 +370,7 @@ class Unit:
 
 
 class _Part(NamedTuple):
-    """One sensor on the grid: values and clipped (n, 3) along its axes; valid, stale and late_s (n,)."""
+    """One sensor on the grid: values (3, n) and clipped (n, 3) along its axes; valid, stale and late_s (n,)."""
 
     values: Floats
     clipped: npt.NDArray[np.int8]
@@ -381,26 +388,27 @@ def align(
     Frames that are nearer than `MARGIN` to either end of the grid are as the rest only if nothing lies beyond it.
     """
     parts = [_on_grid(unit, block, grid, period_ns) for unit, block in zip(units, rows, strict=True)]
-    values = np.concatenate([part.values for part in parts], axis=1)
-    valid = _by_axis([part.valid for part in parts])
-    late_s = _by_axis([part.late_s for part in parts])
+    columns = np.concatenate([part.values for part in parts])  # axis by axis, as numpy is fastest
+    valid, late_s = np.stack([part.valid for part in parts]), np.stack([part.late_s for part in parts])
+    each_valid = _by_axis(valid)
     if late_s.any():
-        mean = consensus(values, valid, directions, units[0].known.quantity)
-        values -= _motion(grid, mean, valid, late_s, period_ns, directions)
+        mean = consensus(columns.T, each_valid, directions, units[0].known.quantity)
+        columns -= _motion(grid, mean, valid, late_s, period_ns, directions)
     clipped = np.concatenate([part.clipped for part in parts], axis=1)
-    return Frames(grid, values, valid, clipped, _by_axis([part.stale for part in parts]))
+    stale = _by_axis(np.stack([part.stale for part in parts]))
+    return Frames(grid, np.ascontiguousarray(columns.T), each_valid, clipped, stale)
 
 
-def _by_axis(columns: Sequence[npt.NDArray[_Kind]]) -> npt.NDArray[_Kind]:
-    """(n, 3 s) from s columns (n,): each sensor's three times."""
-    return np.repeat(np.stack(columns, axis=1), 3, axis=1)
+def _by_axis(sensors: Booleans) -> Booleans:
+    """(n, 3 s) from (s, n): each sensor's three times."""
+    return np.ascontiguousarray(np.repeat(sensors, 3, axis=0).T)
 
 
 def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> _Part:
     """The readings nearest to each grid time, within half a frame."""
     if block is None or len(block.time) == 0:
-        nothing, empty = np.zeros(len(grid), bool), np.zeros((len(grid), 3))
-        return _Part(empty, empty.astype(np.int8), nothing, nothing, np.zeros(len(grid)))
+        nothing, empty = np.zeros(len(grid), bool), np.zeros((3, len(grid)))
+        return _Part(empty, np.zeros((len(grid), 3), np.int8), nothing, nothing, np.zeros(len(grid)))
     rows = nearest(block.time, grid)
     index: Times | slice = rows
     if len(rows) and (np.diff(rows) == 1).all():  # one reading in each frame: views, no copies
@@ -409,11 +417,11 @@ def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> 
     late_ns = (time - grid).astype(float)
     age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
     counts = block.counts[index]
-    values: Floats = np.subtract(counts, _bias(unit, time), dtype=np.float64)
-    values /= unit.known.lsb_per_si
+    values: Floats = np.subtract(counts.T, np.atleast_2d(_bias(unit, time)).T, out=np.empty((3, len(grid))))
+    values /= unit.known.lsb_per_si[:, None]
     near = np.abs(late_ns) <= int(period_ns / 2)
     if not near.all():  # whatever else there is belongs to other frames
-        values, status, late_ns = np.where(near[:, None], values, 0.0), status * near, late_ns * near
+        values, status, late_ns = np.where(near, values, 0.0), status * near, late_ns * near
     late_ns -= age_ns * near
     valid = ((status & (SATURATED | SUSPECT)) == 0) & near
     return _Part(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
@@ -438,9 +446,10 @@ def _clipped(unit: Unit, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16
 
 
 def _motion(grid: Times, mean: Floats, valid: Booleans, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
-    """(n, m) what the motion, the array's `mean` (n, 3), did along each axis between the grid and the reading; zero
-    where too little is valid to tell.
+    """(m, n) what the motion, the array's `mean` (n, 3), did along each axis between the grid and the reading of each
+    sensor (s, n); zero where too little is valid to tell.
     """
     slope, curvature = derivatives(grid, mean, gap_ns=5 * period_ns)
-    usual_s = (late_s * valid).sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
-    return np.asarray(late_s * ((slope - _SECOND_ORDER * usual_s * curvature) @ directions.T))
+    usual_s = (late_s * valid).sum(axis=0) / np.maximum(valid.sum(axis=0), 1)
+    motion: Floats = directions @ (slope.T - _SECOND_ORDER * usual_s * curvature.T)
+    return motion * np.repeat(late_s, 3, axis=0)

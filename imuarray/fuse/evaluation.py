@@ -242,15 +242,12 @@ def _errors_in(
     inside = np.ones(len(time), bool)
     if stretches:
         inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
-    for quantity in INERTIAL:
-        if not any(quantity in block.triads for block in together.values()):
-            continue
-        felt = _felt(track, quantity, time)
-        if felt is None:
-            continue
+    wanted = [quantity for quantity in INERTIAL if any(quantity in block.triads for block in together.values())]
+    for quantity, felt in _felt(track, wanted, time).items():
         for name, block in together.items():
             errors = block.triads[quantity] - felt
-            keep = inside & np.isfinite(errors).all(axis=1)
+            finite = np.isfinite(errors)
+            keep = slice(None) if inside.all() and finite.all() else inside & finite.all(axis=1)
             claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
             yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
 
@@ -313,16 +310,21 @@ def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
     return ErrorFrames(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames)))
 
 
-def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | None:
-    """The truth (n, 3) at `time`, by a cubic spline through its rows: between them a shaken box does not move in
-    straight lines.
+def _felt(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:
+    """The truth (n, 3) at `time` by quantity, of those that the track has, by a cubic spline through its rows: between
+    them a shaken box does not move in straight lines.
     """
-    column = track.specific_force if quantity == "specific_force" else track.angular_rate
-    if column is None:
-        return None
+    columns = {"specific_force": track.specific_force, "angular_rate": track.angular_rate}
+    known = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
     first = max(0, first_at(track.time, int(time[0])) - _MARGIN)
     last = first_at(track.time, int(time[-1])) + _MARGIN
-    known, rows = np.asarray(track.time[first:last]), np.asarray(column[first:last], float)
-    if len(known) < 2:
-        return np.full((len(time), 3), np.nan)
-    return between_gaps(known, rows, time, gap_ns=5 * float(np.median(np.diff(known))))
+    at = np.asarray(track.time[first:last])
+    if len(at) < 2:
+        return {quantity: np.full((len(time), 3), np.nan) for quantity in known}
+    gap_ns = 5 * float(np.median(np.diff(at)))
+    rows = {quantity: np.asarray(column[first:last], float) for quantity, column in known.items()}
+    together = np.concatenate([*rows.values(), np.zeros((len(at), 0))], axis=1)
+    if not np.isfinite(together).all():  # what one quantity lacks is no gap of the other
+        return {quantity: between_gaps(at, each, time, gap_ns) for quantity, each in rows.items()}
+    felt = between_gaps(at, together, time, gap_ns)
+    return {quantity: felt[:, 3 * place : 3 * place + 3] for place, quantity in enumerate(rows)}

@@ -16,7 +16,7 @@ def test_as_scipy_has_it(count: int) -> None:
     rows = rng.normal(size=(count, 3))
     seconds = (known - known[0]) * 1e-9
     peer = CubicSpline(seconds, rows)
-    at = rng.integers(known[0], known[-1], 100)
+    at = np.sort(rng.integers(known[0], known[-1], 100))
     found = between_gaps(known, rows, at, gap_ns=1e12)
     np.testing.assert_allclose(found, peer((at - known[0]) * 1e-9), rtol=1e-12, atol=1e-12 * np.abs(found).max())
     first, second = derivatives(known, rows, gap_ns=1e12)
