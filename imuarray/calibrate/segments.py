@@ -93,10 +93,11 @@ def segment_means(
     """
 
     def sound(rows: slice) -> npt.NDArray[np.bool_]:
-        time = np.asarray(sensor.time[rows])
-        inside = [(time >= phase.start_ns) & (time < phase.end_ns) for phase in left_out]
-        flagged = (np.asarray(sensor.status[rows]) & (STALE | SATURATED | SUSPECT)) != 0
-        return np.asarray(~np.any([flagged, *inside], axis=0))
+        counted = np.asarray((np.asarray(sensor.status[rows]) & (STALE | SATURATED | SUSPECT)) == 0)
+        time = np.asarray(sensor.time[rows]) if left_out else np.zeros(0, np.int64)
+        for phase in left_out:
+            counted &= (time < phase.start_ns) | (time >= phase.end_ns)
+        return counted
 
     rows = slice(0, len(sensor)) if within is None else within
     return _means(sensor.time, lambda part: np.asarray(sensor.counts[part], float), sound, width_s, sensor.where, rows)

@@ -97,10 +97,10 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
     for batch in _batches(rows):
         in_batch = _Moments(0, zeros, zeros)
         for kept in _used_rows(sensor, batch, flags, left_out):
-            origin = kept.mean(axis=0) if origin is None else origin
+            origin = kept.mean(axis=1) if origin is None else origin
             in_batch = in_batch.merge(_moments(kept))
-            pairs = pairs.merge(_pairs(kept - origin))
-            even = even + np.count_nonzero((kept & 1) == 0, axis=0)
+            pairs = pairs.merge(_pairs(kept - origin[:, np.newaxis]))
+            even = even + np.count_nonzero((kept & 1) == 0, axis=1)
         total = total.merge(in_batch)
         if in_batch.number:
             means.append(in_batch.mean)
@@ -111,15 +111,15 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
 def _used_rows(
     sensor: SensorLog, rows: slice, flags: dict[str, int], left_out: Spans
 ) -> Iterator[npt.NDArray[np.int64]]:
-    """Counts (n, k) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
+    """Counts (k, n) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
         status = np.asarray(sensor.status[part])
-        for name, flag in FLAGS.items():
+        for name, flag in FLAGS.items() if status.any() else ():
             flags[name] += int(np.count_nonzero(status & flag))
-        kept = np.asarray(sensor.counts[part], np.int64)[(flags_of(sensor, part, left_out) & LEFT_OUT) == 0]
-        if len(kept):
-            yield kept
+        used = ((flags_of(sensor, part, left_out) if left_out else status) & LEFT_OUT) == 0
+        if used.any():
+            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[used].T, np.int64)
 
 
 def _batches(rows: slice) -> Iterator[slice]:
@@ -130,14 +130,15 @@ def _batches(rows: slice) -> Iterator[slice]:
 
 
 def _moments(rows: npt.NDArray[np.int64]) -> _Moments:
-    mean = rows.mean(axis=0)
-    return _Moments(len(rows), mean, ((rows - mean) ** 2).sum(axis=0))
+    """Moments of rows (k, n)."""
+    mean = rows.mean(axis=1)
+    return _Moments(rows.shape[1], mean, ((rows - mean[:, np.newaxis]) ** 2).sum(axis=1))
 
 
 def _pairs(rows: Floats) -> _Pairs:
-    """Sums over every row and the next (the pair across two blocks is not looked at)."""
-    first, second = rows[:-1], rows[1:]
-    return _Pairs(len(first), (first + second).sum(axis=0), (first * second).sum(axis=0))
+    """Sums over every row (k, n) and the next (the pair across two blocks is not looked at)."""
+    first, second = rows[:, :-1], rows[:, 1:]
+    return _Pairs(first.shape[1], (first + second).sum(axis=1), (first * second).sum(axis=1))
 
 
 class _Sums(NamedTuple):

@@ -103,7 +103,11 @@ def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
     """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
     joined = np.empty(len(bins))
     for side, which, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
-        low, high = _median(height, below, side), _median(height, above, side)
+        if (side == side[0]).all():  # the windows above some bins are those below others
+            medians = _median(height, np.arange(below[0], above[-1] + 1), side[:1])
+            low, high = medians[below - below[0]], medians[above - below[0]]
+        else:
+            low, high = _median(height, below, side), _median(height, above, side)
         joined[which] = low + (high - low) * share
     return joined
 
@@ -146,8 +150,8 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
 
 
 def _median(height: Floats, first: Indices, side: Indices) -> Floats:
-    """Medians (b,) of `side` (b,) finite heights each from `first` (b,) on: to sort them takes a sixth of what
-    `numpy.median` does.
+    """Medians (b,) of `side` (b,), or (1,) for all, finite heights each from `first` (b,) on: to sort them takes a
+    sixth of what `numpy.median` does.
     """
     most = int(side.max())
     padded = np.concatenate([height, np.full(most, np.inf)])

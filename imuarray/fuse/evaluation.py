@@ -262,7 +262,8 @@ def error_of(rows: RowSource) -> Error:
     slow = np.array([row_sum(rows, begin, end) / (end - begin) for begin, end in parts])
     steps = frames - 1
     change = (rows[steps:frames][0] - rows[0:1][0]) / steps
-    changes = sum((((np.diff(block, axis=0) - change) ** 2).sum(axis=0) for block in row_blocks(rows, overlap=1)), 0.0)
+    blocks = (np.ascontiguousarray(block.T) for block in row_blocks(rows, overlap=1))
+    changes = sum((((np.diff(columns) - change[:, None]) ** 2).sum(axis=1) for columns in blocks), 0.0)
     return Error(
         mean=row_sum(rows) / frames,
         noise=np.sqrt(changes / steps) / np.sqrt(2),

@@ -75,11 +75,11 @@ class SlowErrors:
 
     def covariance(self, gains: Floats, triads: Floats) -> Floats:
         """(n, 6) (`frames.ENTRIES`) of triads (n, 3) that were made with `gains` (n, 3, m), or (1, 3, m) for all."""
-        ones = np.concatenate([np.ones((len(triads), 1)), triads], axis=1)
-        pairs = (ones[:, :, None] * ones[:, None, :]).reshape(len(triads), 16)
+        ones = np.concatenate([np.ones((1, len(triads))), triads.T])
+        pairs = (ones[:, None] * ones).reshape(16, len(triads))
         if len(gains) == 1:
-            return np.asarray(pairs @ entries(gains[0] @ self._terms @ gains[0].T))
-        unsure = (pairs @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
+            return np.asarray(entries(gains[0] @ self._terms @ gains[0].T).T @ pairs).T
+        unsure = (pairs.T @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
         return entries(gains @ unsure @ np.swapaxes(gains, 1, 2))
 
 

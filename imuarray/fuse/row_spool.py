@@ -96,8 +96,8 @@ def row_blocks(rows: RowSource, begin: int = 0, end: int | None = None, *, overl
 
 def row_sum(rows: RowSource, begin: int = 0, end: int | None = None, *, power: int = 1) -> Floats:
     """Return the sum (k,) of the rows from `begin` to `end` (None: all), or of their squares (`power` 2)."""
-    blocks = row_blocks(rows, begin, end)
-    return np.asarray(sum((np.sum(block**power, axis=0) for block in blocks), np.zeros(rows[:1].shape[1])))
+    columns = (np.ascontiguousarray(block.T) for block in row_blocks(rows, begin, end))  # several times as fast
+    return np.asarray(sum((np.sum(each**power, axis=1) for each in columns), np.zeros(rows[:1].shape[1])))
 
 
 def parts_of(rows: int, parts: int) -> Iterator[tuple[int, int]]:
