@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -231,16 +232,25 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
     for number, header in enumerate(headers):
         per_si = SI_PER_UNIT[header.unit] / (1 + _triple(effects[header.name], Scale, "error"))
         for effect in effects[header.name]:
-            time_constant_s = getattr(effect, "time_constant_s", math.inf)
-            for axis in range(3) if isinstance(effect, TurnOnBias | BiasInstability | CommonMode) else ():
+            times_s = _time_constants_s(effect)
+            axes = range(3) if isinstance(effect, TurnOnBias | BiasInstability | CommonMode) else ()
+            for axis, time_s in product(axes, times_s):
                 loading = np.zeros(3 * len(headers))
-                loading[3 * number + axis] = _triple([effect], type(effect), "rms")[axis] * per_si[axis]
+                rms = _triple([effect], type(effect), "rms")[axis] / math.sqrt(len(times_s))
+                loading[3 * number + axis] = rms * per_si[axis]
                 if isinstance(effect, CommonMode):
-                    shared.setdefault((header.chip, axis, time_constant_s), np.zeros(len(loading)))[:] += loading
+                    shared.setdefault((header.chip, axis, time_s), np.zeros(len(loading)))[:] += loading
                 elif loading.any():
-                    slow.append(SlowError(loading, time_constant_s))
+                    slow.append(SlowError(loading, time_s))
     slow += [SlowError(loading, seconds) for (_, _, seconds), loading in shared.items()]
     return ErrorLaw(rows, noise, tuple(slow))
+
+
+def _time_constants_s(effect: Effect) -> tuple[float, ...]:
+    """Of an effect's independent processes of equal variance."""
+    if isinstance(effect, BiasInstability):
+        return effect.time_constants_s
+    return (getattr(effect, "time_constant_s", math.inf),)
 
 
 def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibration:

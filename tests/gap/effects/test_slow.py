@@ -16,7 +16,7 @@ from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.common_mode import COMMON_MODE
 from imuarray.gap.inference.effects.popcorn_noise import POPCORN_NOISE
 from imuarray.gap.inference.effects.random_walk import RANDOM_WALK
-from imuarray.gap.inference.effects.slow import allan_of, gauss_markov, slower, wander_of, within
+from imuarray.gap.inference.effects.slow import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
 from imuarray.gap.inference.evidence import Spell
 from imuarray.gap.inference.when import Span, When
 from imuarray.simulate.effects.bias_instability import BiasInstability
@@ -57,6 +57,31 @@ def test_a_wander(rms: float, time_constant_s: float) -> None:
     assert isinstance(first, BiasInstability)
     assert is_near(float(np.mean(first.rms)), rms, 1.5)
     assert is_near(first.time_constant_s, time_constant_s, 2.5)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_flicker_noise(seed: int) -> None:
+    """The Allan deviation is rms / sqrt(number of processes), whatever the ends are; on one axis alone."""
+    effect = BiasInstability((0.0, 0.2, 0.0), 3600.0, 0.05)
+    evidence = evidence_of("static", "G1", {"G1": (effect,)}, seed=seed)
+    several = [trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence)]
+    flickers = [each for each in several if isinstance(each, BiasInstability) and each.fastest_time_constant_s]
+    assert flickers
+    assert max(flickers[-1].rms[0], flickers[-1].rms[2]) < flickers[-1].rms[1] / 3
+    floors = [each.rms[1] / math.sqrt(len(each.time_constants_s)) for each in (flickers[-1], effect)]
+    assert is_near(floors[0], floors[1], 1.5)
+
+
+def test_a_filter_in_the_shortest_averaging_times_does_not_decide() -> None:
+    """A level of 0.01 beside white noise 1 / tau of which the shortest variance lacks a fifth. By the terms alone, of
+    which that has half of all, the level would be 0.016.
+    """
+    time_s, terms = 2.0 ** np.arange(8), 1e6 / 2.0 ** np.arange(8)
+    variance = np.repeat(1 / time_s + 0.01, 3).reshape(8, 3)
+    variance[0] *= 0.8
+    allan = Allan(time_s, variance, terms, np.full(3, 0.01), 1e3, 1)
+    sizes, _ = size_of(allan, np.ones(8), 1.0)
+    assert sizes == pytest.approx([0.01] * 3, rel=0.12)
 
 
 @pytest.mark.slow

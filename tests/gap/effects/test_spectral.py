@@ -83,6 +83,29 @@ def test_who_is_quieter_than_printed_has_a_filter() -> None:
     assert rarity_behind(unknown, 3.15) == 0
 
 
+def test_a_filter_from_a_moment_on_that_rows_do_not_show() -> None:
+    """exp(-1/2) of the noise, on all axes: two poles pass that share of 35 Hz if they pass 35 / e = 12.9 Hz, which is
+    pi / (2 sqrt 2) of the cutoff. Less noise on one axis is no filter.
+    """
+    evidence = evidence_of("static", "G1", seed=5)
+    when = When((Span(0, 30.0, math.inf),))
+    quiet = replace(
+        evidence,
+        header=replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0),
+        values={**evidence.values, "noise": evidence.expected["noise"] - 0.5},
+        scores={**evidence.scores, "noise": np.full_like(evidence.scores["noise"], -10.0)},
+        when=when,
+    )
+    (trial,) = BANDWIDTH.guesses(quiet)
+    (effect,) = trial.effects
+    assert isinstance(effect, Bandwidth)
+    assert effect.noise_share == pytest.approx(math.exp(-0.5))
+    assert effect.cutoff_hz == pytest.approx(12.88 / 1.1107, rel=1e-3)
+    one_axis = np.full_like(evidence.scores["noise"], -10.0)
+    one_axis[:, 1] = 0.0
+    assert not list(BANDWIDTH.guesses(replace(quiet, scores={**quiet.scores, "noise": one_axis})))
+
+
 def test_a_line() -> None:
     """6000 rows: the amplitude's standard error is sqrt(2 / 6000) of the noise, 0.001 dps."""
     first, *_ = tones("static", Tone((0.0, 0.02, 0.0), 13.7))

@@ -63,6 +63,31 @@ def test_allan_deviation_peaks_where_the_standard_says(place: MakePlace, analog:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("half", [8, 32])
+def test_allan_deviation_of_flicker_noise_is_flat(place: MakePlace, analog: MakeAnalog, half: int) -> None:
+    """Power h / f has the Allan variance 2 ln 2 h at all averaging times (IEEE Std 952, B^2 2 ln 2 / pi). Processes of
+    variance rms^2 / n, a factor r apart in time constant, have h = rms^2 / (n ln r): rms^2 / n for r = 4. Here those
+    of 0.0625 to 4096 s, n = 9, of which the ends leave out 4 % at 8 s and at 32 s.
+    """
+    effect = BiasInstability(1.0, 4096.0, 0.0625)
+    assert len(effect.time_constants_s) == 9
+    runs = np.stack([added(effect, place(rows_per_s=4.0, seed=seed), analog, 0, 8 * half) for seed in range(400)])
+    assert allan_variance(runs) == pytest.approx(1 / 9, rel=0.04 + 5 * np.sqrt(2 / 1200))
+
+
+def test_flicker_noise_is_a_sum_of_processes_of_equal_variance(place: MakePlace, analog: MakeAnalog) -> None:
+    """Rows are those of the single processes with half of the rms, one for each time constant."""
+    at = place(rows_per_s=10.0)
+    flicker = added(BiasInstability((0.02, 0.0, 0.04), 64.0, 1.0), at, analog, 0, 200)
+    single = [
+        added(BiasInstability((0.01, 0.0, 0.02), time_s), at, analog, 0, 200) for time_s in (64.0, 16.0, 4.0, 1.0)
+    ]
+    np.testing.assert_allclose(flicker, np.sum(single, axis=0), rtol=1e-12, atol=1e-15)
+    assert BiasInstability(1.0, 64.0, 0.9).time_constants_s == (64.0, 16.0, 4.0, 1.0)
+    assert BiasInstability(1.0, 5.0, 7.0).time_constants_s == (5.0,)
+
+
+@pytest.mark.slow
 def test_allan_deviation_of_a_random_walk(place: MakePlace, analog: MakeAnalog) -> None:
     """density sqrt(tau / 3): IEEE Std 952."""
     runs = np.stack([added(RandomWalk(1.0), place(rows_per_s=1.0, seed=seed), analog, 0, 400) for seed in range(400)])

@@ -11,7 +11,13 @@ from scipy.optimize import brentq
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import mean_of, odd_lags
-from imuarray.gap.inference.effects.quietness import cutoff_that_passes, noise_of_logs, rarity_behind, with_noise
+from imuarray.gap.inference.effects.quietness import (
+    BEYOND,
+    cutoff_that_passes,
+    noise_of_logs,
+    rarity_behind,
+    with_noise,
+)
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import in_logs
@@ -48,6 +54,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from (
             replace(trial, effects=tuple(_quieter(evidence, trial)), free=_OF_SPELL) for trial in _found(evidence)
         )
+        yield from _in_quiet_spell(evidence)
         return
     yield from _in_quiet_logs(evidence)
     yield from with_removal(evidence, Bandwidth.name, _found(evidence))
@@ -82,6 +89,17 @@ def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
     share = min(float(np.exp(evidence.typical("noise").mean())), _MOST_NOISE)
     for effect in trial.effects:
         yield replace(effect, noise_share=share) if isinstance(effect, Bandwidth) else effect
+
+
+def _in_quiet_spell(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A filter that takes noise away in a spell, on all axes, whether or not its rows are fast enough to show a
+    correlation.
+    """
+    if evidence.score("noise").max() < -BEYOND:
+        share = float(np.exp(evidence.typical("noise").mean()))
+        cutoff_hz = cutoff_that_passes(evidence, share)
+        if cutoff_hz > 0:
+            yield Hypothesis((Bandwidth(cutoff_hz, poles=2.0, noise_share=share),), _OF_SPELL)
 
 
 def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:

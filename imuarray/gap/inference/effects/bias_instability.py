@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.slow import BEYOND, SLOWEST, TRACES, longest_s, over_logs, sized, slower, wander_of
+from imuarray.gap.inference.effects.slow import (
+    BEYOND,
+    SLOWEST,
+    TRACES,
+    flicker_of,
+    longest_s,
+    over_logs,
+    sized,
+    slower,
+    wander_of,
+)
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.bias_instability import BiasInstability
-
-_FREE = ("rms", "time_constant_s")
+from imuarray.simulate.signal import Triple
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The Gauss-Markov process that fits the Allan variances best; a slower one (a faster
-    one, if it is slower than phases are long); and one as large as the logs' levels
-    are apart, if these wander.
+    one, if it is slower than phases are long); flicker noise; and a process as large as
+    the logs' levels are apart, if these wander.
     """
     yield from with_removal(evidence, BiasInstability.name, _hypotheses(evidence), several=True)
 
@@ -24,23 +36,21 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND) or (wander := wander_of(evidence)) is None:
         return
-    score = evidence.score(*TRACES)
+    score, longest = evidence.score(*TRACES), longest_s(evidence)
     for process in (wander, slower(evidence, wander)):
-        if process.rms.any():
-            yield Hypothesis(
-                (BiasInstability(sized(process.rms, score), process.time_constant_s),),
-                _FREE,
-                limits={"time_constant_s": (0.0, longest_s(evidence))},
-            )
-    yield from _over_logs(evidence)
+        for rms in sized(process.rms, score):
+            yield _process(rms, process.time_constant_s, longest)
+    if (flicker := flicker_of(evidence)) is not None:
+        for rms in sized(np.array(flicker.rms), score):
+            yield Hypothesis((replace(flicker, rms=rms),), ("rms",))
+    if (of_logs := over_logs(evidence)) is not None:  # as large as the logs' levels are apart
+        for rms in sized(of_logs.rms, score):
+            yield _process(rms, of_logs.time_constant_s, SLOWEST * longest)
 
 
-def _over_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A bias that wanders as much as the logs' levels differ."""
-    if (wander := over_logs(evidence)) is not None:
-        effect = BiasInstability(sized(wander.rms, evidence.score(*TRACES)), wander.time_constant_s)
-        limits = {"time_constant_s": (0.0, SLOWEST * longest_s(evidence))}
-        yield Hypothesis((effect,), _FREE, limits=limits)
+def _process(rms: Triple, time_constant_s: float, slowest_s: float) -> Hypothesis:
+    effect = BiasInstability(rms, time_constant_s)
+    return Hypothesis((effect,), ("rms", "time_constant_s"), limits={"time_constant_s": (0.0, slowest_s)})
 
 
 BIAS_INSTABILITY = Candidate(

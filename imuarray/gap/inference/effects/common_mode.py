@@ -103,10 +103,9 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
             yield Hypothesis((CommonMode((x, y, z), time_s),), _FREE, shared=True)
     score = evidence.score(*TRACES)
     for process in (None if wander is None else slower(evidence, wander), over):
-        if (
-            process is not None and process.rms.any()
-        ):  # few values of a slow process are independent: a covariance says little
-            yield Hypothesis((CommonMode(sized(process.rms, score), process.time_constant_s),), _FREE, shared=True)
+        if process is not None:  # few values of a slow process are independent: a covariance says little
+            for sizes in sized(process.rms, score):
+                yield Hypothesis((CommonMode(sizes, process.time_constant_s),), _FREE, shared=True)
 
 
 class _Common(NamedTuple):

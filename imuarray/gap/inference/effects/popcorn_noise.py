@@ -45,19 +45,19 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     limits = {"switches_per_s": (fewest_per_s, np.inf)}
     is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
     for process in (wander, slower(evidence, wander)) if wander is not None else ():
-        if process.rms.any():
-            effect = PopcornNoise(sized(2 * process.rms, score), 0.5 / process.time_constant_s)
+        for amplitude in sized(2 * process.rms, score):
+            effect = PopcornNoise(amplitude, 0.5 / process.time_constant_s)
             yield Hypothesis((effect,), _FREE, limits=limits, rarity=_RARITY)
-            if is_uneven:
-                yield _one_sided(evidence, process, score, limits)
-    amplitude, switches_per_s = _jumps(evidence)
-    if switches_per_s >= fewest_per_s:
-        yield Hypothesis((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
+        if is_uneven and process.rms.any():
+            yield from _one_sided(evidence, process, score, limits)
+    heights, switches_per_s = _jumps(evidence)
+    for amplitude in sized(heights, score) if switches_per_s >= fewest_per_s else ():
+        yield Hypothesis((PopcornNoise(amplitude, switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
 
 
 def _one_sided(
     evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
-) -> Hypothesis:
+) -> Iterator[Hypothesis]:
     """The share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1 - p)),
     on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches a
     second over 2 p (1 - p). On each axis it lies to its own side.
@@ -68,10 +68,11 @@ def _one_sided(
     largest = float(np.abs(skewness[int(wander.rms.argmax())]))
     share = min(max((1 - largest / float(np.hypot(largest, 2.0))) / 2, _SELDOM), 0.5)
     half = float(np.sqrt(share * (1 - share)))
-    x, y, z = (np.array(sized(wander.rms / half, score)) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
-    effect = PopcornNoise((x, y, z), 2 * half**2 / wander.time_constant_s, share)
     limits = {**limits, "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
-    return Hypothesis((effect,), (*_FREE, "high_share"), limits=limits, rarity=_RARITY)
+    for sizes in sized(wander.rms / half, score):
+        x, y, z = (np.array(sizes) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
+        effect = PopcornNoise((x, y, z), 2 * half**2 / wander.time_constant_s, share)
+        yield Hypothesis((effect,), (*_FREE, "high_share"), limits=limits, rarity=_RARITY)
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:

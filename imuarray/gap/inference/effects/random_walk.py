@@ -31,10 +31,9 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     known = len(allan.time_s) > 3
     short = np.sqrt(size_of(allan, allan.time_s / 3, allan.length_s / 6)[0]) if known else np.zeros(3)
     far = _from_levels(evidence)
-    if short.any():
-        yield Hypothesis((RandomWalk(sized(short, score)),), ("density",))
-    if far.max() > _ALIKE * short.max():
-        yield Hypothesis((RandomWalk(sized(far, score)),), ("density",))
+    for density in (short, far) if far.max() > _ALIKE * short.max() else (short,):
+        for sizes in sized(density, score):
+            yield Hypothesis((RandomWalk(sizes),), ("density",))
 
 
 def _from_levels(evidence: Evidence) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +12,8 @@ from scipy.optimize import nnls
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.signal import Triple
 
 TRACES = (
     "wander",
@@ -40,6 +44,9 @@ is slower than that."""
 
 _FACTORS = 4
 """Starts in an averaging time: terms that hang together."""
+
+_NOT_WHITE = 0.1
+"""Relative error allowed to an Allan variance: a filter takes that from the shortest, which have most of the terms."""
 
 _TIMES = 25
 _APART = 4.0
@@ -125,7 +132,7 @@ def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
         observed = np.append(allan.variance[:, axis], allan.spread[axis])
         if not (observed > 0).all():
             continue
-        weight = np.sqrt(terms / 2) / observed
+        weight = 1 / (observed * np.hypot(np.sqrt(2 / terms), _NOT_WHITE))
         table = np.stack([white, curve], axis=1) * weight[:, None]
         (_, sizes[axis]), residual_norm = nnls(table, observed * weight)
         misfit += residual_norm**2
@@ -142,6 +149,19 @@ def wander_of(evidence: Evidence) -> Wander | None:
     best = int(np.argmin([misfit for _, misfit in fits]))
     sizes = fits[best][0]
     return Wander(np.sqrt(sizes), float(times[best])) if sizes.any() else None
+
+
+def flicker_of(evidence: Evidence) -> BiasInstability | None:
+    """Flicker noise, of processes from one row to several phases, as large as the Allan variances say."""
+    allan = allan_of(evidence)
+    if len(allan.time_s) < 4:
+        return None
+    unit = BiasInstability((1.0, 1.0, 1.0), SLOWEST * longest_s(evidence), 1 / evidence.rows_per_s)
+    times_s = unit.time_constants_s
+    curve = np.mean([gauss_markov(allan.time_s, time_s) for time_s in times_s], axis=0)
+    spread = float(np.mean([within(allan.length_s, time_s) for time_s in times_s]))
+    x, y, z = np.sqrt(size_of(allan, np.asarray(curve), spread)[0]).tolist()
+    return replace(unit, rms=(x, y, z)) if x or y or z else None
 
 
 def slower(evidence: Evidence, wander: Wander) -> Wander:
@@ -178,12 +198,17 @@ def longest_s(evidence: Evidence) -> float:
     return max((1e-9 * (phase.end_ns - phase.start_ns) for phase in phases), default=1.0)
 
 
-def sized(values: Floats, score: Floats) -> tuple[float, float, float]:
-    """Sizes by axis: 0 where it is small and nothing shows, a little where something shows and none was found."""
+def sized(values: Floats, score: Floats) -> Iterator[Triple]:
+    """Sizes by axis: 0 where it is small and nothing shows, a little where something shows and the size is small; and
+    those of the axes alone on which something shows, as Allan variances of few terms have a size by chance.
+    """
     largest = float(values.max())
     shows = np.abs(score) > BEYOND
-    x, y, z = np.where(shows, np.maximum(values, largest / 4), np.where(values < largest / 3, 0.0, values)).tolist()
-    return x, y, z
+    sizes = np.where(shows, np.maximum(values, largest / 4), np.where(values < largest / 3, 0.0, values))
+    for each in dict.fromkeys((tuple(sizes.tolist()), tuple(np.where(shows, sizes, 0.0).tolist()))):
+        x, y, z = each
+        if x or y or z:
+            yield x, y, z
 
 
 def _gauss_markov_size(allan: Allan, time_constant_s: float) -> tuple[Floats, float]:
