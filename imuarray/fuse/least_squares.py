@@ -145,10 +145,11 @@ def _gain_of(weights: bytes, rows: bytes) -> tuple[Floats, npt.NDArray[np.bool_]
 
 def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Solve as `frame_gains` does, for every set of weights (n, m)."""
-    normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
+    squares = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), 9)
+    normal: Floats = (weights @ squares).reshape(-1, 3, 3)
     solvable = spans(normal)
     normal[~solvable] = np.eye(3)
-    return np.linalg.solve(normal, rows.T[None] * weights[:, None, :]), solvable
+    return np.asarray(np.linalg.solve(normal, rows.T * weights[:, None])), solvable
 
 
 def spans(normal: Floats) -> npt.NDArray[np.bool_]:

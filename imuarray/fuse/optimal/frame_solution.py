@@ -279,7 +279,7 @@ def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: So
     if len(frames):
         solved, spread = into.unknowns[which][frames], into.covariance[which][frames]
         rows, noise = view.rows[: ends.shape[1]], view.geometry.noise[: ends.shape[1]]
-        known = np.einsum("mk,nkl,ml->nm", rows, spread, rows, optimize=True)
+        known = ((rows @ spread) * rows).sum(axis=2)
         variance = 2 * (known + view.own(view.terms(solved[:, :3]))[:, : len(noise)] + noise**2)
         short = ends[frames] * (bounds.at[which][frames] - solved @ rows.T - view.offset[: len(noise)])
         telling[frames] &= short > -_CERTAIN * np.sqrt(variance)
