@@ -122,7 +122,7 @@ def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tup
     axes, poses, _ = slopes.shape
     mixed = np.einsum("kp,ak,aki->apki", design, weight, slopes).reshape(axes, -1, 2 * poses)
     shared = own @ mixed
-    reduced = -np.einsum("api,apj->ij", mixed, shared, optimize=True)
+    reduced: Floats = -mixed.reshape(-1, 2 * poses).T @ shared.reshape(-1, 2 * poses)
     blocks = np.einsum("aki,ak,akj->kij", slopes, weight, slopes)
     for pose in range(poses):
         place = slice(2 * pose, 2 * pose + 2)
