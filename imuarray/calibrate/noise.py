@@ -258,7 +258,8 @@ class _PooledSquares:
 
     def add(self, part: Readings) -> None:
         """The readings of a block that ends where a segment does."""
-        _, begin, number = np.unique(part.segment, return_index=True, return_counts=True)
+        begin = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
+        number = np.diff(begin, append=len(part.segment))
         means = np.add.reduceat(part.counts, begin, axis=0) / number[:, None]
         squares = np.add.reduceat((part.counts - np.repeat(means, number, axis=0)) ** 2, begin, axis=0)
         several = number > 1

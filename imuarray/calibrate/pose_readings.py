@@ -437,12 +437,13 @@ def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Readin
         breaks = int(so_far[-1])
         if not sound.any():
             continue
-        time = np.asarray(sensor.time[part])[sound].astype(float)
+        kept = slice(None) if sound.all() else sound  # no copies of what is whole
+        time = np.asarray(sensor.time[part])[kept].astype(float)
         apart = np.diff(time, prepend=last_ns) > limit_ns
-        apart |= np.diff(so_far[sound], prepend=breaks_then) > 0
+        apart |= np.diff(so_far[kept], prepend=breaks_then) > 0
         segment = (np.flatnonzero(sound) + start - rows.start) // SEGMENT_ROWS
-        yield Readings(np.asarray(sensor.counts[part], float)[sound], segment, apart)
-        last_ns, breaks_then = float(time[-1]), int(so_far[sound][-1])
+        yield Readings(np.asarray(sensor.counts[part])[kept].astype(float), segment, apart)
+        last_ns, breaks_then = float(time[-1]), int(so_far[kept][-1])
 
 
 def runs_of(part: Readings) -> Iterator[tuple[bool, Floats]]:

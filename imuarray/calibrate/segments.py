@@ -121,7 +121,8 @@ def _means(
     number, moments, sums = np.zeros(count), np.zeros(count), np.zeros((0, 0))
     for start in range(rows.start, rows.stop, 1 << 16):
         part = slice(start, min(start + (1 << 16), rows.stop))
-        kept = sound(part)
+        counted = sound(part)
+        kept = slice(None) if counted.all() else counted  # no copies of what is whole
         since = (np.asarray(time[part])[kept] - begin).astype(np.int64)
         segment, value = since // width_ns, values(part)[kept]
         if len(segment) and (segment.min() < 0 or segment.max() >= count):

@@ -119,7 +119,8 @@ def _used_rows(
             flags[name] += int(np.count_nonzero(status & flag))
         used = ((flags_of(sensor, part, left_out) if left_out else status) & LEFT_OUT) == 0
         if used.any():
-            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[used].T, np.int64)
+            kept = slice(None) if used.all() else used  # no copies of what is whole
+            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[kept].T, np.int64)
 
 
 def _batches(rows: slice) -> Iterator[slice]:
