@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import SourceError
-from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable
+from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable, has_no_day, is_date_format
 from imuarray.printable import counted
 
 ROWS = 4096
@@ -44,7 +44,9 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 """Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""
 
 _LAST_NS = 2**62
+DAY_NS = 86_400_000_000_000
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
+_OTHER_DATE = re.compile(r"\d\d?:\d\d:\d\d")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -343,9 +345,12 @@ class Clock:
     ) -> None:
         """`last_ns` is the time of the row before the first one, None if there is none."""
         self._iso = unit == ISO
+        self._format = unit if is_date_format(unit) else ""
         tick_ns = Fraction(ticks).limit_denominator(10**9) * NS_PER_UNIT.get(unit, 1)
         self._tick_ns: int | Fraction = tick_ns.numerator if tick_ns.denominator == 1 else tick_ns
         self._span_ns = 0 if wraps_at is None else round(wraps_at * tick_ns)
+        if self._format and has_no_day(self._format):
+            self._span_ns = DAY_NS
         self._ties = ties
         self._turns_ns = self._tie_place = 0
         self._untied_ns: int | None = None
@@ -381,7 +386,10 @@ class Clock:
     def _later_hint(self) -> str:
         if self._span_ns:
             return ""
-        return "; for a counter that restarts, the map says wraps_at; import several recordings one by one"
+        return (
+            "; sort rows that are out of order; for a counter that restarts, the map says wraps_at; import several"
+            " recordings one by one"
+        )
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Separate equal times by 1 ns."""
@@ -428,10 +436,16 @@ class Clock:
         text = column.texts[row].strip()
         if self._iso:
             return _date_ns(column, row, text)
+        if self._format:
+            return _formatted_ns(column, row, text, self._format)
         try:
             value = Decimal(text)
         except InvalidOperation:
-            hint = "; for dates, the map says unit = 'iso8601'" if _DATE.match(text) else _number_hint(column, row)
+            hint = _number_hint(column, row)
+            if _DATE.match(text):
+                hint = "; for dates, the map says unit = 'iso8601'"
+            elif _OTHER_DATE.search(text):
+                hint = "; for dates, the map says their format, such as unit = '%d.%m.%Y %H:%M:%S.%f'"
             raise column.refuse(row, f"{column.text(row)!r} is not a number" + hint) from None
         if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
             raise column.refuse(row, f"{column.text(row)} is not a time; allowed are {self._allowed}")
@@ -452,6 +466,29 @@ def _date_ns(column: Column, row: int, text: str) -> int:
             row, f"{column.text(row)!r} is not a date and time such as 2013-09-16T08:30:00.5Z"
         ) from None
     return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0)
+
+
+def _formatted_ns(column: Column, row: int, text: str, layout: str) -> int:
+    """Return a date and time of a `strptime` format as ns since 1970, one without a day as ns since midnight; without a
+    zone it is UTC. A fraction at the end may have nine digits, or be absent.
+    """
+    nanos = 0
+    if layout.endswith(".%f"):
+        layout = layout.removesuffix(".%f")
+        head, point, digits = text.replace(",", ".").rpartition(".")
+        if point and digits.isdigit():
+            text, nanos = head, int(f"{digits[:9]:0<9}")
+    try:
+        moment = datetime.strptime(text, layout)
+    except ValueError:
+        raise column.refuse(
+            row, f"{column.text(row)!r} is not a date and time of the format that the map says"
+        ) from None
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
+    if has_no_day(layout):
+        moment = moment.replace(year=1970, month=1, day=1)
+    passed = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + passed.microseconds * 1000 + nanos
 
 
 def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
@@ -488,6 +525,8 @@ def _number_hint(column: Column, row: int) -> str:
         return "; of decimal commas the map says decimal = ','"
     if column.lines[row] == 1 and text[:1].isalpha() and text.lower() not in ("nan", "inf"):
         return "; for a header, the map names the columns, or says skip_rows = 1"
+    if text[:1].isalpha():
+        return "; if another table begins there, give each table a file of its own, and import their folder"
     return ""
 
 

@@ -12,11 +12,12 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +26,10 @@ from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
 from imuarray.importers import decompress, open_source
 from imuarray.importers.cells import WINDOWS_1252
-from imuarray.importers.mapping import parse_map
+from imuarray.importers.mapping import ISO, NS_PER_UNIT, parse_map
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
-from imuarray.importers.sources import open_rows, reader_of
+from imuarray.importers.sources import open_rows, reader_of, texts_in
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.printable import counted, printable
@@ -74,6 +75,11 @@ _COUNTS_OF_MAGNETOMETER = 1090.0
 """Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
 _COUNTS_OF_GYROSCOPE = 131.0
 _CODES_16 = 1 << 16
+_LEAST_MIDDLE = 128.0
+_NEAR_MIDDLE = 0.3
+"""Least middle of the range of an unsigned converter (8 bits), and the distance of the axes' medians from it: 1 g on an
+axis is at most a fourth of the range.
+"""
 _SAME_SCALE = 0.25
 """Log ratio of these rotations that quick motion can make."""
 _NEAR_UNIT = 0.3
@@ -84,6 +90,8 @@ _PLAIN = 0.95
 _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
+_COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
+_QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
@@ -116,19 +124,23 @@ class _Layout:
 
 @dataclass
 class _Proposal:
-    """A map under construction: its lines, its doubts, and the units of columns that are known."""
+    """A map under construction: its lines, remarks and doubts, and the units of columns that are known."""
 
     layout: _Layout
     time: list[str] = field(default_factory=list)
     items: list[list[str]] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     units: Mapping[str, str] = field(default_factory=dict)
 
     def text(self, head: Sequence[str]) -> str:
         """Return the map as TOML."""
         comments = [f"# {line}" for line in head]
-        for doubt in self.doubts:
-            comments += textwrap.wrap(printable(doubt), _WIDTH, initial_indent="# ? ", subsequent_indent="#   ")
+        for mark, sentences in (("~", self.remarks), ("?", self.doubts)):
+            for text in sentences:
+                comments += textwrap.wrap(
+                    printable(text), _WIDTH, initial_indent=f"# {mark} ", subsequent_indent="#   "
+                )
         parts = [*comments, "", *self.layout.lines(), "[time]", *self.time]
         for item in self.items:
             parts += ["", *item]
@@ -142,15 +154,26 @@ def guess_map(source: str | Path) -> str:
     path = Path(source)
     proposal = _propose_map(path)
     head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
-    remarks, factor = _try_import(proposal.text([]), path)
-    if factor is not None and _correct_scale(proposal, factor):
-        remarks, _ = _try_import(proposal.text([]), path)
-    proposal.doubts += [text for text in remarks if text not in proposal.doubts]
+    trial = _try_import(proposal.text([]), path)
+    if _correct_scale(proposal, trial.factor) if trial.factor is not None else _correct_quiet_unit(proposal, trial):
+        trial = _try_import(proposal.text([]), path)
+    proposal.remarks += [text for text in trial.remarks if text not in proposal.remarks]
+    proposal.doubts += [text for text in trial.doubts if text not in proposal.doubts]
     return proposal.text(head)
 
 
-def _try_import(text: str, path: Path) -> tuple[list[str], float | None]:
-    """Import with this map and return the remarks, and the error factor of the gyroscope's scale (None if unknown)."""
+class _Trial(NamedTuple):
+    """An import with a proposed map: its remarks, its doubts, and the error factor of the gyroscope's scale (None if
+    unknown).
+    """
+
+    remarks: list[str]
+    doubts: list[str]
+    factor: float | None
+
+
+def _try_import(text: str, path: Path) -> _Trial:
+    """Import with this map and return what is said of the recording."""
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "map.toml").write_text(text, encoding="utf-8")
@@ -158,18 +181,18 @@ def _try_import(text: str, path: Path) -> tuple[list[str], float | None]:
             summary = import_table(path, place / "map.toml", place / "run.h5")
             with open_log(place / "run.h5") as log:
                 report = report_of(log)
-                return [*summary.remarks, *report.quirks, *report.doubts], turns_of(log)
+                return _Trial([*summary.remarks, *report.quirks], list(report.doubts), turns_of(log))
         except ImuArrayError as error:
-            return [f"cannot be imported as it is: {str(error).replace(folder, '').lstrip('/')}"], None
+            return _Trial([], [f"cannot be imported as it is: {str(error).replace(folder, '').lstrip('/')}"], None)
 
 
 def _correct_scale(proposal: _Proposal, factor: float) -> bool:
     """Replace the guessed sensitivity of a gyroscope by that of a data sheet, if a known one fits."""
     for item in proposal.items:
-        if 'quantity = "angular_rate"' in item and factor > 0 and _correct_unit(item, factor):
+        if _is_gyroscope(item) and factor > 0 and _correct_unit(item, factor):
             return True
         line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
-        if line is None or 'quantity = "angular_rate"' not in item or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
+        if line is None or not _is_gyroscope(item) or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
             continue
         wanted = _COUNTS_OF_GYROSCOPE / factor
         nearest = min(SENSITIVITIES["angular_rate"], key=lambda scale: abs(ln(scale / wanted)))
@@ -180,6 +203,29 @@ def _correct_scale(proposal: _Proposal, factor: float) -> bool:
         item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
         return True
     return False
+
+
+def _is_gyroscope(item: Sequence[str]) -> bool:
+    return any(line.startswith('quantity = "angular_rate"') for line in item)
+
+
+def _correct_quiet_unit(proposal: _Proposal, trial: _Trial) -> bool:
+    """Replace dps by rad/s, of gyroscopes that would be quieter than any in dps; and the reverse."""
+    changed = False
+    for item in filter(_is_gyroscope, proposal.items):
+        name = item[1].split('"')[1]
+        place = next((at for at, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
+        if place is None or any(line.startswith("sensitivity") for line in item):
+            continue
+        for wanted, other in (("rad/s", "dps"), ("dps", "rad/s")):
+            said = f"the columns may be in {wanted}, not {other}"
+            if f'"{other}"' in item[place] and any(
+                text.startswith(f"{name}: ") and text.endswith(said) for text in trial.doubts
+            ):
+                item[place] = f'unit = "{wanted}"   # ? from the noise at rest'
+                changed = True
+                break
+    return changed
 
 
 def _correct_unit(item: list[str], factor: float) -> bool:
@@ -199,6 +245,8 @@ def _correct_unit(item: list[str], factor: float) -> bool:
 
 def _propose_map(path: Path) -> _Proposal:
     """Propose a map from names and numbers."""
+    if path.is_dir() and reader_of(path) is None:
+        return _propose_folder(path)
     if reader_of(path) is None:
         layout, names, rows = _read_text(path)
         if layout.kind_column is not None:
@@ -208,16 +256,19 @@ def _propose_map(path: Path) -> _Proposal:
                 f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns"
             )
             force_unit = ""
+            described = _formats(path)
             for kind in kinds:
+                if kind in described:
+                    _propose_described(proposal, kind, described[kind], rows)
+                    continue
                 of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
                 if of_kind:
                     cells = _columns([row[: len(of_kind[0])] for row in of_kind], layout)
                     if _increases(cells[1]) and not proposal.items:
-                        proposal.time = _time_lines([], cells, 1, set(), proposal)
+                        proposal.time = _time_lines([], cells, 1, {}, proposal)
                     force_unit = _propose_kind(proposal, kind, cells, force_unit)
             return proposal
-        columns = _columns(rows, layout)
-        return _propose(layout, names, columns, _dates(rows, names), path.name.partition(".")[0])
+        return _propose_table(_Text(layout, names, rows, path.name.partition(".")[0]))
     map_ = parse_map(_PROBE, "guess")
     source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
     proposal = _Proposal(_Layout())
@@ -230,19 +281,101 @@ def _propose_map(path: Path) -> _Proposal:
             columns.append(np.zeros(0) if block is None else _finite(block.values))
         if reader_of(path) == "bags":
             listed, columns = _with_values(listed, columns)
-            partial = _propose(_Layout(), list(listed), columns, set(), units=_ROS_UNITS)
+            partial = _propose(_Layout(), list(listed), columns, {}, units=_ROS_UNITS)
         else:
-            partial = _propose(_Layout(), list(listed), columns, set())
+            partial = _propose(_Layout(), list(listed), columns, {})
+        if kind and len(partial.items) == 1:
+            _name_by_topic(partial.items[0], kind)
+        _add_kind(proposal, kind, partial)
+    return proposal
+
+
+def _add_kind(proposal: _Proposal, kind: str, partial: _Proposal) -> None:
+    """Add what is proposed for the rows of a kind ("" if there is one kind)."""
+    for item in partial.items:
+        if kind:
+            item.insert(2, f"kind = {_quoted(kind)}")
+        if any(item[1] == other[1] for other in proposal.items):
+            alike = sum(other[1].rstrip('"0123456789') == item[1][:-1] for other in proposal.items)
+            item[1] = item[1][:-1] + f'{alike + 1}"'
+    proposal.time = proposal.time or partial.time
+    proposal.items += partial.items
+    proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
+
+
+class _Text(NamedTuple):
+    """The layout, the columns' names and some rows of a text, and the name of its file without suffix."""
+
+    layout: _Layout
+    names: list[str]
+    rows: list[list[str]]
+    stem: str
+
+
+def _propose_table(text: _Text) -> _Proposal:
+    """Propose a map of a text with one table, whose rows may be of several instances of a sensor."""
+    columns, dates = _columns(text.rows, text.layout), _dates(text.rows)
+    instance = _instance_column(text.names, columns)
+    if instance is None:
+        proposal = _propose(text.layout, text.names, columns, dates, text.stem)
+        date = next(iter(dates), None)
+        if date is not None and len({row[date] for row in text.rows}) < len(text.rows):
+            proposal.time.append("ties = true   # rows with equal times")
+        return proposal
+    text.layout.kind_column = instance
+    proposal = _Proposal(text.layout)
+    kinds = [row[instance].strip() for row in text.rows]
+    for kind in sorted(set(kinds)):
+        chosen = np.array([other == kind for other in kinds])
+        partial = _propose(text.layout, text.names, [column[chosen] for column in columns], dates, text.stem)
+        _add_kind(proposal, kind, partial)
+    return proposal
+
+
+_INSTANCE = re.compile(r"i|id|imu|instance|(sensor|device|imu|unit)[ _]?(id|no|nr|number|index)?", re.IGNORECASE)
+_MOST_INSTANCES = 16
+_ALTERNATES = 0.3
+
+
+def _instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | None:
+    """Return the column that numbers the sensors whose rows alternate; None without one."""
+    for index, name in enumerate(names[: len(columns)]):
+        values = columns[index]
+        if not _INSTANCE.fullmatch(name.strip()) or not len(values) or not np.isfinite(values).all():
+            continue
+        if 1 < len(np.unique(values)) <= _MOST_INSTANCES and np.mean(np.diff(values) != 0) > _ALTERNATES:
+            return index
+    return None
+
+
+def _propose_folder(folder: Path) -> _Proposal:
+    """Propose a map of a folder with a text for each sensor."""
+    proposal: _Proposal | None = None
+    doubts: list[str] = []
+    for name, path in texts_in(folder).items():
+        try:
+            layout, names, rows = _read_text(path)
+        except SourceError as error:
+            doubts.append(f"left out: {error}")
+            continue
+        partial = _propose(layout, names, _columns(rows, layout), _dates(rows), name)
+        if not partial.items:
+            doubts.append(f"left out: {path.name} has no triad, temperature or pressure that is known by its name")
+            continue
+        proposal = proposal or _Proposal(layout)
+        if layout.lines() != proposal.layout.lines():
+            doubts.append(f"left out: {path.name} is not split into cells as the other files are")
+            continue
+        if proposal.time and partial.time[0] != proposal.time[0] and partial.time[0].startswith("column"):
+            for item in partial.items:
+                item.append("time_" + partial.time[0])
         for item in partial.items:
-            if kind:
-                if len(partial.items) == 1:
-                    _name_by_topic(item, kind)
-                item.insert(2, f"kind = {_quoted(kind)}")
-                if any(item[1] == other[1] for other in proposal.items):
-                    item[1] = item[1][:-1] + f'{len(proposal.items) + 1}"'
-        proposal.time = proposal.time or partial.time
-        proposal.items += partial.items
-        proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
+            if len(partial.items) == 1 and _NAME.fullmatch(name):
+                item[1] = f'name = "{name}"'
+        _add_kind(proposal, name, partial)
+    if proposal is None:
+        raise SourceError(f"{folder}: no file in this folder contains readings: {'; '.join(doubts)}")
+    proposal.doubts += doubts
     return proposal
 
 
@@ -378,9 +511,28 @@ def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Floats]:
     return columns
 
 
-def _dates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> set[int]:
-    """Return the columns of dates and times."""
-    return {index for index, cell in enumerate(rows[0]) if re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:", cell.strip())}
+_DATES: Sequence[tuple[str, str]] = (
+    (r"\d{4}-\d\d-\d\d[T ]\d\d:", ISO),
+    (r"\d{1,2}\.\d{1,2}\.\d{4} \d\d?:\d\d:\d\d", "%d.%m.%Y %H:%M:%S.%f"),
+    (r"\d{4}/\d\d?/\d\d? \d\d?:\d\d:\d\d", "%Y/%m/%d %H:%M:%S.%f"),
+    (r"(1[3-9]|2\d|3[01])/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%d/%m/%Y %H:%M:%S.%f"),
+    (r"\d\d?/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%m/%d/%Y %H:%M:%S.%f"),
+    (r"\d{8}T\d{6}", "%Y%m%dT%H%M%S.%f"),
+    (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
+)
+"""How dates and times are written, and the unit that a map states for them."""
+
+
+def _dates(rows: Sequence[Sequence[str]]) -> dict[int, str]:
+    """Return the columns of dates and times, and the unit of each."""
+    dates = {}
+    for index, cell in enumerate(rows[0]):
+        text = cell.strip()
+        unit = next((unit for pattern, unit in _DATES if re.match(pattern, text)), None)
+        if unit is not None:
+            twelve = text[-2:].upper() in ("AM", "PM")
+            dates[index] = unit.replace("%H", "%I").replace(".%f", " %p") if twelve else unit
+    return dates
 
 
 def _quoted(text: str) -> str:
@@ -406,7 +558,7 @@ def _propose(
     layout: _Layout,
     names: list[str],
     columns: Sequence[Floats],
-    dates: set[int],
+    dates: Mapping[int, str],
     stem: str = "",
     units: Mapping[str, str] = MappingProxyType({}),
 ) -> _Proposal:
@@ -421,12 +573,14 @@ def _propose(
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append("rate_hz = 100   # ? no column increases like time")
+        proposal.doubts.append("no column increases like time: 100 rows a second are assumed")
     else:
         proposal.time += _time_lines(names, columns, time, dates, proposal)
     force_unit = ""
     for quantity, indices in triads:
         item, unit = _sensor(quantity, names, columns, indices, force_unit, proposal)
         force_unit = unit if quantity == "specific_force" else force_unit
+        _add_own_time(item, names, columns, indices[0], (time, dates), proposal)
         proposal.items.append(item)
         taken |= set(indices)
     others = any(_TEMPERATURE.search(name) or _PRESSURE.search(name) for name in names)
@@ -444,6 +598,63 @@ def _propose(
     return proposal
 
 
+def _add_own_time(
+    item: list[str],
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    first: int,
+    time: tuple[int | None, Mapping[int, str]],
+    proposal: _Proposal,
+) -> None:
+    """Add the time column of a sensor to its lines, if it is not that of the table, `time`, which may be a date."""
+    own = _own_time(names[first], names, columns, time[0]) if names else None
+    if own is None:
+        return
+    label = _quoted(names[own])
+    units = [
+        _unit_of_time(_unit_in(names[index]), columns[index][np.isfinite(columns[index])])[0]
+        for index in (own, time[0])
+        if index is not None and index not in time[1]
+    ]
+    if len(units) == 2 and units[0] == units[1]:
+        item.append(f"time_column = {label}   # ? by its name")
+    else:
+        whose = item[1].split('"')[1]
+        proposal.doubts.append(
+            f"column {label} seems to be the time of {whose}; as time_column it needs the unit of [time]"
+        )
+
+
+def _formats(path: Path) -> dict[str, list[str]]:
+    """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them."""
+    with open_source(path, path.with_suffix(".guess")) as file:
+        lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
+    rows = [_cells(line, ",") for line in lines if line.startswith("FMT,")]
+    return {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
+
+
+def _propose_described(proposal: _Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:
+    """Propose the sensors of a kind of rows whose columns after that of the kind have names."""
+    layout = proposal.layout
+    cells = _columns([row[1 : len(names) + 1] for row in rows if row[0] == kind and len(row) > len(names)], layout)
+    if not cells or len(cells[0]) < 2:
+        return
+    partial = _propose(layout, names, cells, {})
+    if not partial.items:
+        return
+    for lines in (*partial.items, partial.time):
+        for place, line in enumerate(lines):
+            if re.match(r"\w*columns? = ", line):
+                lines[place] = re.sub(r'"([^"]*)"', lambda name: str(names.index(name[1]) + 1), line)
+    if (instance := _instance_column(names, cells)) is not None:
+        proposal.doubts.append(
+            f"rows {kind} are of several sensors, which column {names[instance]} numbers: keep those of one in a file"
+        )
+    if not proposal.items:
+        proposal.time = partial.time
+    _add_kind(proposal, kind, partial)
+
+
 def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:
     """Propose the sensor of a kind of rows: time, and the three columns after it. Return "m/s2" once a sensor of this
     table has that unit, else "".
@@ -457,13 +668,39 @@ def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats], for
     return "m/s2" if unit == "m/s2" else force_unit
 
 
-def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: set[int]) -> int | None:
-    """Return the column of time: named so, and increasing (a counter may wrap)."""
+def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[int, str]) -> int | None:
+    """Return the column of time: named so, and increasing (a counter may wrap, rows may be out of order)."""
     if dates:
         return min(dates)
     increasing = [index for index, values in enumerate(columns) if _increases(values)]
-    called = [index for index in increasing if index < len(names) and _TIME.search(names[index])]
-    return next(iter([*called, *increasing]), None)
+    called = [index for index in range(min(len(names), len(columns))) if _TIME.search(names[index])]
+    ordered = [index for index in called if index in increasing]
+    shuffled = [index for index in called if len(np.unique(columns[index])) > len(columns[index]) / 2]
+    return next(iter([*ordered, *shuffled, *increasing]), None)
+
+
+def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
+    """Return the time column that has the beginning of its name in common with a sensor's column; None if that of the
+    whole table, `time`, fits as well or there is none.
+    """
+
+    def common(index: int) -> int:
+        same = takewhile(lambda pair: pair[0] == pair[1], zip(names[index].lower(), name.lower(), strict=False))
+        return sum(1 for _ in same)
+
+    fitting = [
+        index
+        for index in range(min(len(names), len(columns)))
+        if index != time
+        and _TIME.search(names[index])
+        and common(index) >= _OWN_PREFIX
+        and _increases(columns[index][np.isfinite(columns[index])])
+    ]
+    best = max(fitting, key=common, default=None)
+    return None if best is None or (time is not None and common(time) >= common(best)) else best
+
+
+_OWN_PREFIX = 2
 
 
 def _increases(values: Floats) -> bool:
@@ -475,23 +712,19 @@ def _time_lines(
     names: Sequence[str],
     columns: Sequence[Floats],
     index: int,
-    dates: set[int],
+    dates: Mapping[int, str],
     proposal: _Proposal,
 ) -> list[str]:
     label = names[index] if names else index
     lines = [f"column = {_quoted(names[index]) if names else index}"]
     if index in dates:
-        return [*lines, 'unit = "iso8601"']
+        month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
+        return [*lines, f"unit = {_quoted(dates[index])}{month}"]
     if index < len(names) and names[index].lower() == "sampletimefine":
-        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz"]
+        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz", "wraps_at = 4294967296"]
     steps = np.diff(columns[index])
     said = _unit_in(names[index]) if index < len(names) else ""
-    step = float((columns[index][-1] - columns[index][0]) / len(steps))
-    if (steps < 0).any():
-        step = float(np.median(steps[steps > 0]))
-    unit = said if said in ("s", "ms", "us", "ns") else next(
-        (unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"
-    )  # fmt: skip
+    unit, step = _unit_of_time(said, columns[index])
     factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
     mark = "" if said == unit else "   # ?"
     lines.append(f'unit = "{unit}"{mark or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
@@ -503,12 +736,23 @@ def _time_lines(
         else:
             times = counted(int(np.count_nonzero(steps < 0)), "time")
             proposal.doubts.append(
-                f"column {label!r} decreases {times}: a wrapping counter (wraps_at), or several recordings,"
-                " which must be imported separately"
+                f"column {label!r} decreases {times}: rows out of order, which must be sorted; a wrapping counter"
+                " (wraps_at); or several recordings, which must be imported separately"
             )
     if (steps == 0).any():
         lines.append("ties = true   # rows with equal times")
     return lines
+
+
+def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
+    """Return the unit of times, as their column's name says it or by their step, and the step."""
+    steps = np.diff(values)
+    step = float((values[-1] - values[0]) / len(steps))
+    if (steps < 0).any():
+        step = float(np.median(np.diff(np.unique(values))))
+    if said in NS_PER_UNIT:
+        return said, step
+    return next((unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"), step
 
 
 def _triads(
@@ -536,6 +780,8 @@ def _triads(
                     continue
                 used.update(indices)
                 stem = name[:place] + "*" + name[place + 1 :]
+                if _QUATERNION.fullmatch(stem):
+                    continue
                 called = stem if stem.strip("*_.- []()") else stem_of_file
                 by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
                 yield _QUANTITY_OF_UNIT.get(_unit_in(name), by_name), indices
@@ -545,6 +791,14 @@ def _with_quantity(
     triads: list[tuple[str, tuple[int, int, int]]], names: Sequence[str], proposal: _Proposal
 ) -> list[tuple[str, tuple[int, int, int]]]:
     """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
+    computed = [triad for triad in triads if triad[0] == "specific_force" and _COMPUTED.search(names[triad[1][0]])]
+    if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
+        listed = ", ".join(names[indices[0]] for _, indices in computed)
+        proposal.doubts.append(
+            f"left out, by their names software computed them (acceleration without gravity, or gravity): {listed}, and"
+            " the next two of each"
+        )
+        triads = [triad for triad in triads if triad not in computed]
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]
@@ -586,8 +840,9 @@ def _sensor(
     said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
     codes: list[str] = []
+    largest = _CODES_16 / 2
     if whole:
-        values, codes = _signed(values)
+        values, codes, largest = _signed(values)
         length = float(np.median(np.linalg.norm(values, axis=1)))
     listed = ", ".join(_quoted(names[index]) if names else str(index) for index in indices)
     name = _NAMES[quantity]
@@ -601,27 +856,40 @@ def _sensor(
     ]
     if said in UNITS_OF[quantity]:  # type: ignore[index]
         return [*item, f'unit = "{said}"'], said
-    unit, lines = _counted(quantity, length) if whole else _measured(quantity, length, force_unit)
+    unit, lines = _counted(quantity, length, largest) if whole else _measured(quantity, length, force_unit)
     return [*item, *codes, *lines], unit
 
 
-def _signed(values: Floats) -> tuple[Floats, list[str]]:
-    """Return codes (n, 3) as signed ones, and the lines that say how, of codes beyond the positive end of 16 bits."""
-    if values.min() < 0 or not _CODES_16 / 2 <= values.max() < _CODES_16:
-        return values, []
+def _signed(values: Floats) -> tuple[Floats, list[str], float]:
+    """Return codes (n, 3) as signed ones, the lines that say how, and the largest code that is then possible."""
+    if values.min() < 0 or values.max() >= _CODES_16:
+        return values, [], _CODES_16 / 2
+    medians = np.median(values, axis=0)
+    middle = 2.0 ** np.rint(np.log2(max(float(np.median(medians)), 1.0)))
+    if _LEAST_MIDDLE <= middle < _CODES_16 / 2 and (np.abs(medians / middle - 1) < _NEAR_MIDDLE).all():
+        return values - middle, [f"offset = {middle:g}   # ? no code is negative, and all axes are near it"], middle
+    if values.max() < _CODES_16 / 2:
+        return values, [], _CODES_16 / 2
     outer = (values < _CODES_16 / 4) | (values >= _CODES_16 * 3 / 4)
     if float(np.mean(outer)) > 0.5:
-        return np.where(values >= _CODES_16 / 2, values - _CODES_16, values), ["bits = 16   # ? none is negative"]
-    return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"]
+        return (
+            np.where(values >= _CODES_16 / 2, values - _CODES_16, values),
+            ["bits = 16   # ? none is negative"],
+            _CODES_16 / 2,
+        )
+    return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"], _CODES_16 / 2
 
 
-def _counted(quantity: str, length: float) -> tuple[str, list[str]]:
-    """Return unit and scale of columns of integers."""
+def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[str]]:
+    """Return unit and scale of columns of integers up to `largest`."""
+    bits = f"of {round(ln(2 * largest) / ln(2))} bits"
     if quantity == "specific_force":
         per_g = 2.0 ** round(ln(length) / ln(2))
+        if abs(ln(length / per_g)) > _NEAR_GRAVITY:
+            per_g = float(f"{length:.2g}")
         return "g", [
             'unit = "g"',
-            f"range = {32768 / per_g:g}   # ? of 16 bits",
+            f"range = {largest / per_g:g}   # ? {bits}",
             f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
         ]
     if quantity == "angular_rate":

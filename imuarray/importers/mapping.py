@@ -3,7 +3,8 @@
 ::
 
     [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   format = "mimu4444"
-    [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601"     or     rate_hz = 100
+    [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
+                  or     rate_hz = 100
                   ticks = 1   wraps_at = 4294967296   ties = true   stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
                   values = "counts" | "physical"   offset = 0   bits = 16   axes = "+X+Y+Z"   position_mm = [x, y, z]
@@ -20,12 +21,13 @@ included, or seconds from the first row.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, model_validator
 
 from imuarray.axes import UP_AXES, face_up, orientation_of
 from imuarray.toml_files import parse_toml, read_text
@@ -35,6 +37,9 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fal
 
 ISO = "iso8601"
 """Unit of times that are written as date and time (ISO 8601); they count from 1970."""
+
+DATE_DIRECTIVES = re.compile(r"%[YymdjbBHIMSpfz]")
+"""Directives of a date and time that a unit of times may have, as `datetime.strptime` understands them."""
 
 NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
@@ -75,6 +80,28 @@ _TIME_SPELLINGS = {
 _DEGREE_SPELLINGS = {"C": "degC", "\u00b0C": "degC", "celsius": "degC", "Celsius": "degC", "kelvin": "K", "Kelvin": "K"}
 
 
+def is_date_format(unit: str) -> bool:
+    """Return whether a unit of times is a format of dates and times, such as "%d.%m.%Y %H:%M:%S.%f"."""
+    return "%" in unit
+
+
+def has_no_day(unit: str) -> bool:
+    """Return whether a format of dates and times has the time of day alone, which restarts at midnight."""
+    return not re.search(r"%[dj]", unit)
+
+
+def _time_unit(unit: str) -> str:
+    """Validate a unit of times; ValueError."""
+    allowed = f"allowed are {', '.join([*NS_PER_UNIT, ISO])}, or the format of dates, such as %d.%m.%Y %H:%M:%S.%f"
+    if not is_date_format(unit):
+        if unit not in (*NS_PER_UNIT, ISO):
+            raise ValueError(f"{unit!r}: {allowed}")
+        return unit
+    if "%" in DATE_DIRECTIVES.sub("", unit) or not re.search(r"%[HI]", unit):
+        raise ValueError(f"{unit!r}: a format of dates has %H and others of %Y %y %m %d %j %b %B %I %M %S %p %f %z")
+    return unit
+
+
 def _spelt(spellings: dict[str, str]) -> BeforeValidator:
     """Return a validator that replaces other spellings of a unit."""
     return BeforeValidator(lambda unit: spellings.get(unit, unit) if isinstance(unit, str) else unit)
@@ -104,13 +131,14 @@ class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
     A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
-    are separated by 1 ns. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the log's times
+    are separated by 1 ns. A unit with `%` is the format of dates, as `datetime.strptime` has them; a time of day alone
+    goes on after midnight. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the log's times
     are then reconstructed (`imuarray.importers.arrival`), and the delays are stored.
     """
 
     model_config = _STRICT
     column: Column | None = None
-    unit: Annotated[Literal["s", "ms", "us", "ns", "iso8601"] | None, _spelt(_TIME_SPELLINGS)] = None
+    unit: Annotated[str, _spelt(_TIME_SPELLINGS), AfterValidator(_time_unit)] | None = None
     rate_hz: Annotated[float, Field(ge=0.001, le=1e6)] | None = None
     ticks: Positive = 1.0
     wraps_at: Positive | None = None
@@ -125,9 +153,14 @@ class TimeTable(BaseModel):
             raise ValueError(f"unit goes with column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
         if self.column is None and (self.wraps_at is not None or self.ties or self.stamps == "arrival"):
             raise ValueError("wraps_at, ties and stamps go with column")
-        if self.unit == ISO and (self.wraps_at is not None or self.ticks != 1):
-            raise ValueError(f"ticks and wraps_at go with a column of numbers, not of {ISO}")
+        if self.is_date and (self.wraps_at is not None or self.ticks != 1):
+            raise ValueError(f"ticks and wraps_at go with a column of numbers, not of dates ({self.unit})")
         return self
+
+    @property
+    def is_date(self) -> bool:
+        """True if the column holds dates or times of day."""
+        return self.unit is not None and (self.unit == ISO or is_date_format(self.unit))
 
 
 class ThermometerTable(BaseModel):

@@ -9,7 +9,7 @@ changed here; a person decides about doubts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import log as ln
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.knocks import find_knocks, knock_sentence
 from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
@@ -46,6 +47,12 @@ NEAR_TURNS = 0.3
 
 EARTH_GAUSS = (0.15, 1.0)
 """Field of the earth (0.22 to 0.67 gauss, IGRF) with the influence of iron near a sensor."""
+
+SHARED_S = 1e-7
+"""Interval below which rows were written with the same time: the importer separates these by 1 ns."""
+
+LEAST_OFFSET = 64.0
+"""Least code that is taken for the middle of an unsigned converter's range: that of 8 bits has 128."""
 
 RATES_HZ = (1.0, 20_000.0)
 """Plausible rates of inertial and magnetic sensors: no chip is faster, and slower ones have a wrong unit of time."""
@@ -92,6 +99,10 @@ TURNED = 0.02
 """Rotation of gravity between windows (rad) from which on a gyroscope can be compared."""
 
 FEWEST_TURNS = 20
+TURN_PASSES = 3
+MOST_HALF_TURN = 1.0
+"""Passes in which the angle between windows is found, and the largest half of one (rad) that is believed."""
+
 FOLLOWS = 0.8
 """Correlation between the rotations of accelerometers and gyroscope above which their ratio is used."""
 
@@ -181,7 +192,9 @@ def report_of(log: Log) -> Report:
         if not sensor.is_triad:
             continue
         timing = row_timing(sensor)
-        if timing.sentence:
+        if timing.kind == "bursts" and timing.usual_s < SHARED_S:
+            quirks.add(sensor.name, _shared_times(timing))
+        elif timing.sentence:
             hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
         elif missing := _missing_rows(sensor, timing):
@@ -314,6 +327,14 @@ def _doubled(ratio: float) -> str:
     return f"range and sensitivity may be those of another setting, the counts per g {factor}"
 
 
+def _shared_times(timing: RowTiming) -> str:
+    return (
+        f"several rows have the same time, and the next time is {timing.gap_s:.3g} s later: the clock is coarse,"
+        " or the rows are of several sensors, which kind_column in the map tells apart. If they are of one sensor, its"
+        f" rate is {timing.rate_hz:.4g} Hz, and stamps = 'arrival' in the map reconstructs the reading times"
+    )
+
+
 def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
     """Describe the rows that are missing between otherwise steady rows; "" if none is."""
     gaps = _find_gaps(sensor, timing)
@@ -409,12 +430,16 @@ class _Codes:
         elif sensor.sensitivity and most > MOST[sensor.quantity] * sensor.sensitivity:
             value = most / sensor.sensitivity
             yield f"reads up to {value:.4g} {sensor.unit}, more than any usual chip measures: is the unit wrong?"
-        if all(_is_unsigned(codes) for codes in self.seen) and sensor.quantity in INERTIAL:
+        if _are_unsigned(self.seen) and sensor.quantity in INERTIAL:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
 
 
-def _is_unsigned(seen: Histogram) -> bool:
-    return bool(seen.codes[0] >= 1000 and seen.codes[-1] - seen.codes[0] < seen.codes[0])
+def _are_unsigned(seen: Sequence[Histogram]) -> bool:
+    """Return whether no axis has a negative code, and the usual codes of all axes are near each other: forces and rates
+    are on both sides of zero, at least on one axis of three.
+    """
+    usual = [float(codes.codes[np.searchsorted(np.cumsum(codes.counts), codes.counts.sum() / 2)]) for codes in seen]
+    return min(codes.codes[0] for codes in seen) >= 0 and min(usual) > max(LEAST_OFFSET, max(usual) / 2)
 
 
 def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
@@ -482,24 +507,46 @@ def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
     f = f / np.maximum(length, 1e-9)[:, None]
     follows = (np.diff(common) == 1) & (np.abs(length[1:] / usual - 1) < 0.2) & (np.abs(length[:-1] / usual - 1) < 0.2)
     turned = np.diff(f, axis=0)[follows]
-    rates = (omega[1:] + omega[:-1])[follows] / 2
+    rates = _between(omega, np.diff(common) == 1)[follows]
     middle = (f[1:] + f[:-1])[follows] / 2
     width_s = force.width_ns * 1e-9
     moving = np.linalg.norm(turned, axis=1) >= TURNED
     if np.count_nonzero(moving) < FEWEST_TURNS:
         return None
-    # turned = -factor (rates - bias) x middle: linear in the factor and in factor x bias.
-    design = np.empty((len(turned), 3, 4))
-    design[:, :, 0] = -np.cross(rates, middle) * width_s
-    for axis in range(3):
-        design[:, :, 1 + axis] = np.cross(np.eye(3)[axis], middle) * width_s
-    flat, observed = design.reshape(-1, 4), turned.ravel()
-    solution = np.linalg.lstsq(flat, observed, rcond=None)[0]
+    # turned = -factor (rates - bias) x middle, times tan(angle / 2) / (angle / 2) of the angle (Cayley), which is 1.1
+    # for 1 rad: linear in the factor and in factor x bias, if the angle is that of the factor before.
+    factor, angle = 0.0, np.linalg.norm(rates, axis=1) * width_s
+    for _ in range(TURN_PASSES):
+        half = np.clip(angle * abs(factor) / 2, 1e-9, MOST_HALF_TURN)
+        width = (width_s * np.tan(half) / half)[:, None]
+        design = np.empty((len(turned), 3, 4))
+        design[:, :, 0] = -np.cross(rates, middle) * width
+        for axis in range(3):
+            design[:, :, 1 + axis] = np.cross(np.eye(3)[axis], middle) * width
+        flat, observed = design.reshape(-1, 4), turned.ravel()
+        solution = np.linalg.lstsq(flat, observed, rcond=None)[0]
+        factor = float(solution[0])
     a, b = observed - flat[:, 1:] @ solution[1:], flat[:, 0]
     both = float(np.sqrt((a @ a) * (b @ b)))
     if not both or abs(float(a @ b)) / both < FOLLOWS:
         return None
-    return float(solution[0])
+    return factor
+
+
+def _between(means: Floats, follows: npt.NDArray[np.bool_]) -> Floats:
+    """Return the means (n - 1, 3) over two windows that weigh the time between their middles by a triangle, as the
+    change of the window means of an integral is, from the means (n, 3) of windows that follow each other (n - 1,).
+
+    The plain mean of both weighs by a rectangle, whose variance is a sixth of a squared window larger: half of that
+    times the second derivative is subtracted, where both neighbours are known.
+    """
+    pairs = (means[1:] + means[:-1]) / 2
+    if len(means) < 4:
+        return pairs
+    inner = (follows[:-2] & follows[1:-1] & follows[2:])[:, None]
+    bend = means[:-3] - means[1:-2] - means[2:-1] + means[3:]
+    pairs[1:-1] -= np.where(inner, bend / 24, 0.0)
+    return pairs
 
 
 def _twins(log: Log) -> Iterator[tuple[str, str]]:

@@ -26,8 +26,9 @@ Progress = Callable[[int], None]
 class Rows(Protocol):
     """A recording's rows. SourceError if they are unreadable."""
 
-    remarks: list[str]
-    """Remarks about the file and what was left out, as sentences."""
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Remarks about the file and what was left out, as sentences."""
 
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the columns' names by kind of rows ("" if there is only one kind)."""
@@ -62,6 +63,48 @@ class TextRows:
             self.remarks += [text for text in table.remarks() if text not in self.remarks]
 
 
+class FolderRows:
+    """The rows of the texts in a folder: one file for each sensor, as phones export them. The name of a file, without
+    its suffix, is the kind of its rows.
+    """
+
+    def __init__(
+        self, source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
+    ) -> None:
+        self._source = source
+        self._files = {
+            name: TextRows(path, output, table_map, progress) for name, path in texts_in(Path(source)).items()
+        }
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks about the files that were read."""
+        return [f"{name}: {text}" for name, file in self._files.items() for text in file.remarks]
+
+    def names(self) -> Mapping[str, Sequence[str]]:
+        """Return the names in the first row of each file."""
+        return {name: file.names()[""] for name, file in self._files.items()}
+
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+        """Yield the rows of the file that `kind` names; SourceError if there is none."""
+        if kind is None or kind not in self._files:
+            problem = "kind is missing" if kind is None else f"no file {kind!r}"
+            raise SourceError(
+                f"{self._source}: {problem}; the kind of a sensor of a folder is the name of its file: "
+                + ", ".join(self._files)
+            )
+        yield from self._files[kind].blocks(columns, None, rows)
+
+
+_TEXTS = (".csv", ".txt", ".tsv", ".csv.gz", ".txt.gz", ".tsv.gz")
+
+
+def texts_in(folder: Path) -> dict[str, Path]:
+    """Return the texts of a folder by their names without suffix."""
+    paths = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(_TEXTS))
+    return {path.name.partition(".")[0]: path for path in paths}
+
+
 READERS: Mapping[bytes, str] = {
     b"PK\x03\x04": "arrays",
     b"\x93NUMPY": "arrays",
@@ -77,12 +120,18 @@ READERS: Mapping[bytes, str] = {
 
 
 def reader_of(source: str | PathLike[str]) -> str | None:
-    """Return the module that reads a binary file; None for a text. A folder is taken for a ROS 2 bag."""
+    """Return the module that reads a binary file; None for a text, or a folder of texts. A folder with a metadata.yaml
+    is taken for a ROS 2 bag.
+    """
     path = Path(source)
     if path.is_dir():
-        if not (path / "metadata.yaml").is_file():
-            raise SourceError(f"{path}: is a folder without a metadata.yaml, so no ROS 2 bag; a recording is one file")
-        return "bags"
+        if (path / "metadata.yaml").is_file():
+            return "bags"
+        if not texts_in(path):
+            raise SourceError(
+                f"{path}: is a folder without a metadata.yaml, so no ROS 2 bag, and has no {', '.join(_TEXTS[:3])}"
+            )
+        return None
     try:
         with path.open("rb") as file:
             first = file.read(max(map(len, READERS)))
@@ -96,6 +145,8 @@ def open_rows(
 ) -> Rows:
     """Open the rows of any recording that a map can describe; SourceError, MissingExtraError."""
     reader = reader_of(source)
+    if reader is None and Path(source).is_dir():
+        return FolderRows(source, output, table_map, progress)
     if reader is None:
         return TextRows(source, output, table_map, progress)
     if not Path(source).is_dir():

@@ -19,7 +19,6 @@ from imuarray.importers.arrival import count_out
 from imuarray.importers.cells import INT16, INT32, ROWS, Block, Clock, Codes, Column, counts, numbers
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
-    ISO,
     PA_PER_UNIT,
     ZERO_OF_UNIT,
     Barometer,
@@ -33,6 +32,7 @@ from imuarray.importers.mapping import (
     ThermometerTable,
     columns_of,
     face_name,
+    has_no_day,
     load_map,
 )
 from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
@@ -492,7 +492,11 @@ class _Recording:
             self._log.phase(Phase(begin, end + 1, face_name(up), up))
         clock = self._map.clock
         zero = f"column {clock.column!r}" if clock.column is not None else "the first row"
-        wall = "the times are UTC" if clock.unit == ISO else f"no wall time: the epoch stands for the zero of {zero}"
+        wall = (
+            "the times are UTC"
+            if clock.is_date and not has_no_day(clock.unit or "%d")
+            else f"no wall time: the epoch stands for the zero of {zero}"
+        )
         self._log.event(
             Event(first.first_ns, "", "imported", f"from {Path(source).name} by {Path(map_path).name}; {wall}")
         )

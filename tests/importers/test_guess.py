@@ -189,7 +189,7 @@ def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
 
 def test_recordings_one_after_the_other(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
-    assert "decreases 2 times: a wrapping counter (wraps_at)" in guess_map(tmp_path / "data.csv")
+    assert "decreases 2 times: rows out of order, which must be sorted; a wrapping" in guess_map(tmp_path / "data.csv")
 
 
 def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         [
             "? Acc: measures 9.8",
             "the columns may be in m/s2, not g",
-            "? Gyro: measures 0.0164 times the rotation of gravity in the accelerometers: the columns may be in rad/s",
+            "? Gyro: measures 0.0173 times the rotation of gravity in the accelerometers: the columns may be in rad/s",
         ],
     ),
     "rad/s as dps, of a coarse gyroscope": (

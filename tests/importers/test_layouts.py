@@ -1,0 +1,267 @@
+"""Layouts of other people's recordings: several clocks, files and instances, dates in other formats, unsigned codes."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.cli import main
+from imuarray.errors import SourceError
+from imuarray.importers.cells import Clock, Column
+from imuarray.importers.guess import guess_map
+from imuarray.importers.plausibility import report_of, turns_of
+from imuarray.importers.table import import_table
+from imuarray.log import open_log
+from tests.importers.recordings import PER_DPS, PER_G, ROWS, G, counts_of, joined, lines_of, walk
+
+HEADER = "t,ax,ay,az,gx,gy,gz"
+WALK = walk()
+BOTH = np.hstack([WALK.force_g, WALK.rate_dps])
+
+
+def imported(source: Path, tmp_path: Path) -> tuple[str, Path]:
+    """The proposed map of a recording, and the log that it makes of it."""
+    text = guess_map(source)
+    (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+    import_table(source, tmp_path / "map.toml", tmp_path / "run.h5")
+    return text, tmp_path / "run.h5"
+
+
+def written(tmp_path: Path, data: bytes, name: str = "data.csv") -> Path:
+    (tmp_path / name).write_bytes(data)
+    return tmp_path / name
+
+
+@pytest.mark.slow
+def test_each_sensor_of_a_wide_table_keeps_its_own_clock(tmp_path: Path) -> None:
+    half = ROWS // 2
+    lines = ["ACC_Time,ACC_X_g,ACC_Y_g,ACC_Z_g,GYR_Time,GYR_X_dps,GYR_Y_dps,GYR_Z_dps"]
+    for row in range(ROWS):
+        force = ",".join(f"{value:.5f}" for value in WALK.force_g[row])
+        rate = ",".join(f"{value:.4f}" for value in WALK.rate_dps[2 * row]) if row < half else ",,"
+        stamp = f"{WALK.time_s[2 * row] + 0.004:.3f}" if row < half else ""
+        lines.append(f"{WALK.time_s[row]:.3f},{force},{stamp},{rate}")
+    text, path = imported(written(tmp_path, joined(lines)), tmp_path)
+    assert 'time_column = "GYR_Time"' in text
+    with open_log(path) as log:
+        assert np.asarray(log["Gyro"].time[:3]).tolist() == [4_000_000, 24_000_000, 44_000_000]
+        assert np.asarray(log["Acc"].time[:3]).tolist() == [0, 10_000_000, 20_000_000]
+        assert (len(log["Gyro"]), len(log["Acc"])) == (half, ROWS)
+
+
+@pytest.mark.slow
+def test_a_folder_of_one_file_a_sensor_is_one_recording(tmp_path: Path) -> None:
+    """As a phone exports it: columns z, y, x, epochs in ns, SI units that no header says."""
+    phone = tmp_path / "phone"
+    phone.mkdir()
+    for name, values, late_ns in (
+        ("TotalAcceleration", WALK.force_g * G, 0),
+        ("Gyroscope", np.radians(WALK.rate_dps), 2_500_000),
+    ):
+        rows = [
+            f"{1_726_480_000_000_000_000 + late_ns + row * 10_000_000},{row * 0.01:.3f},"
+            + ",".join(f"{value:.7f}" for value in values[row, ::-1])
+            for row in range(ROWS)
+        ]
+        (phone / f"{name}.csv").write_bytes(joined(["time,seconds_elapsed,z,y,x", *rows]))
+    (phone / "Metadata.csv").write_text("device,platform\nPhone,android\n", encoding="utf-8")
+    text, path = imported(phone, tmp_path)
+    assert 'kind = "Gyroscope"' in text
+    assert "left out: " in text and "Metadata.csv" in text
+    with open_log(path) as log:
+        assert list(log.sensors) == ["Gyroscope", "TotalAcceleration"]
+        first = {name: int(log[name].time[0]) for name in log.sensors}
+        assert first["Gyroscope"] - first["TotalAcceleration"] == 2_500_000
+        still = np.asarray(log["TotalAcceleration"].counts[: ROWS // 2]) / log["TotalAcceleration"].sensitivity
+        assert still.mean(axis=0) == pytest.approx([0, 0, 1], abs=2e-3)
+        assert report_of(log).doubts == ()
+
+
+def test_a_folder_says_which_files_it_has(tmp_path: Path) -> None:
+    (tmp_path / "phone").mkdir()
+    with pytest.raises(SourceError, match=r"no ROS 2 bag, and has no \.csv"):
+        guess_map(tmp_path / "phone")
+    (tmp_path / "phone" / "Gyro.csv").write_bytes(joined([HEADER, *lines_of(WALK.time_s, BOTH)]))
+    (tmp_path / "map.toml").write_text(
+        'time = { column = "t", unit = "s" }\n[[sensor]]\nname = "Gyro"\nchip = "any"\nquantity = "angular_rate"\n'
+        'columns = ["gx", "gy", "gz"]\nunit = "dps"\nkind = "Gyroscope"\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(SourceError, match=r"no file 'Gyroscope'; the kind .* is the name of its file: Gyro$"):
+        import_table(tmp_path / "phone", tmp_path / "map.toml", tmp_path / "run.h5")
+
+
+@pytest.mark.slow
+def test_alternate_rows_of_two_instances_become_two_sensors(tmp_path: Path) -> None:
+    lines = ["timestamp,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"]
+    for row in range(ROWS):
+        for instance in (0, 1):
+            rate = ",".join(f"{value:.6f}" for value in np.radians(WALK.rate_dps[row] + instance))
+            force = ",".join(f"{value:.5f}" for value in WALK.force_g[row] * G)
+            lines.append(f"{WALK.time_s[row]:.3f},{instance},{rate},{force}")
+    text, path = imported(written(tmp_path, joined(lines)), tmp_path)
+    assert "kind_column = 1" in text
+    with open_log(path) as log:
+        assert sorted(log.sensors) == ["Acc", "Acc2", "Gyro", "Gyro2"]
+        means = [np.asarray(log[name].counts[:]).mean(axis=0) / log[name].sensitivity for name in ("Gyro", "Gyro2")]
+        assert means[1] - means[0] == pytest.approx([1, 1, 1], abs=0.01)
+        assert len(log["Gyro2"]) == ROWS
+
+
+@pytest.mark.slow
+def test_the_format_rows_of_a_log_name_the_columns_of_each_kind(tmp_path: Path) -> None:
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 140, 49, IMU, QBffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+        "FMT, 141, 30, MAG, QBhhh, TimeUS,I,MagX,MagY,MagZ",
+    ]
+    for row in range(ROWS):
+        us = 5_000_000 + row * 10_000
+        rate = ", ".join(f"{value:.6f}" for value in np.radians(WALK.rate_dps[row]))
+        force = ", ".join(f"{value:.5f}" for value in WALK.force_g[row] * G)
+        lines.append(f"IMU, {us}, 0, {rate}, {force}")
+        if row % 10 == 0:
+            lines.append(f"MAG, {us}, 0, {200 + row % 7}, {row % 5}, {row % 3 - 420}")
+    text, path = imported(written(tmp_path, joined(lines), "flight.log"), tmp_path)
+    assert 'kind = "IMU"' in text
+    assert "columns = [6, 7, 8]" in text
+    assert "columns = [3, 4, 5]" in text
+    with open_log(path) as log:
+        assert (len(log["Acc"]), len(log["Mag"])) == (ROWS, ROWS // 10)
+        assert report_of(log).doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("written_as", "unit"),
+    [
+        ("%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f"),
+        pytest.param("%Y/%m/%d %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f", marks=pytest.mark.slow),
+        pytest.param("%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", marks=pytest.mark.slow),
+        pytest.param("%H:%M:%S.%f", "%H:%M:%S.%f", marks=pytest.mark.slow),
+        pytest.param("%Y%m%dT%H%M%S.%f", "%Y%m%dT%H%M%S.%f", marks=pytest.mark.slow),
+    ],
+)
+def test_dates_of_other_formats_are_proposed_and_read_over_midnight(written_as: str, unit: str, tmp_path: Path) -> None:
+    begin = datetime(2024, 9, 9, 23, 59, 50)
+    stamps = [(begin + timedelta(milliseconds=10 * row)).strftime(written_as) for row in range(ROWS)]
+    rows = [f"{stamp};" + ";".join(f"{v:.5f}" for v in row) for stamp, row in zip(stamps, BOTH.tolist(), strict=True)]
+    text, path = imported(
+        written(tmp_path, joined([HEADER.replace("t", "when", 1).replace(",", ";"), *rows])), tmp_path
+    )
+    assert f'unit = "{unit}"' in text
+    with open_log(path) as log:
+        time = np.asarray(log["Acc"].time[:], np.int64)
+        assert np.unique(np.diff(time)).tolist() == [10_000_000]
+        since_midnight = 86_390 * 10**9
+        # 2024-09-09 is the 19 975th day after 1970-01-01 (54 years, of which 14 leap, and 252 days).
+        days = 0 if unit == "%H:%M:%S.%f" else 54 * 365 + 13 + 252
+        assert int(time[0]) == days * 86_400 * 10**9 + since_midnight
+
+
+def test_a_fraction_of_a_formatted_date_has_up_to_nine_digits() -> None:
+    texts = ["16.09.2024 00:00:00", "16.09.2024 00:00:00,000000001", "16.09.2024 00:00:01.5"]
+    column = Column("data.csv", "'t'", [2, 3, 4], texts)
+    times = Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column)
+    assert (times - times[0]).tolist() == [0, 1, 1_500_000_000]
+    with pytest.raises(SourceError, match="line 2, column 't': '16/09/2024' is not a date and time of the format"):
+        Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column._replace(texts=["16/09/2024", *texts[1:]]))
+
+
+@pytest.mark.parametrize("unit", ["%d.%m.%Y", "%H:%M:%Q", "fortnight"])
+def test_a_unit_of_time_that_is_none_says_what_is_allowed(
+    unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = written(tmp_path, joined([HEADER, *lines_of(WALK.time_s[:20], BOTH[:20])]))
+    text = guess_map(source).replace('unit = "s"', f'unit = "{unit}"', 1)
+    (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+    assert main(["import", str(source), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]) == 2
+    said = capsys.readouterr().err
+    assert "map.toml" in said
+    assert "%H" in said
+
+
+def test_rows_out_of_order_keep_their_time_column_and_are_refused(tmp_path: Path) -> None:
+    order = np.arange(ROWS)
+    order[10::50], order[12::50] = order[12::50].copy(), order[10::50].copy()
+    source = written(tmp_path, joined([HEADER, *lines_of(WALK.time_s[order], BOTH[order])]))
+    text = guess_map(source)
+    assert 'column = "t"' in text
+    assert "out of order" in text
+    with pytest.raises(SourceError, match=r"line 13, .* sort rows that are out of order"):
+        (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+        import_table(source, tmp_path / "map.toml", tmp_path / "run.h5")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("middle", "per_g"), [(512, 100), (2048, 400), (128, 30)])
+def test_the_middle_of_an_unsigned_converter_is_proposed_as_offset(middle: int, per_g: int, tmp_path: Path) -> None:
+    codes = np.rint(middle + WALK.force_g * per_g).astype(int)
+    source = written(tmp_path, joined(["t,ax,ay,az", *lines_of(WALK.time_s, codes, "{:d}")]))
+    text, path = imported(source, tmp_path)
+    assert f"offset = {middle} " in text
+    with open_log(path) as log:
+        assert log["Acc"].sensitivity == pytest.approx(per_g, rel=0.12)
+        assert log["Acc"].range * log["Acc"].sensitivity == middle
+        assert report_of(log).doubts == ()
+
+
+def test_codes_with_an_offset_that_the_map_lacks_are_doubted(tmp_path: Path) -> None:
+    codes = np.rint(512 + WALK.force_g * 100).astype(int)
+    source = written(tmp_path, joined(["t,ax,ay,az", *lines_of(WALK.time_s, codes, "{:d}")]))
+    lines = [line for line in guess_map(source).splitlines() if not line.startswith("offset")]
+    (tmp_path / "map.toml").write_text("\n".join(lines), encoding="utf-8")
+    import_table(source, tmp_path / "map.toml", tmp_path / "run.h5")
+    with open_log(tmp_path / "run.h5") as log:
+        assert any("are they unsigned, with an offset?" in text for text in report_of(log).doubts)
+
+
+def test_an_acceleration_without_gravity_is_left_out_beside_one_with_it(tmp_path: Path) -> None:
+    linear = np.hstack([np.ones((ROWS, 1)), np.zeros((ROWS, 3)), BOTH, WALK.force_g - [0, 0, 1]])
+    header = "t,qw,qx,qy,qz,ax,ay,az,gx,gy,gz,lin_acc_x,lin_acc_y,lin_acc_z"
+    text, path = imported(written(tmp_path, joined([header, *lines_of(WALK.time_s, linear)])), tmp_path)
+    assert "left out, by their names software computed them" in text
+    with open_log(path) as log:
+        assert list(log.sensors) == ["Acc", "Gyro"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("true_scale", [1.0, 0.5, 131 / 57.142857])
+def test_the_scale_of_a_gyroscope_follows_quick_turns_about_three_axes(true_scale: float, tmp_path: Path) -> None:
+    """Turns of up to 2.2 rad/s: each step is turned exactly, by Rodrigues' formula."""
+    time_s = np.arange(4000) * 0.01
+    rate = np.stack([1.5 * np.sin(1.9 * time_s), 1.2 * np.sin(2.3 * time_s + 1), np.sin(1.4 * time_s)], axis=1)
+    force = np.empty((4000, 3))
+    force[0] = [0, 0, 1]
+    for row in range(3999):
+        turn = (rate[row] + rate[row + 1]) / 2 * 0.01
+        angle = np.linalg.norm(turn)
+        axis, f = -turn / max(angle, 1e-12), force[row]
+        force[row + 1] = f * np.cos(angle) + np.cross(axis, f) * np.sin(angle) + axis * (axis @ f) * (1 - np.cos(angle))
+    noise = np.random.default_rng(8).normal(0, [4e-3] * 3 + [0.1] * 3, (4000, 6))
+    values = np.hstack([force, np.degrees(rate) / true_scale]) + noise
+    counts = np.rint(values * np.array([PER_G] * 3 + [PER_DPS / 4] * 3)).astype(int)
+    source = written(tmp_path, joined([HEADER, *lines_of(time_s, counts, "{:d}")]))
+    (tmp_path / "map.toml").write_text(
+        'time = { column = "t", unit = "s" }\n[[sensor]]\nname = "Acc"\nchip = "any"\nquantity = "specific_force"\n'
+        'columns = ["ax", "ay", "az"]\nunit = "g"\nrange = 8\nsensitivity = 4096\n[[sensor]]\nname = "Gyro"\n'
+        'chip = "any"\nquantity = "angular_rate"\ncolumns = ["gx", "gy", "gz"]\nunit = "dps"\nrange = 1000\n'
+        "sensitivity = 32.75\n",
+        encoding="utf-8",
+    )
+    import_table(source, tmp_path / "map.toml", tmp_path / "run.h5")
+    with open_log(tmp_path / "run.h5") as log:
+        assert turns_of(log) == pytest.approx(true_scale, rel=0.02)
+
+
+def test_rows_that_share_their_time_are_said_to_do_so(tmp_path: Path) -> None:
+    stamps = np.floor(WALK.time_s * 5) / 5
+    source = written(tmp_path, joined([HEADER, *lines_of(stamps, counts_of(WALK), "{:d}")]))
+    text, path = imported(source, tmp_path)
+    assert "ties = true" in text
+    with open_log(path) as log:
+        quirks = " ".join(report_of(log).quirks)
+    assert "several rows have the same time, and the next time is 0.2 s later" in quirks
+    assert "in bursts" not in quirks
