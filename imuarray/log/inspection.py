@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -82,9 +84,11 @@ def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: l
     for place in (root, *places):
         with bad.noted(place.path):
             texts += _look_at_attributes(place, f"{where}: {place.name or '/'}")
-    for text in texts:
-        with bad.noted(text.path):
-            _read(inspected, text, where)
+    for path, of_object in groupby(texts, attrgetter("path")):
+        with bad.noted(path):
+            item = h5o.open(inspected.id, path)  # once for all its texts
+            for text in of_object:
+                _read(item, text, where)
 
 
 class _Damage:
@@ -276,9 +280,8 @@ def _text_bytes(item: h5d.DatasetID) -> int:
     return int(np.ascontiguousarray(lengths).view("<u4").sum(dtype=np.int64))
 
 
-def _read(inspected: h5py.File, text: _Text, where: str) -> None:
-    """Texts, from a file in which nothing damaged is believed."""
-    item = h5o.open(inspected.id, text.path)
+def _read(item: Any, text: _Text, where: str) -> None:
+    """Texts of an object, from a file in which nothing damaged is believed."""
     if text.attribute is not None:
         attribute = h5a.open(item, text.attribute)
         attribute.read(np.empty(attribute.shape, attribute.dtype))

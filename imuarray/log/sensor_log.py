@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
+from imuarray.log.columns import DATASET, LiveGroup, NamedColumn
 from imuarray.log.format import COUNT_BITS, FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
@@ -125,14 +125,15 @@ class SensorLog:
                 continue
             if not isinstance(dataset, DATASET) or dataset.dtype.kind not in kind:
                 raise LogError(f"{self.where}: column {name} is not a column of whole numbers")
-            if dataset.shape[:1] != self._group["time"].shape[:1]:
+            self._columns[name] = NamedColumn(dataset, f"{self.where}: {name}")
+            if dataset.shape[:1] != self.time.shape[:1]:
                 raise LogError(f"{self.where}: column {name} has another length than time")
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
             raise LogError(f"{self.where}: column counts is not an (n, 3) table")
         for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # all of it is for `verify` to read
             try:
-                times = self._group["time"][edge]
-            except UNREADABLE:  # LogError for who reads these rows: the other sensors are good
+                times = self.time[edge]
+            except LogError:  # for who reads these rows: the other sensors are good
                 continue
             if (np.diff(times) <= 0).any():
                 raise LogError(f"{self.where}: column time does not increase")
