@@ -73,22 +73,31 @@ def _of_faces(evidence: Evidence) -> Response | None:
 
 
 def _of_motion(evidence: Evidence) -> Response | None:
-    """Shares of the reference's motion beside what the model makes of them, in the median over phases; along an axis
+    """Shares of the reference's motion beside what the model makes of them, in the mean over phases; along an axis
     about which the box hardly turned, or along which it hardly moved, both are small.
     """
     reading, felt = np.zeros((2, 3, 3))
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
-        reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _median(evidence, probe)
+        reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _mean(evidence, probe)
     if not (np.isfinite([reading, felt]).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
     return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
 
 
-def _median(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
-    """(3,) value and expectation."""
-    return _over(evidence.values.get(probe)), _over(evidence.expected.get(probe))
-
-
-def _over(rows: Floats | None) -> Floats:
-    known = np.zeros((0, 3)) if rows is None else rows[np.isfinite(rows).all(axis=1)]
-    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(3, np.nan)
+def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
+    """(3,) value and expectation, each phase by how well the axis is known in it: a turn about one axis knows little
+    of the others.
+    """
+    means = np.full((2, 3), np.nan)
+    if probe not in evidence.scores:
+        return means[0], means[1]
+    values, expected = evidence.values[probe], evidence.expected[probe]
+    deviation, score = values - expected, evidence.scores[probe]
+    known = np.isfinite(deviation) & np.isfinite(score) & (score != 0) & (deviation != 0)
+    weight = np.divide(score, deviation, out=np.zeros(score.shape), where=known) ** 2
+    total = weight.sum(axis=0)
+    for mean_row, rows in zip(means, (values, expected), strict=True):
+        mean_row[total > 0] = ((weight * np.where(known, rows, 0.0)).sum(axis=0) / np.where(total > 0, total, 1.0))[
+            total > 0
+        ]
+    return means[0], means[1]
