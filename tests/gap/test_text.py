@@ -187,6 +187,17 @@ def test_closed_and_chance() -> None:
         ({"time_constant_s": 12.0, "burst_rows": 3.0}, "time constant 12 s; burst rows 3"),
         ({"axes": "+Y+X+Z", "kind": "torn"}, "axes +Y+X+Z; kind torn"),
         ({}, ""),
+        ({"cutoff_hz": 15.5, "spans": [1.0, 97.12, 1e9]}, "cutoff 15.5 Hz; in log 2 from 97.1 s on"),
+        (
+            {"spans": [0.0, 0.0, 8.5, 0.0, 20.0, 30.0, 2.0, 0.0, 1e9]},
+            "in log 1 until 8.5 s; in log 1 from 20 to 30 s; in log 3",
+        ),
+        (
+            {"runs": [0.0, 0.0, 3.0], "moments_s": [12.39, 20.93, 4.0], "lengths_s": [0.48, 0.1, 0.5]},
+            "in log 1 at 12.4, 20.9 s for 0.1 to 0.48 s; in log 4 at 4 s for 0.5 s",
+        ),
+        ({"runs": [1.0] * 11, "moments_s": list(range(11))}, "in log 2 at 0, 1, 2, 3, 4, 5, 6, 7, 8 ... (11 in all) s"),
+        ({"range": 2.0, "runs": [1.0, 4.0]}, "range 2; in log 2; in log 5"),
     ],
 )
 def test_parameters(parameters: dict[str, Any], text: str) -> None:

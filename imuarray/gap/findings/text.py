@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Interval, Pull, Unobservable, Where
+from imuarray.simulate.effect import FOREVER_S
 
 WIDTH = 120
 NOTHING = "–"
@@ -24,6 +25,9 @@ _MOST = 9
 
 _MOST_NOTES = 12
 """Most notes that are shown: each of many logs has its own."""
+
+_WHEN = ("spans", "runs", "moments_s", "lengths_s")
+"""Parameters that say in which logs and when an effect acts."""
 
 _SMALL_G = 0.1
 """Accelerations below it are written in mg."""
@@ -108,8 +112,18 @@ def gap_text(gap: Gap) -> str:
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """Formats parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"."""
-    return "; ".join(_parameter(str(key), value) for key, value in parameters.items())
+    """Formats parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"; and when it
+    acts: "in log 2 from 97.1 s on".
+    """
+    runs, spans, moments_s = (list(parameters.get(name, ())) for name in ("runs", "spans", "moments_s"))
+    own = {name: value for name, value in parameters.items() if name not in _WHEN}
+    parts = [_parameter(str(name), value) for name, value in own.items()]
+    parts += [_span_text(*span) for span in zip(spans[::3], spans[1::3], spans[2::3], strict=True)]
+    parts += [
+        _moments_text(run, [at for at, each in enumerate(runs) if each == run], moments_s, parameters)
+        for run in dict.fromkeys(runs)
+    ]
+    return "; ".join(parts)
 
 
 def places_text(cause: Cause) -> str:
@@ -124,6 +138,29 @@ def specification_text(pull: Pull) -> str:
     return f"{place}: {pull.quantity} is {number(abs(pull.pull), 2)} tolerances off: this part is out of specification"
 
 
+def _span_text(run: float, begin_s: float, end_s: float) -> str:
+    log = f"in log {run + 1:.0f}"
+    if end_s >= FOREVER_S:
+        return f"{log} from {number(begin_s)} s on" if begin_s > 0 else log
+    return f"{log} from {number(begin_s)} to {number(end_s)} s" if begin_s > 0 else f"{log} until {number(end_s)} s"
+
+
+def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float], parameters: Mapping[str, Any]) -> str:
+    """The moments at `places` of the lists, which are those of one run, and how long it lasts at each."""
+    log = f"in log {run + 1:.0f}"
+    if not moments_s:
+        return log
+    at = _several([moments_s[place] for place in places])
+    lengths_s = [parameters["lengths_s"][place] for place in places] if parameters.get("lengths_s") else []
+    ends = dict.fromkeys(map(number, (min(lengths_s), max(lengths_s)))) if lengths_s else {}
+    return f"{log} at {at} s" + (f" for {' to '.join(ends)} s" if ends else "")
+
+
+def _several(values: Sequence[float]) -> str:
+    more = f" ... ({len(values)} in all)" if len(values) > _MOST else ""
+    return ", ".join(map(number, values[:_MOST])) + more
+
+
 def _parameter(key: str, value: Any) -> str:
     values, match = _numbers(value), _WITH_UNIT.fullmatch(key)
     if values is None or match is None:
@@ -136,8 +173,7 @@ def _parameter(key: str, value: Any) -> str:
         unit, values = "mg", [1000 * value_of_axis for value_of_axis in values]
     unit += f"/{_UNITS[under]}" if under else ""
     space = "" if unit == "°" else " "
-    text = ", ".join(map(number, values[:_MOST])) + (f" ... ({len(values)} in all)" if len(values) > _MOST else "")
-    return f"{match['name'].replace('_', ' ')} {text}{space}{unit}".rstrip()
+    return f"{match['name'].replace('_', ' ')} {_several(values)}{space}{unit}".rstrip()
 
 
 def _numbers(value: Any) -> list[float] | None:
