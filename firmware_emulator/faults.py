@@ -19,6 +19,7 @@ The file does not state the expected response of the program at the other end.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -79,17 +80,31 @@ class Fault:
 def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
     """The faults in the file at `path`; ValueError, one line, for what can't be read or can't happen to this array."""
     try:
-        with Path(path).open("rb") as file:
-            tables = tomllib.load(file)
+        text = Path(path).read_text(encoding="utf-8")
+        tables = tomllib.loads(text)
     except OSError as error:
         raise ValueError(f"faults={path}: {error.strerror or error}") from None
     except ValueError as error:
         raise ValueError(f"faults={path}: no TOML: {error}") from None
-    return faults_from(tables, array)
+    return faults_from(tables, array, text, path)
 
 
-def faults_from(tables: Mapping[str, Any], array: ArrayLike) -> tuple[Fault, ...]:
-    """The faults of a parsed file; ValueError as `read_faults`."""
+_HEADER = re.compile(r"\s*\[\[\s*fault\s*\]\]")
+
+
+def _line_of(text: str, number: int, key: str) -> int:
+    """Return the line of a key of the fault `number`, else of its header; 0 if it has none."""
+    lines = text.splitlines()
+    headers = [place for place, line in enumerate(lines) if _HEADER.match(line)]
+    if number > len(headers):
+        return 0
+    begin, end = headers[number - 1], [*headers, len(lines)][number]
+    of_key = (place for place in range(begin, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[place]))
+    return next(of_key, begin) + 1
+
+
+def faults_from(tables: Mapping[str, Any], array: ArrayLike, text: str = "", path: str = "") -> tuple[Fault, ...]:
+    """The faults of a parsed file; ValueError as `read_faults`, with the line if the `text` of the file is given."""
     listed = tables.get("fault", [])
     if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(table, dict) for table in listed):
         raise ValueError("faults: allowed are tables [[fault]] only")
@@ -98,7 +113,8 @@ def faults_from(tables: Mapping[str, Any], array: ArrayLike) -> tuple[Fault, ...
         try:
             faults.append(_fault(table, array))
         except ValueError as error:
-            raise ValueError(f"fault {number}: {error}") from None
+            line = _line_of(text, number, str(error).partition(" ")[0].strip(":"))
+            raise ValueError(f"{f'{path}:{line}: ' if line else ''}fault {number}: {error}") from None
     return tuple(faults)
 
 

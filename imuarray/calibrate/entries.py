@@ -7,16 +7,42 @@ read by a mapping from its keys to readers. The keys that a table must have are 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
+from imuarray.toml_lines import Place
 
 Table = Mapping[str, object]
-Reader = Callable[[object, str], object]
+
+
+@dataclass(frozen=True)
+class Where:
+    """The place of a value in a calibration file; its text is file, line and place: "cal.toml:7: sensor 1: unit"."""
+
+    path: str
+    lines: Mapping[Place, int]
+    place: Place
+    words: str
+
+    def key(self, name: str) -> Where:
+        """Return the place of a key in the table that is here."""
+        return replace(self, place=(*self.place, name), words=f"{self.words}: {name}")
+
+    def entry(self, number: int) -> Where:
+        """Return the place of an entry, counted from 1, of the list that is here."""
+        return replace(self, place=(*self.place, number - 1), words=f"{self.words} {number}")
+
+    def __str__(self) -> str:
+        around = (self.place[:length] for length in range(len(self.place), 0, -1))
+        line = next((self.lines[place] for place in around if place in self.lines), 0)
+        return f"{self.path}{f':{line}' if line else ''}: {self.words}"
+
+
+Reader = Callable[[object, Where], object]
 T = TypeVar("T")
 
 _HUGE = 1e6
@@ -52,14 +78,15 @@ def _plain(value: object) -> object:
     return to_table(value) if is_dataclass(value) else value
 
 
-def read_table(entry: object, where: str, kind: type[T], readers: Mapping[str, Reader]) -> T:
+def read_table(entry: object, where: Where, kind: type[T], readers: Mapping[str, Reader]) -> T:
     """A `kind` from a table; CalibrationError names a key that is missing, unknown or holds what it can't."""
     wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
     if not isinstance(entry, dict) or not set(wanted) <= set(entry):
         raise CalibrationError(f"{where}: a table is required with {', '.join(wanted)}")
     if unknown := set(entry) - set(readers):
-        raise CalibrationError(f"{where}: unknown key {sorted(unknown)[0]!r}; allowed are {', '.join(sorted(readers))}")
-    return kind(**{key: readers[key](value, f"{where}: {key}") for key, value in entry.items()})
+        place = where.key(sorted(unknown)[0])
+        raise CalibrationError(f"{place}: unknown key; allowed are {', '.join(sorted(readers))}")
+    return kind(**{key: readers[key](value, where.key(key)) for key, value in entry.items()})
 
 
 def table(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
@@ -70,8 +97,8 @@ def table(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
 def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
     """A reader of an array of tables, into a tuple."""
 
-    def read(value: object, where: str) -> tuple[T, ...]:
-        return tuple(read_table(entry, f"{where} {i}", kind, readers) for i, entry in enumerate(_list(value, where), 1))
+    def read(value: object, where: Where) -> tuple[T, ...]:
+        return tuple(read_table(entry, where.entry(i), kind, readers) for i, entry in enumerate(_list(value, where), 1))
 
     return read
 
@@ -79,10 +106,10 @@ def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
 def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[str, ...]) -> Reader:
     """A reader of a table of tables that may have the `allowed` names."""
 
-    def read(value: object, where: str) -> dict[str, T]:
+    def read(value: object, where: Where) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
             raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are required")
-        return {name: read_table(entry, f"{where}.{name}", kind, readers) for name, entry in value.items()}
+        return {name: read_table(entry, where.key(name), kind, readers) for name, entry in value.items()}
 
     return read
 
@@ -90,7 +117,7 @@ def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[st
 def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unknown: bool = False) -> Reader:
     """A reader of an array of numbers from `lowest` to `highest`; where `unknown` is true, nan says that it is."""
 
-    def read(value: object, where: str) -> Floats:
+    def read(value: object, where: Where) -> Floats:
         array = _array(value, shape)
         if array is None or not (np.isfinite(array) | (unknown & np.isnan(array))).all():
             raise CalibrationError(f"{where} must have {' x '.join(map(str, shape))} finite numbers")
@@ -120,7 +147,7 @@ def _is_number(value: object) -> bool:
 def covariance(size: int) -> Reader:
     """A reader of a covariance (size, size): symmetric, no negative variance in any direction."""
 
-    def read(value: object, where: str) -> Floats:
+    def read(value: object, where: Where) -> Floats:
         matrix = np.asarray(numbers(size, size)(value, where))
         slack = _ASYMMETRY * float(np.abs(matrix).max())
         if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
@@ -133,7 +160,7 @@ def covariance(size: int) -> Reader:
 def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
     """A reader of one number from `lowest` to `highest`, as it stands."""
 
-    def read(value: object, where: str) -> object:
+    def read(value: object, where: Where) -> object:
         if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]
             raise CalibrationError(f"{where} is not a plausible number for a sensor")
         return value
@@ -141,7 +168,7 @@ def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
     return read
 
 
-def whole(value: object, where: str) -> int:
+def whole(value: object, where: Where) -> int:
     """A reader of a whole number from 0 to a million."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _HUGE:
         raise CalibrationError(f"{where}: a whole number is required")
@@ -151,7 +178,7 @@ def whole(value: object, where: str) -> int:
 def text(*allowed: str, empty: bool = False) -> Reader:
     """A reader of a text, one of `allowed` if any are named."""
 
-    def read(value: object, where: str) -> str:
+    def read(value: object, where: Where) -> str:
         if not isinstance(value, str) or not (value or empty) or (allowed and value not in allowed):
             choice = f"; allowed are {', '.join(allowed)}" if allowed else "; a text is required"
             raise CalibrationError(f"{where}: {value!r:.40}{choice}")
@@ -163,7 +190,7 @@ def text(*allowed: str, empty: bool = False) -> Reader:
 def several(reader: Reader, count: int | None = None) -> Reader:
     """A reader of a list, into a tuple, of `count` entries if that is said."""
 
-    def read(value: object, where: str) -> tuple[object, ...]:
+    def read(value: object, where: Where) -> tuple[object, ...]:
         entries = _list(value, where)
         if count not in (None, len(entries)):
             raise CalibrationError(f"{where}: {count} entries are required")
@@ -172,7 +199,7 @@ def several(reader: Reader, count: int | None = None) -> Reader:
     return read
 
 
-def _list(value: object, where: str) -> list[object]:
+def _list(value: object, where: Where) -> list[object]:
     if not isinstance(value, list):
         raise CalibrationError(f"{where}: a list is required")
     return value

@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.calibrate.entries import (
     Reader,
+    Where,
     covariance,
     named_tables,
     number,
@@ -36,19 +37,21 @@ from imuarray.calibrate.stability import (
 from imuarray.errors import CalibrationError
 from imuarray.spelling import guess_file
 from imuarray.toml_files import no_text
+from imuarray.toml_lines import key_lines
 
 _UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration:
-    """Read a calibration file; CalibrationError names the file, the sensor and the key.
+    """Read a calibration file; CalibrationError names the file, the line, the sensor and the key.
 
     >>> calibration = load_calibration("cal.toml")
     >>> calibration.sensors["Gyro1"].bias_lsb.shape
     (3,)
     """
     try:
-        file = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        content = Path(path).read_text(encoding="utf-8")
+        file = tomllib.loads(content)
     except (OSError, ValueError, RecursionError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
         other = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
@@ -61,21 +64,22 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
         raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are required")
     sensors: dict[str, SensorCalibration] = {}
+    array = Where(str(path), key_lines(content), ("sensor",), "sensor")
     for index, entry in enumerate(entries, start=1):
-        sensor = _from_table(entry, f"{path}, sensor {index}")
+        sensor = _from_table(entry, array.entry(index))
         if sensor.name in sensors:
-            raise CalibrationError(f"{path}, sensor {index}: {sensor.name!r} appears twice")
+            raise CalibrationError(f"{array.entry(index).key('name')}: {sensor.name!r} appears twice")
         sensors[sensor.name] = sensor
     return Calibration(sensors, tuple(sources))
 
 
-def _from_table(entry: object, where: str) -> SensorCalibration:
+def _from_table(entry: object, where: Where) -> SensorCalibration:
     sensor = read_table(entry, where, SensorCalibration, _SENSOR)
     if _UNITS.get(sensor.quantity) != sensor.unit:
         allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
-        raise CalibrationError(f"{where}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {allowed}")
+        raise CalibrationError(f"{where.key('unit')}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {allowed}")
     if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
-        raise CalibrationError(f"{where}: response_lsb_per_unit can't be inverted")
+        raise CalibrationError(f"{where.key('response_lsb_per_unit')}: can't be inverted")
     return sensor
 
 

@@ -548,3 +548,26 @@ def test_angles_are_zero_along_x_ninety_along_y_and_know_their_quadrant(
     rows = np.array([direction, direction, direction], float) * 512
     found = known(response_lsb_per_unit=rows).azimuth_elevation_deg()
     assert found[0] == pytest.approx((azimuth, elevation))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("bias_lsb = [1, 2]", ":8: sensor 1: bias_lsb must have 3 finite numbers"),
+        ("bias_lsb = [1, 2, 3]\nbais_lsb = [1, 2, 3]", ":9: sensor 1: bais_lsb: unknown key; allowed are "),
+        (
+            'bias_lsb = [1, 2, 3]\n\n[[sensor.noise_lines]]\naxis = "w"',
+            ":10: sensor 1: noise_lines 1: a table is required",
+        ),
+    ],
+)
+def test_a_mistake_has_its_line(wrong: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "cal.toml"
+    path.write_text(
+        '[calibration]\nformat_version = 1\n[[sensor]]\nname = "A"\nquantity = "specific_force"\nunit = "g"\n'
+        "response_lsb_per_unit = [[9, 0, 0], [0, 9, 0], [0, 0, 9]]\n" + wrong + "\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(CalibrationError) as refused:
+        load_calibration(path)
+    assert f"{path}{said}" in str(refused.value)

@@ -302,6 +302,20 @@ def test_what_is_refused(array: ArrayConfig, table: dict[str, Any], message: str
     assert message in str(refusal.value)
 
 
+def test_a_mistake_has_its_line(array: ArrayConfig, tmp_path: Path) -> None:
+    path = tmp_path / "n.toml"
+    good = '[[fault]]\nkind = "stuck_bus"\nfor_s = 1\n'
+    for wrong, said in (
+        ('# two\n[[fault]]\nkind = "stuck_bus"\n# a comment\nfor_s = -1\n', ":8: fault 2: for_s = -1; required"),
+        ("[[ fault ]]\nkind = 'reset'\nsensor = 'A'\nwen = 1\n", ":7: fault 2: wen: no such key of reset"),
+        ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s = None; required are seconds"),
+    ):
+        path.write_text(good + wrong)
+        with pytest.raises(ValueError, match=r"fault 2") as refusal:
+            open_bus({"faults": str(path)}, array)
+        assert f"{path}{said}" in str(refusal.value)
+
+
 def test_files_that_are_refused(array: ArrayConfig, tmp_path: Path) -> None:
     for text, message in (("[[fault]", "no TOML"), ("[fault]\nkind=1", "tables"), ("other = 1", "tables")):
         (tmp_path / "n.toml").write_text(text)
