@@ -117,11 +117,15 @@ def _print(summary: dict[str, Any]) -> None:
     if summary["frame_rate_hz"]:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
         _say(f"  {summary['frame_rate_hz']:g} frames a second were asked for{missed}")
+    names, chips = (
+        max([least, *(len(sensor[key]) for sensor in summary["sensors"])])
+        for key, least in (("name", 12), ("chip", 10))
+    )
     for sensor in summary["sensors"]:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else "no range"
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
         _say(
-            f"  {sensor['name']:12} {sensor['chip']:10} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
+            f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
             f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {flags}".rstrip()
         )
     for phase in summary["phases"]:
