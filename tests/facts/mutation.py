@@ -10,6 +10,7 @@ complains or a golden conversation (tests/golden) differs, with driver or chip. 
 
 from __future__ import annotations
 
+import argparse
 import ast
 import copy
 import json
@@ -281,8 +282,11 @@ def _shares(verdicts: list[Verdict]) -> dict[str, float]:
 
 def main() -> int:
     """Print what the run found; 1 if a fact has no witness."""
+    parser = argparse.ArgumentParser(description="Make each register fact wrong, and count which are noticed (minutes).")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    arguments = parser.parse_args()
     found = run()
-    if "--json" in sys.argv[1:]:
+    if arguments.json:
         print(json.dumps(found, indent=1))
         return int(bool(found["without_witness"]))
     for kind, text in (("all", "defaults included"), ("stated", "printed in the tables")):
