@@ -195,25 +195,6 @@ def pressure_bmp280(up: Integers, fine: Integers, words: Words) -> Integers:
     return np.where(a == 0, 0, (p + c + d >> 8) + (words["P7"] << 4))
 
 
-def pressure_bmp280_32_bits(up: Integers, fine: Integers, words: Words) -> Integers:
-    """The pressure (n,) in Pa by the formula for 32 bits, which microcontrollers use; off by about 1 Pa rms (BMP-123).
-
-    A log holds what `pressure_bmp280` gives; this is to compare it with what such a program reports.
-    """
-    a = (fine >> 1) - 64000
-    square = (a >> 2) * (a >> 2)
-    b = (square >> 11) * words["P6"] + (a * words["P5"] << 1)
-    b = (b >> 2) + (words["P4"] << 16)
-    a = (words["P3"] * (square >> 13) >> 3) + (words["P2"] * a >> 1) >> 18
-    a = (32768 + a) * words["P1"] >> 15
-    p = ((1048576 - up) - (b >> 12)) * 3125
-    divisor = np.where(a == 0, 1, a)
-    p = np.where(p < 0x80000000, (p << 1) // divisor, p // divisor * 2)
-    c = words["P9"] * ((p >> 3) * (p >> 3) >> 13) >> 12
-    d = (p >> 2) * words["P8"] >> 13
-    return np.where(a == 0, 0, p + (c + d + words["P7"] >> 4))
-
-
 # BMP388 ---------------------------------------------------------------------------------------------------------------
 
 _RAW_BITS_BMP388 = 24

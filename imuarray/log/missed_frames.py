@@ -133,11 +133,6 @@ def frame_timing(log: Log) -> FrameTiming:
     return FrameTiming(missed, duration_s(frames, missed, log.frame_rate_hz))
 
 
-def missed_frames(log: Log) -> int | None:
-    """Frames that were missed in `log`; None where it does not say: it tells no frame rate, or is of another clock."""
-    return frame_timing(log).missed
-
-
 def _span_s(log: Log) -> float:
     """The time from the first row to the last one, plus one frame, in s."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]

@@ -24,7 +24,6 @@ from imuarray.log.missed_frames import (
     is_read_once_a_frame,
     missed_by_all,
     missed_by_events,
-    missed_frames,
     missing_rows,
 )
 from tests.selection import some
@@ -102,7 +101,7 @@ def test_the_logger_says_the_same(tmp_path: Path, rate_hz: float) -> None:
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=rate_hz, seconds=1.0)
     with open_log(tmp_path / "run.h5") as log:
         assert log.frame_rate_hz == rate_hz
-        found = missed_frames(log)
+        found = frame_timing(log).missed
     assert (summary.missed > 200) is (rate_hz > 400)
     assert found == summary.missed
 
@@ -245,7 +244,7 @@ def test_the_rate_stands_in_the_log(tmp_path: Path, kept: bool) -> None:
     with h5py.File(path) as file:
         assert file.attrs["frame_rate_hz"] == 12.5
     with open_log(path) as log:
-        assert (log.frame_rate_hz, missed_frames(log)) == (12.5, 0)
+        assert (log.frame_rate_hz, frame_timing(log).missed) == (12.5, 0)
 
 
 @pytest.mark.parametrize("said", [None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True])
@@ -257,4 +256,4 @@ def test_a_log_may_say_anything(tmp_path: Path, said: object) -> None:
         with h5py.File(path, "a") as file:
             file.attrs["frame_rate_hz"] = said
     with open_log(path) as log:
-        assert (log.frame_rate_hz, missed_frames(log)) == (0.0, None)
+        assert (log.frame_rate_hz, frame_timing(log).missed) == (0.0, None)
