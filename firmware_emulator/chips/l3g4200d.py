@@ -1,23 +1,95 @@
 """L3G4200D gyroscope behind its registers, after the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
 
 It wakes up in power-down and has no reset. Sub-address bit 7 asks for the next register after every byte; without
-it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0, see also
-`l3g4200d_fifo`), the 3-wire SPI.
+it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0), the
+3-wire SPI.
 
 Choices: an axis counts as read when both its bytes are; with BDU it stands still from the first byte to the second
 (L3G-50, L3G-51). An axis switched off keeps its value and is never new. BOOT clears itself after 5 ms and changes
-nothing.
+nothing. The two modes of the FIFO that wait for an interrupt stay what they are before it: stream-to-FIFO streams,
+bypass-to-stream bypasses. A set is taken out when its first byte is read and stays on the output registers until its
+last one, OUT_Z_H, is; with the FIFO empty the registers keep the last set read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from struct import Struct
 
 from firmware_emulator.chip import Chip, Element
-from firmware_emulator.chips.l3g4200d_fifo import DEPTH, Fifo
 from firmware_emulator.chips.l3g4200d_signal import RATES_HZ, Codes, Signal
 from imuarray.facts import l3g4200d as facts
+
+DEPTH = 32
+FIFO, STREAM, STREAM_TO_FIFO = 0b001, 0b010, 0b011
+LAST_BYTE = 5  # OUT_Z_H, counted from OUT_X_L
+
+
+class Fifo:
+    """Sets in the order of their conversion."""
+
+    def __init__(self) -> None:
+        self.mode = 0
+        self._sets: deque[Codes] = deque()
+        self._shown: Codes = (0, 0, 0)
+        self._open = False
+        self._upto = -1
+        self._stopped = False  # full once, in FIFO mode
+
+    @property
+    def active(self) -> bool:
+        """True if sets are stored at all."""
+        return self.mode in (FIFO, STREAM, STREAM_TO_FIFO)
+
+    @property
+    def level(self) -> int:
+        """Sets stored, 0 ... 32."""
+        return len(self._sets)
+
+    @property
+    def waiting(self) -> bool:
+        """True if there is a set that has not been read to its end."""
+        return self._open or bool(self._sets)
+
+    def switch(self, mode: int, latest: int, shown: Codes) -> None:
+        """Another mode from conversion `latest` on; going through bypass empties (L3G-54)."""
+        was_active = self.active
+        self.mode = mode
+        if not self.active:
+            self._sets.clear()
+            self._stopped = False
+        if not was_active:
+            self._open, self._shown, self._upto = False, shown, latest
+
+    def fill(self, latest: int, convert: Callable[[int], Codes]) -> None:
+        """Take in the conversions up to `latest`, as far as the mode keeps them."""
+        begin, end = self._upto + 1, latest + 1
+        if self.mode == FIFO:
+            end = begin if self._stopped else min(end, begin + DEPTH - len(self._sets))
+        else:
+            begin = max(begin, end - DEPTH)  # older ones would be discarded anyway
+        for index in range(begin, end):
+            if len(self._sets) == DEPTH:
+                self._sets.popleft()
+            self._sets.append(convert(index))
+        self._upto = latest
+        self._stopped = self.mode == FIFO and (self._stopped or len(self._sets) == DEPTH)
+
+    def shown(self, byte: int) -> Codes:
+        """The set to which byte 0 ... 5 of the output registers belongs when it is read now (L3G-56)."""
+        if not self._open and self._sets:
+            self._open, self._shown = True, self._sets.popleft()
+        if byte == LAST_BYTE:
+            self._open = False
+        return self._shown
+
+    def source(self, watermark: int) -> int:
+        """FIFO_SRC_REG: watermark reached, full, empty, level up to 31 (L3G-55, L3G-58)."""
+        level = len(self._sets)
+        full = level == DEPTH
+        return (level >= watermark) << 7 | full << 6 | (not level) << 5 | level - full
+
 
 FAR_NS = 1 << 62
 START_UP_NS = 0  # some 300 ms from power-down are said, but by no document that could be read: L3G-65

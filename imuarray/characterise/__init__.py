@@ -12,10 +12,9 @@ from imuarray.callable_package import make_callable, public_name
 if TYPE_CHECKING:
     from imuarray.characterise.allan import AllanCurve, AllanStream, allan_deviation
     from imuarray.characterise.allan_fit import NoiseFit, fit_noise
-    from imuarray.characterise.characterisation import Characterisation, Coefficient
+    from imuarray.characterise.characterisation import Characterisation, Coefficient, render_text
     from imuarray.characterise.noise import NoiseStatistics, noise_statistics
     from imuarray.characterise.result import characterise_log
-    from imuarray.characterise.text import render_text
 
 _PUBLIC = {
     "AllanCurve": "allan",
@@ -28,7 +27,7 @@ _PUBLIC = {
     "characterise_log": "result",
     "fit_noise": "allan_fit",
     "noise_statistics": "noise",
-    "render_text": "text",
+    "render_text": "characterisation",
 }
 
 __all__ = [

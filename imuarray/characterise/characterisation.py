@@ -1,4 +1,7 @@
-"""The noise of a log's sensors at rest as an object: coefficients with intervals, tables and figures."""
+"""The noise of a log's sensors at rest as an object: coefficients with intervals, tables and figures.
+
+The table for a person has at most 110 columns, and a block for each quantity, in the sensor's unit.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,154 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from imuarray.characterise.text import render_text
 from imuarray.errors import LogError
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+import textwrap
+from collections.abc import Iterator
+
+from imuarray.characterise.findings import findings
+
+WIDTH = 110
+
+_HEAD = (
+    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'lag-1':>6} {'even':>5} {'stale':>6}"
+)
+_FIT_HEAD = f"{'sensor':12} {'axis':4} {'N':>17} {'B':>17} {'K':>17} {'p':>7} {'lowest':>10} {'at tau':>7}"
+_ROWS_HEAD = (
+    f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
+)
+_NOTES = (
+    "error of the mean: its standard error, correlation allowed for. N: density of the white noise, two-sided "
+    "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
+    "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
+    "such a misfit if the model holds; '!' if it is too small to trust the figures. lowest: lowest point of"
+    " the curve / 0.664, "
+    "'<' where it still falls at its end. Runs between gaps are pooled. "
+    "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
+    "the calibration that was given, else by the data sheet's typical sensitivity."
+)
+
+
+def render_text(result: Mapping[str, Any]) -> str:
+    """The result of `characterise_log` as lines of text, the last one ended."""
+    lines = list(_heading(result))
+    for quantity in dict.fromkeys(sensor["quantity"] for sensor in result["sensors"]):
+        sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
+        lines += ["", *_table(quantity, sensors), "", *_fits(sensors)]
+    if sentences := findings(result):
+        lines += ["", "what stands out", *(line for sentence in sentences for line in _indented(sentence))]
+    lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
+    return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
+
+
+def _indented(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH)
+
+
+def _heading(result: Mapping[str, Any]) -> Iterator[str]:
+    """Name the log and the stretch, and warn if nothing says that the box stood still."""
+    stretch = result["stretch"]
+    emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
+    yield from _wrapped(f"{result['log']}{emulated}")
+    phase = f"phase {stretch['phase']!r}, " if stretch["phase"] is not None else ""
+    up = f", {stretch['up']} up" if stretch["up"] else ""
+    yield from _wrapped(f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{up} ({stretch['chosen_by']})")
+    if stretch["phase"] is None:
+        yield "no phase is at rest: any motion counts as noise here"
+
+
+def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:
+    unit = sensors[0]["unit"]
+    title = quantity.replace("_", " ")
+    yield f"{title} in {unit}; the second std in counts; shares in %"
+    yield _HEAD
+    yield f"{'':12} {'':4} {'':>10} {'':>9} {'counts':>8} {'the mean':>9}"
+    for sensor in sensors:
+        yield from (_line(sensor, axis) for axis in sensor["axes"])
+
+
+def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
+    """One axis; in counts if the log has no sensitivity."""
+    values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
+    return (
+        f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
+        f"{_number(values['std'], 4):>9} {_number(axis['counts']['std'], 4):>8} {_number(values['sem']):>9} "
+        f"{_fixed(axis['lag1'], 3):>6} {_fixed(axis['even_share'], 1, 100):>5} "
+        f"{_fixed(sensor['stale_share'], 2, 100):>6}"
+    )
+
+
+def _fits(sensors: list[Mapping[str, Any]]) -> Iterator[str]:
+    unit = sensors[0]["unit"] if sensors[0]["unit_per_count"] is not None else "counts"
+    yield f"noise of the Allan deviation: N in {unit}/sqrt(Hz), B in {unit}, K in {unit}/sqrt(s), tau in s"
+    yield _FIT_HEAD
+    for sensor in sensors:
+        yield from (_fit_line(sensor, axis) for axis in sensor["axes"])
+
+
+def _fit_line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
+    scale = axis["unit_per_count"] if axis["unit_per_count"] is not None else 1.0
+    values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
+    fit = axis.get("fit")
+    terms = [_term(fit, name, scale) for name in ("white", "flicker", "random walk")]
+    doubtful = "!" if fit and fit["verdict"] else ""
+    bound = "<" if axis["bias_instability_is_bound"] else ""
+    return (
+        f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {terms[0]:>17} {terms[1]:>17} {terms[2]:>17} "
+        f"{_number(fit['p_value'] if fit else None, 2) + doubtful:>7} "
+        f"{bound + _number(values['bias_instability']):>10} {_number(axis['bias_instability_tau_s']):>7}"
+    )
+
+
+def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
+    """A coefficient with half its interval in per cent, or what it is below."""
+    term = fit["terms"].get(name) if fit else None
+    if term is None or term["value"] is None:
+        return "-"
+    if not term["significant"] or term["low"] <= 0:
+        return f"<{term['high'] * scale:.3g}"
+    return f"{term['value'] * scale:.3g} +-{50 * (term['high'] - term['low']) / term['value']:.2g} %"
+
+
+def _cut(name: str, width: int) -> str:
+    return name if len(name) <= width else name[: width - 1] + "~"
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{value * factor:.{digits}f}"
+
+
+def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
+    """Rate, rows, gaps, what the Allan deviation was taken of, and below them what the log flags."""
+    run, scale = sensor["allan_run"], f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else ""
+    taken = any(axis["allan"] for axis in sensor["axes"])
+    stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if taken else "too few rows"
+    if taken and run["runs"] > 1:
+        longest_s = run["end_s"] - run["start_s"]
+        stretch = f"{run['rows']} rows in {run['runs']} runs of <={longest_s:.3g} s"
+    longest_ms = None if sensor["largest_gap_s"] is None else sensor["largest_gap_s"] * 1e3
+    name, chip = _cut(sensor["name"], 12), _cut(sensor["chip"], 9)
+    yield (
+        f"{name:12} {chip:9} {_cut(scale, 12):12} {_number(sensor['rate_hz'], 4):>7} {sensor['rows']:>9} "
+        f"{sensor['gaps']:>5} {_number(longest_ms, 4):>9}  {stretch}"
+    )
+    if sensor["rows"] > run["rows"] > 1:
+        yield f"{'':12} of all rows {_fixed(run['left_out_share'], 1, 100)} % left out of the Allan deviation"
+    flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items() if count)
+    if flags:
+        yield f"{'':12} {flags}"
+
 
 TERMS: Mapping[str, str] = {"white": "N", "flicker": "B", "random walk": "K"}
 """Terms of the fit to an Allan deviation, with their letters in IEEE Std 952."""

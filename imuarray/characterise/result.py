@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
-from imuarray.characterise.coefficients import floor, white_noise
+from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.rails import find_rails

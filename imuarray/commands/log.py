@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
-    from imuarray.calibrate.start_up_judge import StartUpJudge
+    from imuarray.calibrate.start_up import StartUpJudge
     from imuarray.fuse.live_fusion import LiveFusion
 
 
@@ -253,7 +253,7 @@ def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
     if options.calibration is None:
         return None
     from imuarray.calibrate import load_calibration
-    from imuarray.calibrate.start_up_judge import StartUpJudge
+    from imuarray.calibrate.start_up import StartUpJudge
 
     judge = StartUpJudge(load_calibration(options.calibration), array.sensitivities, _remark)
     return judge if judge.knows_states or not options.fuse else None

@@ -16,7 +16,7 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still, turn_on_run
-from imuarray.simulate.motion.trajectory_file import load_trajectory
+from imuarray.simulate.motion.trajectory import load_trajectory
 from imuarray.simulate.motion.tumble import ORDER, Tumble
 from imuarray.simulate.motion.vehicle import Vehicle
 from imuarray.spelling import guess, guess_file

@@ -13,8 +13,7 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.start_up import came_up
-from imuarray.calibrate.start_up_judge import StartUpJudge, _restlessness
+from imuarray.calibrate.start_up import StartUpJudge, _restlessness, came_up
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.coefficients import floor, white_noise
+from imuarray.characterise.allan_curve import floor, white_noise
 
 TAU_S = 0.01 * 2.0 ** np.arange(16)
 SURE = np.full(16, 1e6)

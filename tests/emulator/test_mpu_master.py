@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_emulator.array import EmulatedBus, open_array
-from firmware_emulator.chips.mpu_master import AuxiliaryMaster, swapped
+from firmware_emulator.chips.mpu_queue import AuxiliaryMaster, swapped
 from firmware_emulator.world import Still
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import parse_array

@@ -282,9 +282,7 @@ def _shares(verdicts: list[Verdict]) -> dict[str, float]:
 
 def main() -> int:
     """Print what the run found; 1 if a fact has no witness."""
-    parser = argparse.ArgumentParser(
-        description="Make register facts wrong one by one; count those noticed (minutes)."
-    )
+    parser = argparse.ArgumentParser(description="Make register facts wrong one by one; count those noticed (minutes).")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     arguments = parser.parse_args()
     found = run()

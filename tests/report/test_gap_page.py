@@ -17,10 +17,9 @@ from matplotlib.patches import Rectangle
 from imuarray.errors import OutputExistsError
 from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay
 from imuarray.report import gap_page
-from imuarray.report.gap_curves import MOST_OVERLAYS, curves_section
 from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure, top_of
-from imuarray.report.gap_page import NO_FIGURES, write_gap_page
+from imuarray.report.gap_page import MOST_OVERLAYS, NO_FIGURES, curves_section, write_gap_page
 from imuarray.report.gap_tables import MOST_ROWS
 from imuarray.report.gap_words import MEANINGS
 from imuarray.simulate import EFFECTS

@@ -9,8 +9,7 @@ import pytest
 from imuarray.report.validation_words import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
-from imuarray.validation.score_transfer import left_out_of
-from imuarray.validation.scoring import as_json, format_text, score_folder
+from imuarray.validation.scoring import as_json, format_text, left_out_of, score_folder
 from tests.validation.made_run import NO_GAP, Made, cause, put, said
 
 CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}

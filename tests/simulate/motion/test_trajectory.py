@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imuarray.errors import SourceError
-from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
-from imuarray.simulate.motion.trajectory_file import load_trajectory
+from imuarray.simulate.motion.trajectory import FeltRows, Trajectory, load_trajectory
 
 G = 9.80665
 S = 10**9
