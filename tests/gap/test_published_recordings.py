@@ -106,8 +106,8 @@ def diagnosed(recording: Recording) -> Diagnosis:
 
 
 def named(found: Diagnosis, effect: str, sensor: str) -> Cause:
-    (cause,) = [one for one in found.causes if one.effect == effect and sensor in one.sensors]
-    return cause
+    """The most probable cause of this effect: the gyroscope has a weak line at 19.9 Hz beside the one at 31.4 Hz."""
+    return next(cause for cause in found.causes if cause.effect == effect and sensor in cause.sensors)
 
 
 def test_even_codes_and_heat_are_named(recordings: dict[str, Recording]) -> None:
