@@ -124,7 +124,7 @@ def test_the_format_rows_of_a_log_name_the_columns_of_each_kind(tmp_path: Path) 
         force = ", ".join(f"{value:.5f}" for value in WALK.force_g[row] * G)
         lines.append(f"IMU, {us}, 0, {rate}, {force}")
         if row % 10 == 0:
-            lines.append(f"MAG, {us}, 0, {200 + row % 7}, {row % 5}, {row % 3 - 420}")
+            lines.append(f"MAG, {us}, 0, {200 + row % 7}, {row // 10 % 5}, {row % 3 - 420}")
     text, path = imported(written(tmp_path, joined(lines), "flight.log"), tmp_path)
     assert 'kind = "IMU"' in text
     assert "columns = [6, 7, 8]" in text
