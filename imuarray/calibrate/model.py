@@ -269,7 +269,7 @@ def nominal(sensor: Described) -> SensorCalibration:
         quantity=sensor.quantity,
         unit=sensor.unit,
         bias_lsb=np.zeros(3),
-        response_lsb_per_unit=sensor.sensitivity * np.asarray(sensor.orientation, float).T,
+        response_lsb_per_unit=np.array(sensor.axis_sensitivity)[:, None] * np.asarray(sensor.orientation, float).T,
         range=sensor.range,
         chip=sensor.chip or None,
     )

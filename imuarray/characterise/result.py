@@ -158,8 +158,9 @@ def _identity(sensor: SensorLog, per_axis: npt.NDArray[np.float64]) -> dict[str,
 
 def _per_count(sensor: SensorLog, scale: Sequence[float] | None) -> npt.NDArray[np.float64]:
     """(k,) units per count: as calibrated, or as the data sheet has it; nan if it has nothing."""
-    known = np.full(int(sensor.counts.shape[1]), sensor.sensitivity or np.nan) if scale is None else np.array(scale)
-    return np.asarray(1 / known)
+    columns = int(sensor.counts.shape[1])
+    nominal = sensor.axis_sensitivity if sensor.is_triad else (sensor.sensitivity,) * columns
+    return np.asarray(1 / np.array([value or np.nan for value in (nominal if scale is None else scale)]))
 
 
 def _axes(

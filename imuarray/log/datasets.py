@@ -135,7 +135,7 @@ def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -
         return calibration.or_nominal(sensor).stimulus_box(counts)
     if not sensor.sensitivity:
         return None
-    return np.asarray(counts * (SI_PER_UNIT[sensor.unit] / sensor.sensitivity) @ sensor.orientation.T)
+    return np.asarray(counts * (SI_PER_UNIT[sensor.unit] / np.array(sensor.axis_sensitivity)) @ sensor.orientation.T)
 
 
 def _sensor_variables(sensor: SensorLog, calibration: Calibration | None) -> dict[str, _Variable]:

@@ -51,6 +51,10 @@ MOST_SENSORS = 512
 THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
 """Attributes of a sensor whose log says itself what its `temperature_counts` mean; both or none."""
 
+ADJUSTMENT_ATTRIBUTES = ("asa_x", "asa_y", "asa_z")
+"""Attributes of a magnetometer whose factory adjusted its sensitivity, each axis by (ASA + 128) / 256 (AKM-16):
+a field is so much larger than counts over `sensitivity`."""
+
 ARRIVAL = "arrival_delay"
 """Column (n,) of a sensor whose rows arrived in bursts and whose `time` was counted out: by how many s each row arrived
 after that. `time` plus it is when the row arrived, to the nanosecond."""
@@ -153,6 +157,11 @@ class SensorHeader:
         return ThermometerScale(float(zero_degc), float(lsb_per_degc))
 
     @property
+    def axis_sensitivity(self) -> tuple[float, float, float]:
+        """Counts per `unit` along each axis, as the factory adjusted it if the header says so."""
+        return adjusted_sensitivity(self.sensitivity, self.extra)
+
+    @property
     def count_bits(self) -> int:
         """The number of bits of a triad's counts, which are stored in 16, or in 32 where there are more."""
         bits = self.extra.get(COUNT_BITS, 16)
@@ -167,3 +176,11 @@ class SensorHeader:
     def where(self) -> str:
         """The name in errors."""
         return f"sensor {self.name}"
+
+
+def adjusted_sensitivity(sensitivity: float, attributes: Mapping[str, object]) -> tuple[float, float, float]:
+    """Counts per unit along x, y and z, with the factory's adjustment if it is among a sensor's attributes."""
+    words = [attributes.get(name) for name in ADJUSTMENT_ATTRIBUTES]
+    factors = [256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words]
+    x, y, z = (sensitivity * factor for factor in factors)
+    return x, y, z

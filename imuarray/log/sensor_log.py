@@ -16,7 +16,16 @@ from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.columns import DATASET, LiveGroup, NamedColumn
-from imuarray.log.format import COUNT_BITS, FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
+from imuarray.log.format import (
+    ADJUSTMENT_ATTRIBUTES,
+    COUNT_BITS,
+    FLAGS,
+    THERMOMETER_ATTRIBUTES,
+    TRIADS,
+    SensorHeader,
+    ThermometerScale,
+    adjusted_sensitivity,
+)
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
 if TYPE_CHECKING:
@@ -68,6 +77,10 @@ class SensorLog:
         self.axes = self._text("axes")
         zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
         self.thermometer = ThermometerScale(zero_degc, lsb_per_degc) if lsb_per_degc else None
+        self.adjustment = {
+            name: round(self._number(name)) for name in ADJUSTMENT_ATTRIBUTES if name in self._group.attrs
+        }
+        self.axis_sensitivity = adjusted_sensitivity(self.sensitivity, self.adjustment)
         self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
         self._check_columns()
@@ -291,5 +304,5 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
         columns=columns,
         has_temperature=sensor.temperature_counts is not None,
         compensated=compensated,
-        extra={**({} if sensor.thermometer is None else sensor.thermometer.attributes), **bits},
+        extra={**({} if sensor.thermometer is None else sensor.thermometer.attributes), **bits, **sensor.adjustment},
     )

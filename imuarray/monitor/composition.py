@@ -107,7 +107,7 @@ def _values(sensor: SensorLog, window: Window) -> tuple[Floats, str, tuple[str, 
     """The rows (n, k) in physical units, the unit, what the columns are called."""
     counts = np.asarray(window.rows.get("counts", np.empty((0, 3))), float)
     if sensor.is_triad and sensor.sensitivity > 0:
-        return counts / sensor.sensitivity, sensor.unit, ("x", "y", "z")
+        return counts / sensor.axis_sensitivity, sensor.unit, ("x", "y", "z")
     if _PRESSURE in window.rows:
         return np.asarray(window.rows[_PRESSURE], float)[:, None] / 100, "hPa", (_PRESSURE,)
     return counts, "counts", tuple(f"column {number + 1}" for number in range(counts.shape[1]))

@@ -225,7 +225,7 @@ def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
         return counts
     if sensor.name in calibration.sensors:
         return np.asarray(calibration.of(sensor).stimulus_box(counts) / SI_PER_UNIT[sensor.unit])
-    return np.asarray(counts / sensor.sensitivity @ sensor.orientation.T)
+    return np.asarray(counts / sensor.axis_sensitivity @ sensor.orientation.T)
 
 
 def _period_ns(sensor: SensorLog) -> float:

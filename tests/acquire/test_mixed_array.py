@@ -17,6 +17,7 @@ from imuarray.array import parse_array
 from imuarray.cli import main
 from imuarray.fuse import read_fused, read_fused_head
 from imuarray.log import open_log
+from imuarray.log.datasets import physical_values
 
 pytestmark = pytest.mark.slow
 
@@ -99,6 +100,10 @@ def test_magnetometers_tell_one_field(folder: Path) -> None:
                 counts = counts - [attributes[f"bridge_{axis}"] for axis in "xyz"]
             if name == "AK1":
                 counts = counts * (np.array([attributes[f"asa_{axis}"] for axis in "xyz"]) + 128) / 256
+                physical = physical_values(sensor)
+                assert physical is not None
+                box_gauss = 1e4 * physical.mean(axis=0)
+                np.testing.assert_allclose(box_gauss, sensor.orientation @ counts / sensor.sensitivity, rtol=1e-12)
             unit = unit_of("mixed", name, array[name].chip, array[name].range or 0.0)
             felt = np.array(unit.response) @ (np.array(array[name].orientation).T @ true) + unit.bias
             once = noise if name == "MMC1" else 0.0  # its bridges are known by one reading after each of SET and RESET

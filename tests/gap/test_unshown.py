@@ -18,6 +18,7 @@ from imuarray.gap.findings.observability import (
     unobservable_effects,
     with_unobservable_rivals,
 )
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
@@ -46,7 +47,8 @@ NEVER_TOLD = (
 
 
 def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
-    return {effect: Candidate(effect, lambda _: (), kinds) for effect, kinds in shown_by.items()}
+    """Of the sensors that can have them; with other experiments."""
+    return {effect: replace(CANDIDATES[effect], shown_by=kinds) for effect, kinds in shown_by.items()}
 
 
 def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unobservable]:
@@ -134,6 +136,15 @@ def test_candidates_alone_say_what_shows_the_others() -> None:
 
 def test_positions_concern_accelerometers() -> None:
     assert found(("static",), ONE_FACE, size_effect={"motion": "swing"})["size_effect"].sensors == ("A1", "A2")
+
+
+def test_an_effect_of_one_chip_concerns_no_other() -> None:
+    assert found(("static",), ONE_FACE, adaptive_range={"motion": "turn"}) == {}
+    gyroscope = replace(SENSORS["G1"], name="I1", chip="icm42688_gyro")
+    (effect,) = unobservable_effects(
+        ("static",), ONE_FACE, candidates(adaptive_range={"motion": "turn"}), {**SENSORS, "I1": gyroscope}
+    )
+    assert effect.sensors == ("I1",)
 
 
 @pytest.mark.parametrize(

@@ -94,9 +94,6 @@ _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
 )
 """Needs of a gyroscope where they differ, since it feels nothing on any face."""
 
-_ONLY: Mapping[str, str] = MappingProxyType({"g_sensitivity": "angular_rate", "size_effect": "specific_force"})
-"""Effects that only sensors of one quantity have."""
-
 _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
 """The effect from which an effect is not separable as long as no recorded experiment shows it."""
 
@@ -272,17 +269,14 @@ def _of_candidate(
     met_needs: Collection[Need],
     triads: Mapping[str, SensorHeader],
 ) -> Unobservable | None:
-    effect = candidate.effect
-    concerned = {
-        name: header.quantity
-        for name, header in triads.items()
-        if _ONLY.get(effect, header.quantity) == header.quantity
-    }
+    concerned = {name: header.quantity for name, header in triads.items() if candidate.can_concern(header)}
     texts = {
         name: _needed_record(candidate, quantity, recorded_kinds, met_needs) for name, quantity in concerned.items()
     }
     lacking = {name: text for name, text in texts.items() if text}
-    return Unobservable(effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values()))) if lacking else None
+    if not lacking:
+        return None
+    return Unobservable(candidate.effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values())))
 
 
 def _needed_record(

@@ -26,5 +26,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 ADAPTIVE_RANGE = Candidate(
-    AdaptiveRange.name, guesses, {"motion": "turns that pass 100 dps a hundred times, at the chip's full rate"}
+    AdaptiveRange.name,
+    guesses,
+    {"motion": "turns that pass 100 dps a hundred times, at the chip's full rate"},
+    chip=_CHIP,
 )

@@ -10,6 +10,7 @@ from typing import Literal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
 from imuarray.gap.model.rest import FittedParameters
+from imuarray.log.format import SensorHeader
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effect import Effect
 
@@ -118,9 +119,16 @@ class Candidate:
     """An effect of `imuarray.simulate.effects`, and how it is recognised.
 
     `guesses` makes trials of what one sensor shows, at most a handful. `shown_by`: what has to be recorded for the
-    effect to show, by kind of experiment; kinds that are missing can't show it.
+    effect to show, by kind of experiment; kinds that are missing can't show it. Only sensors of this `quantity`, and
+    of this `chip`, can have it ("": all).
     """
 
     effect: str
     guesses: Callable[[Evidence], Iterable[Hypothesis]]
     shown_by: Mapping[Kind, str] = field(default_factory=dict)
+    quantity: str = ""
+    chip: str = ""
+
+    def can_concern(self, header: SensorHeader) -> bool:
+        """Return whether a sensor like this can have the effect."""
+        return self.quantity in ("", header.quantity) and self.chip in ("", header.chip)

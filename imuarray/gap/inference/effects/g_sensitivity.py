@@ -72,4 +72,5 @@ G_SENSITIVITY = Candidate(
     GSensitivity.name,
     guesses,
     {"tumble": "all six faces, 1 minute each", "motion": "strokes of 1 g and more along every axis, 1 minute"},
+    quantity="angular_rate",
 )

@@ -60,5 +60,8 @@ def _columns() -> Floats:
 
 
 SIZE_EFFECT = Candidate(
-    SizeEffect.name, guesses, {"motion": "turn the box by hand at 200 dps and more about every axis, 1 minute"}
+    SizeEffect.name,
+    guesses,
+    {"motion": "turn the box by hand at 200 dps and more about every axis, 1 minute"},
+    quantity="specific_force",
 )
