@@ -157,9 +157,15 @@ class SensorHeader:
         return ThermometerScale(float(zero_degc), float(lsb_per_degc))
 
     @property
+    def adjustment(self) -> tuple[float, float, float]:
+        """The factory's factors of `sensitivity` along x, y and z; 1 if the header has none."""
+        return adjustment_of(self.extra)
+
+    @property
     def axis_sensitivity(self) -> tuple[float, float, float]:
-        """Counts per `unit` along each axis, as the factory adjusted it if the header says so."""
-        return adjusted_sensitivity(self.sensitivity, self.extra)
+        """Counts per `unit` along x, y and z."""
+        x, y, z = (self.sensitivity * factor for factor in self.adjustment)
+        return x, y, z
 
     @property
     def count_bits(self) -> int:
@@ -178,9 +184,8 @@ class SensorHeader:
         return f"sensor {self.name}"
 
 
-def adjusted_sensitivity(sensitivity: float, attributes: Mapping[str, object]) -> tuple[float, float, float]:
-    """Counts per unit along x, y and z, with the factory's adjustment if it is among a sensor's attributes."""
+def adjustment_of(attributes: Mapping[str, object]) -> tuple[float, float, float]:
+    """Factors of the counts per unit along x, y and z, 256 / (ASA + 128), by a sensor's attributes; 1 without them."""
     words = [attributes.get(name) for name in ADJUSTMENT_ATTRIBUTES]
-    factors = [256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words]
-    x, y, z = (sensitivity * factor for factor in factors)
+    x, y, z = (256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words)
     return x, y, z

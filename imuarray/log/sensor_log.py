@@ -24,7 +24,7 @@ from imuarray.log.format import (
     TRIADS,
     SensorHeader,
     ThermometerScale,
-    adjusted_sensitivity,
+    adjustment_of,
 )
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
@@ -77,10 +77,9 @@ class SensorLog:
         self.axes = self._text("axes")
         zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
         self.thermometer = ThermometerScale(zero_degc, lsb_per_degc) if lsb_per_degc else None
-        self.adjustment = {
+        self.adjustment_words = {
             name: round(self._number(name)) for name in ADJUSTMENT_ATTRIBUTES if name in self._group.attrs
         }
-        self.axis_sensitivity = adjusted_sensitivity(self.sensitivity, self.adjustment)
         self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
         self._check_columns()
@@ -155,6 +154,12 @@ class SensorLog:
     def is_triad(self) -> bool:
         """True for an inertial or magnetic sensor: three axes."""
         return self.quantity in TRIADS
+
+    @property
+    def axis_sensitivity(self) -> tuple[float, float, float]:
+        """Counts per `unit` along x, y and z, as the factory adjusted them if the log says so."""
+        x, y, z = (self.sensitivity * factor for factor in adjustment_of(self.adjustment_words))
+        return x, y, z
 
     @property
     def count_bits(self) -> int:
@@ -304,5 +309,9 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
         columns=columns,
         has_temperature=sensor.temperature_counts is not None,
         compensated=compensated,
-        extra={**({} if sensor.thermometer is None else sensor.thermometer.attributes), **bits, **sensor.adjustment},
+        extra={
+            **({} if sensor.thermometer is None else sensor.thermometer.attributes),
+            **bits,
+            **sensor.adjustment_words,
+        },
     )

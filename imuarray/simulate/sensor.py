@@ -226,7 +226,7 @@ class SimulatedSensor:
         header, dtype = self.header, self._place.dtype
         vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
         unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
-        value = _along(vector_box, self._orientation * unit, dtype)
+        value = _along(vector_box, self._orientation * unit * header.adjustment, dtype)
         return Analog(
             first,
             instants.instant_ns,

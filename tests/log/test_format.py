@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from imuarray.log.format import adjusted_sensitivity
+from imuarray.log.format import adjustment_of
 
 EPOCH = "2013-09-16T08:30:00.000000Z"
 
@@ -153,6 +153,6 @@ class TestXarray:
 
 def test_a_factorys_adjustment_divides_the_counts_per_unit() -> None:
     """(ASA + 128) / 256: 128 is none, 0 half, 255 almost one and a half (AKM-16). Nonsense is no adjustment."""
-    assert adjusted_sensitivity(6.0, {"asa_x": 128, "asa_y": 0, "asa_z": 255}) == pytest.approx((6.0, 12.0, 4.0104439))
-    assert adjusted_sensitivity(6.0, {"asa_x": -1, "asa_y": 256, "asa_z": "176"}) == (6.0, 6.0, 6.0)
-    assert adjusted_sensitivity(6.0, {}) == (6.0, 6.0, 6.0)
+    assert adjustment_of({"asa_x": 128, "asa_y": 0, "asa_z": 255}) == pytest.approx((1.0, 2.0, 0.66840731))
+    assert adjustment_of({"asa_x": -1, "asa_y": 256, "asa_z": "176"}) == (1.0, 1.0, 1.0)
+    assert adjustment_of({}) == (1.0, 1.0, 1.0)

@@ -249,7 +249,7 @@ def _stimulus(summary: Summary, motion: Motion) -> Stimulus:
 
 def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
     unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
-    return np.asarray(vectors_box @ np.array(header.orientation) * unit)
+    return np.asarray(vectors_box @ np.array(header.orientation) * unit * header.adjustment)
 
 
 def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:

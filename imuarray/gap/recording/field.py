@@ -43,4 +43,4 @@ def _mean_box(sensor: SensorLog, phase: Phase) -> Floats | None:
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
         rows += len(block.time)
         sums += block.counts.sum(axis=0, dtype=float)
-    return np.asarray(sensor.orientation @ sums / (rows * sensor.sensitivity)) if rows else None
+    return np.asarray(sensor.orientation @ (sums / sensor.axis_sensitivity) / rows) if rows else None
