@@ -38,7 +38,7 @@ class _Course:
 def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
     """A line."""
     calibration = Path(head.calibration).name or "the data sheets"
-    yield f"{path.name}: {head.frames} frames of {Path(head.log).name} by {head.technique}, by {calibration}."
+    yield f"{path.name}: {head.frames} frames of {Path(head.log).name} fused by {head.technique} with {calibration}."
     if failed := _failed(path):
         yield f"{path.name}: left out for part of the time because they failed: {', '.join(failed)}."
 

@@ -91,7 +91,7 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     ]
     if gap.closed is not None:
         figures[:0] = [
-            (number(gap.before, 2), f"gap in standard deviations; without one {number(gap.floor, 2)}"),
+            (number(gap.before, 2), f"gap in standard deviations; chance alone gives {number(gap.floor, 2)}"),
             (share(gap.closed), "of the gap closed by the causes"),
         ]
     else:
@@ -115,7 +115,7 @@ def _worst_use(uses: Sequence[Use]) -> Use | None:
 
 
 def _use_words(use: Use) -> str:
-    return f"{use.sensor or 'array'} {use.name}: simulated over recorded, the worst figure of use"
+    return f"{use.sensor or 'array'} {use.name}: simulated divided by recorded; the largest difference"
 
 
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
@@ -277,7 +277,7 @@ def _unexplained(diagnosis: Diagnosis) -> Section:
 
 
 def _unshown(diagnosis: Diagnosis) -> Section:
-    title = "What can't be told"
+    title = "What the recordings cannot show"
     if not diagnosis.unshown:
         return Section(title, "These recordings can show all effects of the library.")
     words = "These effects may be present: the recordings cannot show them. The last column says what would show each."

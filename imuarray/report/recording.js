@@ -73,6 +73,7 @@
     for (const axis of [...xaxes, ...yaxes]) axis.setv({axis_label_text_font_style: "normal"});
     xaxes[0].axis_label = recording.time_unit;
     yaxes[0].axis_label = trace.unit;
+    yaxes[0].formatter.setv({power_limit_high: 8});  // 101325 Pa, not 1.01325e+5
     const grids = figure.center.filter((item) => "grid_line_color" in item);
     const plot = {figure, y_range: figure.y_range, xaxes, yaxes, xgrids: grids, ygrids: [], curves, boxes};
     fit(plot, trace, recording.start, recording.end);

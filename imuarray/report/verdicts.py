@@ -181,13 +181,14 @@ def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
         if (same := [score for score in scores if score.quantity == quantity])
     }
     gains = [
-        f"{score.ratio['XYZ'].ratio:.2f} of the average's error of {_words(score)} ({score.technique})"
+        f"the error of {_words(score)} to {score.ratio['XYZ'].ratio:.2f} times that of the simple average"
+        f" ({score.technique})"
         for score in best.values()
         if _is_sure(score)
     ]
-    sentence = f"leaves {' and '.join(gains)}" if gains else "has no significant gain over the simple average"
+    sentence = f"reduces {' and '.join(gains)}" if gains else "has no significant gain over the simple average"
     figures = tuple(
-        (f"{score.ratio['XYZ'].ratio:.2f} ×", f"{score.technique}, error of {_words(score)} over the average's")
+        (f"{score.ratio['XYZ'].ratio:.2f} ×", f"the simple average's error of {_words(score)}, with {score.technique}")
         for score in best.values()
     )
     return Verdict(f"Fusion of {log.path.name} {sentence}.", "good" if gains else "neutral", figures)
@@ -199,6 +200,8 @@ def _words(score: Score) -> str:
 
 def _is_sure(score: Score) -> bool:
     ratio = score.ratio["XYZ"]
+    if ratio.ratio >= 0.995:  # would be printed as 1.00
+        return False
     return bool(ratio.high < 1) if np.isfinite(ratio.high) else ratio.ratio < 1
 
 

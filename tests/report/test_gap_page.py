@@ -45,7 +45,7 @@ ORDER = [
     "Curves: real, before and after",
     "Where it differs",
     "What is unexplained",
-    "What can't be told",
+    "What the recordings cannot show",
     "What is missing",
     "Next experiment",
     "Candidates that were looked at",
@@ -231,7 +231,7 @@ def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
 
 
 def test_what_is_open_and_where_it_is_from(page: Page) -> None:
-    assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What can't be told"]
+    assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What the recordings cannot show"]
     assert made().next_experiment in page.words["Next experiment"]
     judged = page.rows["Candidates that were looked at"]
     assert judged[1] == ["tone", "add", "Gyro1", "0.94", "+120.0", "yes"]

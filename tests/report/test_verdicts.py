@@ -12,12 +12,15 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.fuse import FusedHead
+from imuarray.fuse.compare import Comparison, Score
+from imuarray.fuse.evaluation import Error
+from imuarray.fuse.gains import Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from imuarray.report import Verdict, write_page
 from imuarray.report.gap_page import gap_verdict, write_gap_page
 from imuarray.report.log_sheet import log_sections
-from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict
+from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict, techniques_verdict
 from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
 
 ACC = SensorHeader("Acc", "bma180", "specific_force", "g", 4.0, 2048.0)
@@ -184,3 +187,22 @@ def test_a_page_opens_with_it(tmp_path: Path) -> None:
     assert re.findall(r"<div><dt>(.*?)</dt><dd>(.*?)</dd></div>", opening)[0] == ("of &amp; all", "1 &lt;i&gt;")
     write_gap_page(tmp_path / "gap.html", made())
     assert 'class="verdict' in (tmp_path / "gap.html").read_text().split("<main>")[0]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words", "level"),
+    [
+        (0.61, "reduces the error of specific force to 0.61 times that of the simple average (optimal).", "good"),
+        (0.9985, "has no significant gain over the simple average.", "neutral"),  # significant, but 1.00 when rounded
+    ],
+)
+def test_a_gain_that_rounds_to_nothing_is_not_claimed(tmp_path: Path, ratio: float, words: str, level: str) -> None:
+    """An interval wholly below 1 is not enough: a ratio of 1.00 is no reduction to a reader."""
+    recorded(tmp_path / "log.h5")
+    error = Error(*(np.zeros(3) for _ in range(4)), frames=1000)
+    ratios = {"XYZ": Ratio(ratio, 0.0004, ratio - 0.001, ratio + 0.001)}
+    score = Score("optimal", "specific_force", error, ratios, None)
+    with open_log(tmp_path / "log.h5") as log:
+        verdict = techniques_verdict(log, Comparison((score,), {}))
+    assert verdict is not None
+    assert (verdict.sentence, verdict.level) == (f"Fusion of log.h5 {words}", level)
