@@ -199,7 +199,7 @@ def test_a_page_opens_with_it(tmp_path: Path) -> None:
 def test_a_gain_that_rounds_to_nothing_is_not_claimed(tmp_path: Path, ratio: float, words: str, level: str) -> None:
     """An interval wholly below 1 is not enough: a ratio of 1.00 is no reduction to a reader."""
     recorded(tmp_path / "log.h5")
-    error = Error(*(np.zeros(3) for _ in range(4)), frames=1000)
+    error = Error(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 1000)
     ratios = {"XYZ": Ratio(ratio, 0.0004, ratio - 0.001, ratio + 0.001)}
     score = Score("optimal", "specific_force", error, ratios, None)
     with open_log(tmp_path / "log.h5") as log:
