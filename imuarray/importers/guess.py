@@ -791,9 +791,13 @@ def _with_quantity(
     triads: list[tuple[str, tuple[int, int, int]]], names: Sequence[str], proposal: _Proposal
 ) -> list[tuple[str, tuple[int, int, int]]]:
     """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
-    computed = [triad for triad in triads if triad[0] == "specific_force" and _COMPUTED.search(names[triad[1][0]])]
+
+    def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
+        return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
+
+    computed = [triad for triad in triads if triad[0] == "specific_force" and _COMPUTED.search(first_name(triad))]
     if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
-        listed = ", ".join(names[indices[0]] for _, indices in computed)
+        listed = ", ".join(map(first_name, computed))
         proposal.doubts.append(
             f"left out, by their names software computed them (acceleration without gravity, or gravity): {listed}, and"
             " the next two of each"
@@ -802,7 +806,7 @@ def _with_quantity(
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]
-    others = [names[indices[0]] for quantity, indices in triads if not quantity]
+    others = [first_name(triad) for triad in triads if not triad[0]]
     if others:
         proposal.doubts.append(f"left out, their names say no quantity: {', '.join(others)}, and the next two of each")
     return known
