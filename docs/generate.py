@@ -33,6 +33,7 @@ ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "VALIDATION.
 
 PYTHON_MODULES = (
     "imuarray", "imuarray.log", "imuarray.calibrate", "imuarray.characterise", "imuarray.fuse", "imuarray.gap.diagnose",
+    "imuarray.gap.findings.diagnosis",
     "imuarray.simulate", "imuarray.acquire", "imuarray.bus", "imuarray.report", "imuarray.errors",
 )  # fmt: skip
 

@@ -341,9 +341,10 @@ def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
     if not len(gaps):
         return ""
     missing = int(np.sum(np.maximum(np.rint(gaps) - 1, 1)))
-    gap_ms = 1e3 * float(np.median(gaps)) * timing.usual_s
+    gap_s = float(np.median(gaps)) * timing.usual_s
+    length = f"{gap_s:.3g} s" if gap_s >= 1 else f"{1e3 * gap_s:.3g} ms"
     gaps_text, rows_text = counted(len(gaps), "gap"), counted(missing, "row")
-    return f"{gaps_text} between rows, {gap_ms:.3g} ms in the median: {rows_text} may be missing"
+    return f"{gaps_text} between rows, {length} in the median: {rows_text} may be missing"
 
 
 def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:

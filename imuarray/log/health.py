@@ -81,7 +81,8 @@ def health_of(seen: Observations) -> Health:
     urgent, minor = list(_urgent(seen)), list(_minor(seen))
     reasons = [*urgent, *minor]
     if not reasons:
-        return Health("green", f"all {counted(seen.sensors, 'sensor')} deliver, no frame was missed, no fault reported")
+        delivering = "the sensor delivers" if seen.sensors == 1 else f"all {seen.sensors} sensors deliver"
+        return Health("green", f"{delivering}, no frame was missed, no fault reported")
     text = "; ".join(reason.text for reason in reasons[:_NAMED])
     return Health("red" if urgent else "amber", text, reasons[0].advice)
 

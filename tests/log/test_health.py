@@ -11,6 +11,7 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
 @pytest.mark.parametrize(
     ("seen", "health"),
     [
+        (Observations(1, 100), Health("green", "the sensor delivers, no frame was missed, no fault reported")),
         (Observations(4, 100), Health("green", "all 4 sensors deliver, no frame was missed, no fault reported")),
         (Observations(4, 999, missed=1), Health("amber", "1 frame missed")),
         (Observations(4, 90, missed=10), Health("red", "10% of the frames missed")),
