@@ -1,8 +1,8 @@
 """L3G4200D gyroscope behind its registers, after the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
 
 It wakes up in power-down and has no reset. Sub-address bit 7 asks for the next register after every byte; without
-it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0), the
-3-wire SPI.
+it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0), the 3-wire
+SPI.
 
 Choices: an axis counts as read when both its bytes are; with BDU it stands still from the first byte to the second
 (L3G-50, L3G-51). An axis switched off keeps its value and is never new. BOOT clears itself after 5 ms and changes

@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 from firmware_emulator.chip import Element, Target
 from firmware_emulator.six_axis import Grid, SixAxis
 from imuarray.facts import mpu6500 as facts
-from imuarray.facts import mpu6500 as master_facts
 
 SLOTS = 4
 EXTERNAL = range(facts.EXT_SENS_DATA_00.address, facts.EXT_SENS_DATA_00.address + 24)
@@ -101,7 +100,7 @@ INT_PIN_CFG, BYPASS, MASTER = 0x37, 0x02, 0x20  # INV-97
 FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
 OVERFLOW, DATA_READY = 0x10, 0x01
 ON, RESET = 0x40, 0x04
-MASTER_CONTROL, MASTER_STATUS = master_facts.I2C_MST_CTRL.address, master_facts.I2C_MST_STATUS.address
+MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
 """Samples whose transfers on the auxiliary bus are made up for, at most, and so many times more as it is delayed."""
 

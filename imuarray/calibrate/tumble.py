@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -18,12 +19,12 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, face_up
-from imuarray.calibrate.disturbed import LeftOut
+from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit
 from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
-from imuarray.calibrate.fits import TriadFit
+from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
 from imuarray.calibrate.gravity import MIN_POSES, fit_gravity
-from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.pose_readings import Pose, find_poses, noted_faces, read_poses
+from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, noted_faces, read_poses
 from imuarray.calibrate.quasi_static import fit_path
 from imuarray.calibrate.segments import Thermometer, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
@@ -35,12 +36,6 @@ from imuarray.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from itertools import pairwise
-
-from imuarray.calibrate.disturbed import chance_of_misfit
-from imuarray.calibrate.fits import DRIFTS, straight_lines
-from imuarray.calibrate.model import nominal
-from imuarray.calibrate.pose_readings import PoseReadings
 
 _MOST_DRIFT = 2
 

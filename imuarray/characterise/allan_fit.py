@@ -11,9 +11,9 @@ random walk of the reading (rate random walk), R a ramp.
 
 Estimates at neighbouring tau are computed from the same rows. They are weighted by the inverse of their covariance
 under the fitted noise (generalised least squares; weights and fit alternate until they agree; no square is negative:
-Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared
-residuals is nearly chi-squared; its tail probability identifies a curve that is no such sum. In simulations 1 % of good
-fits are called bad, of short or long series.
+Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared residuals is nearly chi-squared; its tail
+probability identifies a curve that is no such sum. In simulations 1 % of good fits are called bad, of short or long
+series.
 """
 
 from __future__ import annotations

@@ -5,19 +5,17 @@ The table for a person has at most 110 columns, and a block for each quantity, i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from imuarray.characterise.findings import findings
 from imuarray.errors import LogError
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-import textwrap
-from collections.abc import Iterator
-
-from imuarray.characterise.findings import findings
 
 WIDTH = 110
 

@@ -326,8 +326,9 @@ MOST_OVERLAYS = 12
 _KINDS = MappingProxyType(
     {
         "spectrum": "Spectrum: a peak that only the recording has is a line; a bend is a filter.",
-        "alla"
-        "n": "Allan deviation: white noise falls with the square root; a floor is flicker noise; a rise is a drift.",
+        "allan": (
+            "Allan deviation: white noise falls with the square root; a floor is flicker noise; a rise is a drift."
+        ),
         "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a lag.",
         "codes": "Codes: combs and gaps are coarse or missing codes; a pile at an end is saturation.",
     }

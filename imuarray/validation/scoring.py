@@ -10,8 +10,8 @@ Only lost cases are left out, and they are listed. Detection and causes exclude 
 have a row of their own.
 
 Each world has figures of its own. The loss of a figure from the emulated worlds, on which the diagnosis was developed,
-to another world is its transfer gap: it estimates the figure on data from elsewhere. So does a
-comparison of the cases with one chip or one experiment against all others.
+to another world is its transfer gap: it estimates the figure on data from elsewhere. So does a comparison of the cases
+with one chip or one experiment against all others.
 """
 
 from __future__ import annotations

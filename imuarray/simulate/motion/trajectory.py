@@ -13,32 +13,27 @@ The file is comma-separated, with one header row and times in seconds; lines tha
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from imuarray.arrays import Floats, Integers, Reals
-from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
-from imuarray.simulate.motion.felt import Felt
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation, RotationSpline
-import math
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from imuarray.arrays import Floats, Integers, Reals
 from imuarray.errors import SourceError
 from imuarray.importers.cells import Column, Table, nanoseconds
 from imuarray.importers.mapping import FileTable
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
+from imuarray.simulate.motion.felt import Felt
 from imuarray.units import SI_PER_UNIT
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
 
 
 @dataclass(frozen=True, eq=False)
