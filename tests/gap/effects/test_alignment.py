@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects import bias, misalignment, scale
 from imuarray.gap.inference.effects.axis_error import exchanges
 from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.response import Response
+from imuarray.gap.inference.effects.response import Response, response
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
@@ -150,3 +150,19 @@ def test_without_any_turn_nothing_is_guessed() -> None:
     evidence = replace(evidence_of("static", "A1"), scores={"mean": np.full((1, 3), 50.0)})
     for guesses in (scale.guesses, misalignment.guesses, axis_errors):
         assert not list(guesses(evidence))
+
+
+def test_a_phase_counts_by_how_well_it_knows_an_axis() -> None:
+    """0.1 at 10 standard deviations and -0.8 at one: weights 1e4 and 1.5625. nan in a phase is nothing known."""
+    evidence = evidence_of("motion", "G1", seed=3)
+    size = np.array([[0.1, 1e-6, 1e-6], [-0.8, 1e-6, 1e-6], [np.nan] * 3])
+    score = np.array([[10.0, 1.0, 1.0], [1.0, 1.0, 1.0], [np.nan] * 3])
+    values, expected, scores = dict(evidence.values), dict(evidence.expected), dict(evidence.scores)
+    for probe, felt in (("motion_gain", 1.0), ("motion_next", 0.0), ("motion_after", 0.0)):
+        expected[probe] = np.full((3, 3), felt)
+        values[probe] = expected[probe] + (size if felt else np.where(np.isnan(size), np.nan, 1e-6))
+        scores[probe] = score
+    measured = response(replace(evidence, values=values, expected=expected, scores=scores))
+    assert measured is not None
+    assert measured.error[0, 0] == pytest.approx((0.1 * 1e4 - 0.8 * 1.5625) / (1e4 + 1.5625), rel=1e-4)
+    assert measured.error[1, 1] == pytest.approx(0.0, abs=1e-5)

@@ -86,18 +86,16 @@ def _of_motion(evidence: Evidence) -> Response | None:
 
 def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
     """(3,) value and expectation, each phase by how well the axis is known in it: a turn about one axis knows little
-    of the others.
+    of the others. nan for an axis that no phase knows.
     """
-    means = np.full((2, 3), np.nan)
     if probe not in evidence.scores:
-        return means[0], means[1]
-    values, expected = evidence.values[probe], evidence.expected[probe]
-    deviation, score = values - expected, evidence.scores[probe]
+        return np.full(3, np.nan), np.full(3, np.nan)
+    values, expected, score = (table[probe] for table in (evidence.values, evidence.expected, evidence.scores))
+    deviation = values - expected
     known = np.isfinite(deviation) & np.isfinite(score) & (score != 0) & (deviation != 0)
     weight = np.divide(score, deviation, out=np.zeros(score.shape), where=known) ** 2
-    total = weight.sum(axis=0)
-    for mean_row, rows in zip(means, (values, expected), strict=True):
-        mean_row[total > 0] = ((weight * np.where(known, rows, 0.0)).sum(axis=0) / np.where(total > 0, total, 1.0))[
-            total > 0
-        ]
-    return means[0], means[1]
+    with np.errstate(invalid="ignore"):
+        value, expectation = (
+            (weight * np.where(known, rows, 0.0)).sum(axis=0) / weight.sum(axis=0) for rows in (values, expected)
+        )
+    return value, expectation
