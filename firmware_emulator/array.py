@@ -33,7 +33,7 @@ SPI_DEVICE = "/dev/spidev"
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
-"""What Linux adapters say when nobody acknowledges (LNX-40, LNX-41)."""
+"""The errors of Linux adapters when no chip acknowledges (LNX-40, LNX-41)."""
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
@@ -93,7 +93,7 @@ class EmulatedBus:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing to give back."""
+        """Release nothing: an emulated array holds no resource of the system."""
 
 
 # Keyword-only and independent of one another: what an emulated bus can be asked for, in code or in its URL.

@@ -21,7 +21,7 @@ from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld
 
 TIME_OUT_NS = 30_000_000
-"""What a program sets that does not want to wait for the kernel's second."""
+"""The timeout of a program that does not wait for the kernel's default of one second."""
 
 
 class FaultyMux(Pca9544a):

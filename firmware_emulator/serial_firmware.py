@@ -28,7 +28,7 @@ LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
 LISTS = 128
 REQUEST_BYTES = 1536
-"""What fits into 2.5 KiB of memory beside everything else; the paper's microcontroller has no more."""
+"""The size that fits into 2.5 KiB of memory, all that the paper's microcontroller has, with everything else."""
 
 
 class Request(NamedTuple):

@@ -49,7 +49,7 @@ class Receiver:
                 del self._frame[0]
 
     def _size(self) -> int:
-        """How long the frame will be as far as it is known; 0 if it is none."""
+        """Return the length of the frame as far as it is known; 0 if the bytes are no frame."""
         have = self._frame
         if have[0] != FIRST or (len(have) > 1 and have[1] != SECOND):
             return 0

@@ -80,7 +80,7 @@ class SixAxis(Chip):
         super().__init__(address, self.table, element, powered_on_ns)
 
     def own_period_ns(self, period_ns: float) -> int:
-        """How long what should take so long takes by the die's oscillator."""
+        """Return the duration, by the die's oscillator, of a period with this nominal length."""
         return round(period_ns / self._oscillator)
 
     def power_on(self, at_ns: int) -> None:

@@ -22,7 +22,7 @@ OPEN_LINE = 0xFF
 
 
 class Dialect(NamedTuple):
-    """How a chip takes the first byte, how fast a clock it bears, and in which modes.
+    """A chip's SPI protocol: the meaning of the first byte, the fastest clock, and the modes.
 
     `counts_on`: the bit that makes it go on to the next register (0: it always does); `on_i2c`: the same on I2C.
     """

@@ -118,7 +118,7 @@ class Conversation:
             self.imported = None
 
     def _answer(self) -> bytes | None:
-        """To the first pending frame; None while that is incomplete."""
+        """Return the answer to the first pending frame; None while that is incomplete."""
         return self._operation() if self.imported is None else self._command(self.imported)
 
     def _take(self, count: int) -> bytes | None:

@@ -245,7 +245,7 @@ class Heating:
         return tuple(self.scale * stretch.constant_min * 60e9 for stretch in PROFILE)
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """At rest, at the temperature of that moment."""
+        """Return the stimulus at rest, at the temperature of that moment."""
         index = min(max(bisect_right(self.starts_ns, at_ns) - 1, 0), len(PROFILE) - 1)
         towards = PROFILE[index].towards_degc
         passed_ns = max(at_ns - self.starts_ns[index], 0)
@@ -288,7 +288,7 @@ class Shaking:
         return Phase(begin, shaken, "static", "+Z"), Phase(shaken, calm, "motion"), Phase(calm, end, "static", "+Z")
 
     def __call__(self, at_ns: int) -> Stimulus:
-        """At rest, or in the midst of it."""
+        """Return the stimulus: at rest, or during the motion."""
         _, begin_ns, end_ns, _ = self.edges_ns
         if not begin_ns < at_ns < end_ns:
             return UPRIGHT

@@ -49,7 +49,7 @@ class SensorConfig(BaseModel):
     chip: str
     """A chip of `imuarray.chips`; of a sensor that the kernel serves any name."""
     quantity: Literal["specific_force", "angular_rate", "magnetic_field"] | None = None
-    """Which triad of a device that the kernel serves is meant, where the name of the chip does not tell."""
+    """The triad of a device that the kernel serves, where the chip's name leaves it open."""
     address: int = 0
     """Address of the chip on its I2C bus; 0 for a chip on SPI and for one that the kernel serves."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
@@ -65,7 +65,7 @@ class SensorConfig(BaseModel):
     high_resolution: bool = False
     """Let the queue deliver counts of more bits, at the largest range."""
     trigger: str | None = None
-    """What starts each sample of a device that the kernel serves, where its driver does not by itself."""
+    """The trigger of each sample of a device that the kernel serves, where its driver has no trigger of its own."""
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
@@ -257,7 +257,7 @@ class SensorConfig(BaseModel):
 
     @property
     def spi_rules(self) -> SpiRules:
-        """How its chip is spoken to over SPI, its clock as configured; only for a sensor on SPI."""
+        """The SPI protocol of the sensor's chip, with the configured clock; only for a sensor on SPI."""
         rules = self.spec.spi
         if rules is None:
             raise ValueError(f"{self.name}: the {self.chip} has no SPI")

@@ -143,7 +143,7 @@ def _pressure(up: Integers, b5: Integers, words: Words, oversampling: int) -> In
 
 
 def _first_reaching(rising: Callable[[Integers], Integers], wanted: Floats, low: int, high: int) -> Integers:
-    """For each of `wanted` (n,) the lowest word in low ... high at which `rising` has reached it (high if none)."""
+    """Return for each of `wanted` (n,) the lowest word in low ... high at which `rising` reaches it (high if none)."""
     bottom, top = np.full(len(wanted), low, np.int64), np.full(len(wanted), high, np.int64)
     while (bottom < top).any():
         middle = bottom + top >> 1

@@ -36,7 +36,7 @@ from imuarray.units import Quantity
 
 @dataclass(frozen=True)
 class SpiRules:
-    """How a chip is spoken to over SPI: its first byte is a register's address, with bit 7 set to read.
+    """A chip's SPI protocol. The first byte is a register's address, with bit 7 set to read.
 
     `clock_hz`: the fastest clock that all its registers bear. `count_on`: the bit that a transfer of several bytes
     needs (0: none). `address_bits`: those of the first byte that are the address. `mode`: clock polarity and phase, 0

@@ -34,7 +34,7 @@ NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
 """The two errnos with which Linux adapters say that nobody acknowledged (LNX-40, LNX-41)."""
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""What a write says when there is no room: the disk, the user's quota, the longest file that is allowed."""
+"""The errors of a write when space is exhausted: the disk, the user's quota, the file size limit."""
 
 
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")

@@ -44,7 +44,7 @@ _IN_OTHER_WORDS = {
     "string_too_long": "{came}: a text of {max_length} or fewer characters is required",
     "string_pattern_mismatch": "{came}: allowed are a letter, then letters, digits and _, 32 characters at most",
 }
-"""What pydantic says in the words of its own types."""
+"""The messages of pydantic that name its own types."""
 
 
 def read_text(path: str | PathLike[str]) -> str:

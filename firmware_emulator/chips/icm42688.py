@@ -124,7 +124,7 @@ class Icm42688(SixAxis):
 
     @property
     def _watermark(self) -> int:
-        """In bytes or packets, as the count is; 0 is none (TDK-87)."""
+        """Return the watermark in bytes or packets, the unit of the count; 0 means none (TDK-87)."""
         high = facts.FIFO_WATERMARK_HIGH.of(self.page[facts.FIFO_CONFIG3.address])
         return high << 8 | self.page[facts.FIFO_CONFIG2.address]
 

@@ -32,7 +32,7 @@ RANGES_DPS = {  # with mdps a code: LSM-14, LSM-31
 ACCEL_FILTER_SHARES = (4, 10, 20, 45, 100, 200, 400, 800)  # of the rate, with LPF2: LSM-19
 GYRO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666.0: 1108.1}  # LSM-19
 PUSH_G, PUSH_DPS = 0.4, 300.0
-"""What the self-test adds (DEC-72): inside the data sheet's limits."""
+"""The change of the output in self-test, within the data sheet's limits (DEC-72)."""
 
 FIFO_WORDS = 512  # LSM-40
 TAGS = {GYROSCOPE: 0x01, ACCELEROMETER: 0x02}  # LSM-41

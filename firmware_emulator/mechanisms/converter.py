@@ -1,4 +1,4 @@
-"""From the analogue signal to the registers: codes, ranges, rates, latches."""
+"""Mechanisms between the analogue signal and the registers: codes, ranges, rates, latches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where and in which direction a sensor sits on the box, and which socket it is plugged into."""
+"""Mechanisms of mounting: a sensor's place and direction on the box, and the socket into which it is plugged."""
 
 from __future__ import annotations
 

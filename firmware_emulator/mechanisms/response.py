@@ -1,4 +1,4 @@
-"""How an element responds: scale, linearity, cross-sensitivity, bandwidth and delay."""
+"""Mechanisms of an element's response: scale, linearity, cross-sensitivity, bandwidth and delay."""
 
 from __future__ import annotations
 

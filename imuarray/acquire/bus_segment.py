@@ -27,9 +27,9 @@ from imuarray.clock import Clock
 from imuarray.facts import pca9544a
 
 HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})
-"""What Linux adapters say when the bus does not come free (LNX-43, LNX-44, LNX-47)."""
+"""The errors of Linux adapters when the bus stays busy (LNX-43, LNX-44, LNX-47)."""
 REMOVED = frozenset({errno.ENODEV})
-"""What a bus says whose adapter was unplugged (`imuarray.bus.linux`)."""
+"""The errors of a bus whose adapter was unplugged (`imuarray.bus.linux`)."""
 SEARCH_NS = 250_000_000
 """Between two looks for an adapter that was removed."""
 FIRST_PAUSE_NS = 50_000_000

@@ -55,7 +55,7 @@ class Detection:
     found: str
     ok: bool
     self_test: str = ""
-    """What the chip's self-test said, if it was asked for."""
+    """The result of the chip's self-test, if that was requested."""
     channel: int | None = None
     """Channel of the multiplexer (None: the trunk), with the address, for a chip that answered where nobody looked for
     it.
@@ -64,9 +64,9 @@ class Detection:
     undetermined: bool = False
     """The self-test could not say whether the chip is good."""
     owner: str = ""
-    """Which driver of the kernel has the address, if one has; it was not asked then."""
+    """The kernel driver that owns the address, if there is one; the chip is not addressed then."""
     remark: str = ""
-    """What is worth knowing of how the chip is set now."""
+    """Remarks on the chip's present settings."""
     rates_hz: Mapping[str, float] = field(default_factory=dict)
     """Data rate of each triad of a device behind a kernel driver, by quantity."""
 

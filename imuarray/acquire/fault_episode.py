@@ -10,8 +10,9 @@ from collections.abc import Callable, Hashable, Mapping
 from types import MappingProxyType
 
 QUIET_NS = 1_000_000_000
-"""What comes back within this is the same episode. Doubled each time that it comes back later than that, but within
-`RELAPSE_NS`."""
+"""A fault that returns within this time belongs to the same episode. The time doubles whenever a fault returns later,
+but within `RELAPSE_NS`.
+"""
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 MOST_EVENTS_AN_HOUR = 28
@@ -34,7 +35,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "refused": "refused",
     }
 )
-"""What is counted, by kind; "times" for the others."""
+"""The unit that is counted, by kind; "times" for all other kinds."""
 
 
 class FaultEpisode:

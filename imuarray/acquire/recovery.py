@@ -29,7 +29,7 @@ class Recovery:
         self.done = False
         self.failure: Exception | None = None
         self.refusal = ""
-        """Whose the address is now, if it belongs to a driver of the kernel."""
+        """The kernel driver that owns the address now, if there is one."""
         self._look = look
         self._pause_ns = FIRST_PAUSE_NS
         self._next_ns = now_ns

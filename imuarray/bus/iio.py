@@ -318,7 +318,7 @@ class IioBus:
         return devices(self._root)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """There is no I2C bus at the root: OSError with ENXIO."""
+        """Raise OSError (ENXIO): there is no I2C bus at the root."""
         _refuse()
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:

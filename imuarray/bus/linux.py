@@ -266,7 +266,7 @@ class SpiBus:
         self._others: dict[str, LinuxBus] = {}
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """There is no I2C bus at the root: OSError with ENXIO."""
+        """Raise OSError (ENXIO): there is no I2C bus at the root."""
         raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:

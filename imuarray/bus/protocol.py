@@ -38,7 +38,7 @@ class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
 
     clock: Clock
     source: str
-    """What a log of it says of its origin: "i2c", "spi", "iio", "serial" or "emulated"."""
+    """The `source` of a log recorded over it: "i2c", "spi", "iio", "serial" or "emulated"."""
 
     def channel_bus(self, path: str) -> Bus:
         """The bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""

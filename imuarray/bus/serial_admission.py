@@ -67,7 +67,7 @@ class Admission:
         for name, asked in enumerate(lists):
             self._size[name], self._every[name], self._offset[name] = asked.size, asked.every, asked.offset
         self._newest = -1
-        """Of the newest admitted frame: number and list as one number."""
+        """The position of the newest admitted frame: its number and its list as one number."""
         self._newest_us = started_us
         self._grid_us = self._earlier_grid_us = started_us
         """When frame 0 would have been sent, from the earliest frame of the current and of the previous `MEMORY_US`."""
@@ -77,7 +77,7 @@ class Admission:
 
     @property
     def newest_us(self) -> int:
-        """When the newest admitted frame was sent; START's answer before there is any."""
+        """Return the time at which the newest admitted frame was sent; before the first frame that of START's answer."""
         return self._newest_us
 
     def admit(self, frames: Sequence[Frame], sent_us: Integers) -> FrameSelection:

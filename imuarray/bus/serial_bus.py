@@ -29,7 +29,7 @@ from imuarray.clock import Clock, MonotonicClock, sleep_for
 from imuarray.errors import BusUrlError
 
 SPI_CONTROLLER = "/dev/spidev0"
-"""What a configuration calls the controller of the microcontroller, as on a computer with one."""
+"""The name of the microcontroller's controller in a configuration, as on a computer with one controller."""
 NAP_S = 0.02
 """Between two pieces of a stream: what comes in the meantime is read at once."""
 SEARCH_NS = 1_000_000_000

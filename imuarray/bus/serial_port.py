@@ -19,7 +19,7 @@ from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 
 BAUD = 115_200
-"""What Arduino's examples begin with; a port that is USB all the way takes no notice of it."""
+"""The baud rate of Arduino's examples; a native USB port ignores it."""
 READ_S = 0.02
 """Longest wait for one byte."""
 WRITE_S = 0.25

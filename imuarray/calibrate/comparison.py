@@ -175,7 +175,9 @@ def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Chang
 
 
 def _temperature(each: Mapping[int, SensorCalibration]) -> float | None:
-    """At which biases are compared: the mean of those at which they were measured, if all are known."""
+    """Return the temperature at which biases are compared: the mean of those at which they were measured, if all are
+    known.
+    """
     known = [sensor.temperature_degc for sensor in each.values() if sensor.bias_sem_lsb is not None]
     temperatures = [degc for degc in known if degc is not None]
     return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(known) else None

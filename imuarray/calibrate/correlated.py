@@ -26,10 +26,12 @@ from imuarray.arrays import Floats
 
 _CELLS = 6
 _ENOUGH = 8.0
-"""So many cells of the grid share the likelihood, or it is drawn in further."""
+"""The least number of grid cells that must share the likelihood; with fewer the grid is refined."""
 
 _RIDGE = 1e-12
-"""What regressors that say the same are kept apart by: their coefficients are then as good as unknown."""
+"""The ridge that keeps the normal equations of collinear regressors regular; their coefficients are then practically
+unknown.
+"""
 
 _LOG_ODDS = (-4.0, 6.0)
 """Limits of the log odds of the white share: 0.02 to 0.998."""

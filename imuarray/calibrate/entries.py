@@ -48,7 +48,9 @@ T = TypeVar("T")
 _HUGE = 1e6
 _BEYOND = 1e30
 _NOTHING = 1e-60
-"""What is smaller is read as zero: its square would be, and something would be divided by it."""
+"""The smallest size that is not read as zero: the square of a smaller number underflows, and a division by it would
+follow.
+"""
 _ASYMMETRY = 1e-6
 """Nine written digits leave a covariance this far from symmetric and from non-negative, of its largest entry."""
 

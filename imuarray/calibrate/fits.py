@@ -20,7 +20,7 @@ DRIFTS = 1e-3
 """Drift terms that fit so much better by chance less often than this are real."""
 
 _ENOUGH = 6.0
-"""So many degrees of freedom tell an axis's own scatter."""
+"""The number of degrees of freedom from which an axis's own scatter is used."""
 
 
 @dataclass(frozen=True)

@@ -253,8 +253,8 @@ def _drifting(readings: PoseReadings, values: Floats, noise: Floats, up_box: Flo
 
 
 def _one_left_out(joint: _Joint, progress: Callable[[int], None]) -> tuple[Floats, list[float]]:
-    """For each pose the lengths (s, k) of the specific force by a calibration from all others, and the chance that it
-    fits as badly as it does: by the scatter of the others, and by that which the weights stand for.
+    """Return for each pose the lengths (s, k) of the specific force by a calibration from all others, and the chance
+    that it fits as badly as it does: by the scatter of the others, and by that which the weights stand for.
     """
     sensors, poses = len(joint.readings.sensors), len(joint.readings.poses)
     lengths, chances = np.full((sensors, poses), np.nan), [1.0] * poses

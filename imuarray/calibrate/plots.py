@@ -35,7 +35,7 @@ _LABELS: Mapping[str, str] = MappingProxyType(
         "turn_on": "change of the bias from run to run, rms",
     }
 )
-"""What can be drawn, in the order in which it is looked for."""
+"""The figures, in the order in which a calibration is searched for their contents."""
 
 
 def calibration_figure(calibration: Calibration, group: str | None = None) -> Figure:

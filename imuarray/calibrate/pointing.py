@@ -31,7 +31,7 @@ HELD = ("+Z", "+X", "+Y")
 """The poses that a person is asked for, if nothing else is said: three that are no mirror image of another three."""
 
 _CLEARLY = 2.0
-"""So many times worse, in rms, must the next best turn be."""
+"""The least ratio of the second-best turn's rms misfit to the best turn's."""
 
 _MOST = 0.5
 """Rms of what the best turn leaves, as a share of one g or of a radian: beyond it none of them explains the poses."""
@@ -138,8 +138,8 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
 
 
 def _carried(sensor: SensorLog, poses: Sequence[Pose]) -> list[Floats | None]:
-    """For each pair of neighbouring poses the rotation (3, 3) in the sensor's frame that carries a vector fixed in the
-    world from the first to the second; None where it can't be integrated.
+    """Return for each pair of neighbouring poses the rotation (3, 3) in the sensor's frame that carries a vector fixed
+    in the world from the first to the second; None where it can't be integrated.
     """
     return [_turned(sensor, first, second) for first, second in pairwise(poses)]
 

@@ -391,7 +391,7 @@ Stretches = Sequence[tuple[SensorLog, slice]]
 """A sensor at rest: rows of its logs."""
 
 SEGMENT_ROWS = 256
-"""What changes over more rows is drift and no noise."""
+"""The number of rows beyond which a change counts as drift, not as noise."""
 
 _BLOCK_ROWS = 256 * SEGMENT_ROWS
 

@@ -53,7 +53,7 @@ _FAST = 0.15
 """In g: a stretch that scatters by more about its parabola is shaken, not turned slowly."""
 
 _LEAST_MOTION_G = 1e-3
-"""What a hand moves at least."""
+"""The least motion of a box that is held by hand."""
 
 _MEDIAN_OF_SQUARES = 0.4549
 """Median of chi-squared with one degree of freedom."""

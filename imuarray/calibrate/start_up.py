@@ -226,8 +226,8 @@ class StartUpJudge:
 
 
 def _restlessness(counts: npt.NDArray[Any]) -> float:
-    """How much more than by white noise the means of parts of (n, 3) counts vary, as a ratio of variances: the largest
-    of the axes.
+    """Return the variance of the means of parts of (n, 3) counts over that due to white noise: the largest ratio of the
+    axes.
     """
     if len(counts) < 4 * PARTS:
         return 0.0

@@ -229,8 +229,8 @@ def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covari
 
 
 def _each_alone(missed: Floats, projected: Floats, chi_squared: float, freedom: float) -> tuple[list[float], Floats]:
-    """For each turn the chance that it misses as far as it does by the scatter of the others, and how far (t,): the
-    shift that would explain it, of the projected weights (2 t, 2 t).
+    """Return for each turn the chance that it misses as far as it does by the scatter of the others, and how far (t,):
+    the shift that would explain it, of the projected weights (2 t, 2 t).
     """
     pulls = (projected @ missed).reshape(-1, 2)
     blocks = np.array([projected[row : row + 2, row : row + 2] for row in range(0, len(missed), 2)])

@@ -23,7 +23,7 @@ import numpy as np
 from imuarray.arrays import Floats
 
 Term = Literal["quantisation", "white", "flicker", "random walk", "ramp"]
-"""What an Allan variance may be a sum of, with its slope: -2, -1, 0, 1, 2 (IEEE Std 952, annex C)."""
+"""The terms of an Allan variance, with their slopes: -2, -1, 0, 1, 2 (IEEE Std 952, annex C)."""
 
 TERMS: tuple[Term, ...] = ("quantisation", "white", "flicker", "random walk", "ramp")
 

@@ -220,7 +220,7 @@ UNITS: dict[Term, str] = {
     "random walk": "{unit}/sqrt(s)",
     "ramp": "{unit}/s",
 }
-"""What each coefficient is in, for a series in `unit`."""
+"""The unit of each coefficient, for a series in `unit`."""
 
 USUAL: tuple[Term, ...] = ("white", "flicker", "random walk")
 

@@ -28,7 +28,7 @@ from imuarray.characterise.allan_curve import (
 from imuarray.characterise.second_differences import Values, add_up, sums_of_squares
 
 Estimator = Literal["overlapping", "decimated"]
-"""Whether second differences start at every row, or at least eight times in an averaging time."""
+""""overlapping": second differences start at every row; "decimated": at least eight times in an averaging time."""
 
 _ROWS = 32768
 """Values that are collected before they are worked on; half as many at coarser strides."""

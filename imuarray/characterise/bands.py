@@ -27,7 +27,7 @@ RISES = 1.35
 """Least ratio of a box to both its sides: ripples of filters and of floors are no lines."""
 
 SLACK = 1.08
-"""What is granted to the curvature of a floor: a box may rise so much above its sides' medians without a line."""
+"""The allowance for the curvature of a floor: a box may rise by this above its sides' medians without a line."""
 
 _FIRST = 3
 _LOWEST = 2

@@ -23,7 +23,7 @@ NARROW = 2.0
 noise with this spread the shares of even and odd codes differ by (4 / pi) exp(-pi^2 spread^2 / 2) < 4e-9."""
 
 LISTED = 8
-"""So many gaps between codes are listed, the most improbable ones."""
+"""The number of gaps between codes that are listed, the most improbable first."""
 
 
 @dataclass(frozen=True)

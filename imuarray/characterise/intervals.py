@@ -23,7 +23,7 @@ from imuarray.arrays import Floats, Times
 from imuarray.characterise.stretch import GAP
 
 PLACES = 5
-"""So many of the longest gaps are named."""
+"""The number of longest gaps that are named."""
 
 _TYPICAL = 1024
 """The typical interval is the upper quartile of so many, the first."""

@@ -155,7 +155,7 @@ class _Sums(NamedTuple):
 
 
 def _finish(sums: _Sums) -> NoiseStatistics:
-    """From sums to statistics; nan for what so few rows don't tell."""
+    """Convert sums to statistics; nan where there are too few rows."""
     used, squares = sums.total.number, sums.total.squares
     std = sem = lag1 = mean = share = np.full(len(squares), np.nan)
     if used:

@@ -95,12 +95,12 @@ def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
 
 
 def _sides(bins: Indices, last: int) -> Indices:
-    """How many bins on either side of each of `bins` (b,) the floor is read off (b,)."""
+    """Return the number (b,) of bins on either side of each of `bins` (b,) from which the floor is estimated."""
     return np.clip((_SHARE * bins).astype(np.intp), _LEAST, min(_SIDE, max(_LEAST, last // 16)))
 
 
 def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
-    """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
+    """Return at each bin the medians of the bins below and above it, interpolated over log frequency (b,)."""
     joined = np.empty(len(bins))
     for side, which, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
         if (side == side[0]).all():  # the windows above some bins are those below others
@@ -201,7 +201,9 @@ def _share_of_one(side: int) -> float:
 
 
 def _thinned(rest: Floats, freedom: float, floor_freedom: float) -> float:
-    """How much fewer degrees of freedom the scatter of the log ratios (b,) shows; 1 if within three standard errors."""
+    """Return the factor by which the scatter of the log ratios (b,) reduces the degrees of freedom; 1 within three
+    standard errors.
+    """
     expected = float(np.diff(np.log(fdtri(freedom, floor_freedom, _EXTREMES)))[0])
     spread = float(np.diff(np.quantile(rest, _EXTREMES))[0])
     allowed = expected * (1 + 3 * np.sqrt(1.62 / len(rest)))

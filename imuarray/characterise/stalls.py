@@ -15,15 +15,17 @@ from imuarray.log import SensorLog
 THRESHOLD_DPS = 100.0
 LEAST_STALLS = 3
 LEAST_SHARE = 0.5
-"""So many passages with a stall, and such a share of all, are reported: equal rows occur by chance, too."""
+"""The least number of passages with a stall, and their least share of all, that are reported: equal rows also occur by
+chance.
+"""
 
 _BLOCK_ROWS = 4096
 
 
 @dataclass(frozen=True)
 class Stalls:
-    """How often an axis passed 100 dps from a row to the next, and before how many of these passages the reading stood
-    still.
+    """Counts of passages of an axis through 100 dps from one row to the next, and of those before which the reading
+    stood still.
     """
 
     passages: int

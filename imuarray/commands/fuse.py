@@ -39,7 +39,7 @@ _NOTHING = {
     "planes": "nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
     "ranges": "nothing on this array: all its sensors of a quantity have one measuring range",
 }
-"""What to say of a technique that gives the mean."""
+"""The remark on a technique whose result is the mean."""
 _WORDS = {
     "rms": "rms error against the truth",
     "noise": "scatter from frame to frame",
@@ -323,7 +323,7 @@ class _Noise:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Nothing to release."""
+        """Release nothing."""
 
 
 def _quality_of(log: Log) -> _Errors | _Noise:

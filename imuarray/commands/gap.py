@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imuarray.simulate.model import Model
 
 FILES = ("gap.json", "repaired.toml", "report.html")
-"""What is written into the output's folder."""
+"""The files that are written into the output folder."""
 
 
 @click.group("gap")

@@ -38,9 +38,10 @@ _SELF_TEST_NS = 12_000_000  # the test lasts less than 10 ms: BMA-104
 _SELF_TEST_LSB = 200
 _SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show what moves meanwhile
 _SELF_TEST_GAP_NS = 2_000_000
-"""What lasts less than 10 ms in all (BMA-104) may be over between two looks that are farther apart than this."""
+"""The longest interval between two readings in self-test: the deflection lasts less than 10 ms in all (BMA-104)."""
 _SELF_TEST_SIGMAS = 4.0
-"""So many standard deviations of the readings at rest must a deflection exceed as well: noise and motion are none."""
+"""The number of standard deviations at rest that a deflection must also exceed, so that noise and motion do not count.
+"""
 _SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
 
 

@@ -178,8 +178,8 @@ class FifoClock:
             self._begin()
 
     def best_look_ns(self, now_ns: int, wanted_ns: float) -> int | None:
-        """When to count again so as to halve the uncertainty: in the middle of the possible times of the next sample.
-        None if it is known to `wanted_ns`, or nothing is known yet.
+        """Return the time of the next count that halves the uncertainty: the middle of the possible times of the next
+        sample. None if it is known to `wanted_ns`, or nothing is known yet.
         """
         if self._window is None or self._window.uncertainty_ns(self._taken) <= wanted_ns:
             return None

@@ -83,7 +83,7 @@ class _Half(SixAxisHalf):
             facts.ACCEL_CONFIG_STATIC3[7:0](low),
             facts.ACCEL_CONFIG_STATIC4[7:0]((facts.ACCEL_ANTI_ALIAS_SHIFT(shift)).value | high),
         )
-        """Of banks 1 and 2, in this order."""
+        """The registers of banks 1 and 2, in this order."""
         self.watched = (self._bank(0), self.power, self.range_setting, *self.settings)
 
     def _range_and_rate(self, range_code: int, rate_code: int) -> Setting:

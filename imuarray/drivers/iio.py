@@ -300,7 +300,7 @@ class IioSensor:
         return next((text for name in names if (text := self.device.read(name))), "")
 
     def mark(self, code: int) -> bool:
-        """There is no register to write to."""
+        """Do nothing: there is no register to write to."""
         return False
 
     def self_test(self) -> SelfTest:
@@ -336,7 +336,7 @@ class IioSensor:
     # What the log says of it --------------------------------------------------------------------------------------
 
     def header(self) -> Mapping[str, int] | Mapping[str, float]:
-        """Nothing by itself: `described` has it all."""
+        """Return an empty header: `described` has all of it."""
         return {}
 
     def described(self, header: SensorHeader) -> SensorHeader:
@@ -504,7 +504,9 @@ class IioCapture:
 
 
 def _reach(elements: Sequence[ScanElement], offset: int) -> int:
-    """How far counts reach on the longer side, by the types of the axes; 16 bits with a sign where no type is known."""
+    """Return the largest magnitude of counts, from the types of the axes; that of signed 16 bits where no type is
+    known.
+    """
     ends = [
         (-(1 << element.bits - 1), 1 << element.bits - 1) if element.is_signed else (0, 1 << element.bits)
         for element in elements

@@ -157,7 +157,7 @@ class DieQueue:
         self.times.look(count, from_ns, until_ns)
 
     def _count(self) -> tuple[int, int]:
-        """How many samples wait in the chip, and its flags; OSError for an impossible number."""
+        """Return the number of samples in the chip's queue, and its flags; OSError for an impossible number."""
         raise NotImplementedError
 
     def _counted(self) -> tuple[int, int, tuple[int, int]]:

@@ -62,7 +62,7 @@ def burst_queue_of(driver: Driver) -> BurstQueue | None:
 
 
 def least_drains_hz(queue: BurstQueue, rate_hz: float) -> float:
-    """How often the queue of a chip that takes `rate_hz` samples a second must be drained at least."""
+    """Return the least rate at which the queue of a chip that takes `rate_hz` samples a second must be drained."""
     most = (MAX_LIST_READ - queue.burst(0)[1]) // queue.size
     return rate_hz * (1 + TOLERANCE) / (most - 1)
 

@@ -37,7 +37,7 @@ MESSAGE_HEAD = np.dtype(
         ("publish_time", "<u8"),
     ]
 )
-"""What stands before the data of a message; `length` is that of what follows it."""
+"""The bytes before the data of a message; `length` is the number of bytes after the length field."""
 
 _BEFORE_LENGTH = 9
 """Bytes of opcode and length."""

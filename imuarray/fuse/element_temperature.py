@@ -205,7 +205,7 @@ _KEPT = 64
 
 
 class _Segment(NamedTuple):
-    """When a segment ends, the mean time of its rows (s), its mean (degC), the elements behind each lag then, and the
+    """One segment: its end, the mean time of its rows (s), its mean (degC), the elements behind each lag then, and the
     trend (degC/s) from then on.
     """
 

@@ -268,7 +268,7 @@ def _smoothed(
 
 
 def _period_s(array: _Array[SensorLog]) -> float:
-    """From frame to frame, as a stream will choose it."""
+    """Return the time from frame to frame, as a stream will choose it."""
     first = [np.asarray(sensor.time[:FIRST_ROWS]) for sensor in array.inertial]
     numbers = iter(range(len(first)))
     groups = [[next(numbers) for _ in sensors] for sensors in array.groups.values()]

@@ -270,7 +270,7 @@ def _direct(text: object) -> str:
 
 
 _SLACK_BYTES = 1 << 18
-"""What HDF5 holds back or adds: a chunk of each column, and where they are."""
+"""The bytes that HDF5 buffers or adds: a chunk of each column, and the index of the chunks."""
 
 _LEVEL = 1
 """Level of the compression: half of a triad's bits are noise, of which the fourth level takes off no more than the

@@ -71,7 +71,7 @@ class SlowErrors:
                     terms[1:, 1:, i, j] = axis.errors.response[axis.index, :, other.index]
         self._terms = terms.reshape(16, m, m)
         self.known = bool(terms.any())
-        """Whether anything is told of them."""
+        """True if the covariance of any slow error is known."""
 
     def covariance(self, gains: Floats, triads: Floats) -> Floats:
         """(n, 6) (`frames.ENTRIES`) of triads (n, 3) that were made with `gains` (n, 3, m), or (1, 3, m) for all."""

@@ -97,7 +97,7 @@ _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 @dataclass
 class _Layout:
-    """How a text is split into cells."""
+    """The way in which a text is split into cells."""
 
     delimiter: str = ","
     decimal: str = "."

@@ -15,7 +15,7 @@ from imuarray.errors import LogError
 from imuarray.log.layout import CLOCKS
 
 UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
-"""What HDF5 raises on stored rows that it can't read; ValueError, TypeError and IndexError are of a bad slice."""
+"""The exceptions of HDF5 on stored rows that it can't read; ValueError, TypeError and IndexError mean a bad slice."""
 
 
 class NamedColumn:
@@ -139,7 +139,7 @@ class LiveGroup:
 
 
 GROUP = (h5py.Group, LiveGroup)
-"""What a group of a log is an instance of."""
+"""The classes of the groups of a log."""
 
 DATASET = (h5py.Dataset, Column)
 """A column in the file or in memory."""

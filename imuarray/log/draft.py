@@ -43,7 +43,7 @@ if sys.platform != "win32":
     import fcntl
 
 _EMPTY_BYTES = 1 << 14
-"""What HDF5 takes for a group and its columns, generously."""
+"""A generous estimate of the space that HDF5 needs for a group and its columns."""
 
 _REVISED_CHUNKS = 16
 """Chunks of a column that are revised at once: half a megabyte."""

@@ -21,7 +21,7 @@ PLOTS = "plots"
 """The group of a finished log that NeXus viewers open first."""
 
 CACHE_BYTES = 1 << 20
-"""What HDF5 keeps of each column that is read or written; HDF5 2.0 would keep 8 MB, of fifty columns 400 MB."""
+"""The chunk cache of each column that is read or written; HDF5 2.0 would keep 8 MB, 400 MB for fifty columns."""
 
 STALE = 1
 """The same reading as the one before: the chip had nothing newer."""

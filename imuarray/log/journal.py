@@ -217,7 +217,7 @@ class JournalReader:
             raise
         self.groups: tuple[Group, ...] = groups_of(self.preamble.sensors)
         self.damage: list[str] = []
-        """What `records` had to leave out."""
+        """The stretches that `records` left out."""
         own = tag_of(self.preamble.identity)
         self._tags = (own,) if version == 2 else (own, 0)
 

@@ -97,7 +97,7 @@ TRACK_UNITS: Mapping[str, str] = MappingProxyType(
     {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
     | {name: "ns" for name, _, _ in CLOCKS if name != "time"}
 )
-"""What the columns of these groups are in; `time` is in ns since the epoch."""
+"""The units of the columns of these groups; `time` is in ns since the epoch."""
 
 STIMULI = ("truth", "reference")
 

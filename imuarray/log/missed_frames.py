@@ -31,7 +31,7 @@ _OWN_PACE = 1.25
 """A sensor that gives more rows than this a frame has a queue, which it fills at a pace of its own."""
 
 MISSED = re.compile(r"(in all )?(\d+) frames? missed")
-"""What an event of the kind "late" says: how many frames were missed when a delay began, or in the whole of it."""
+"""The message of an event of the kind "late": how many frames were missed when a delay began, or in the whole of it."""
 
 
 class FrameTiming(NamedTuple):

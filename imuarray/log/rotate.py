@@ -288,4 +288,4 @@ def _abandon(ahead: Future[LogWriter]) -> None:
 
 
 Writer = LogWriter | RotatingWriter
-"""What a recording is written with."""
+"""The writer of a recording: one log, or a sequence of them."""

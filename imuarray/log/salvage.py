@@ -36,7 +36,7 @@ CHECK_BYTES = 1 << 26
 """Bytes that one reader checks as possible blocks, in all."""
 
 _LEAST_CHECK = 4096
-"""What each check counts for at least: with `CHECK_BYTES` it bounds their number."""
+"""The least cost of a check; with `CHECK_BYTES` it bounds the number of checks."""
 
 _WINDOWS = (1 << 12, 1 << 16, 1 << 20)
 """Bytes that are searched at a time: most damage is short."""

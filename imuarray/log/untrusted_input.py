@@ -26,7 +26,7 @@ _IMPORTED = (".csv", ".npz", ".txt", ".bin")
 DAMAGE = (
     OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError, ArithmeticError, MemoryError,
 )  # fmt: skip
-"""What h5py raises on what it can't make sense of."""
+"""The exceptions of h5py on malformed input."""
 
 
 def open_file(path: Path) -> h5py.File:

@@ -275,7 +275,7 @@ def snapshot_of(
 
 
 _QUIET_S = 5.0
-"""Without a row of any sensor, after which a log that is being written has stopped."""
+"""The time without a row of any sensor after which a log that is being written counts as stopped."""
 
 
 def _observations(

@@ -50,7 +50,7 @@ class EventCounts:
         """
         self._missed_first = 0
         self.complete = True
-        """Whether all notes of the log were taken; False where there were too many before."""
+        """True if all notes of the log were counted; False if there were too many before."""
 
     def take(self, text: npt.NDArray[Any]) -> None:
         """Take rows of the group `notes`, lines of text as bytes; lines that are none are passed over."""

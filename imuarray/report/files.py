@@ -131,7 +131,7 @@ KINDS: Mapping[str, Callable[[Path, TechniqueSet], Sayings]] = MappingProxyType(
         "validation run": _validation,
     }
 )
-"""What can stand on a page, in the order in which it is told."""
+"""The kinds of files that a page can show, in the order in which they are recognised."""
 
 _ALLOWED = (
     "allowed are logs and fused results (.h5), calibrations (.toml), gap.json or the folder of `gap diagnose -o`, and"

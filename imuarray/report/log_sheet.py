@@ -137,7 +137,7 @@ def _longest_s(sensor: SensorLog) -> float:
 
 
 def _duration(log: Log) -> str:
-    """How long, and from when."""
+    """Return the length of the log and its start."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     if not rows:
         return "nothing"

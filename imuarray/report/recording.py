@@ -31,8 +31,9 @@ from imuarray.units import SI_PER_UNIT
 SILENT_S = 1.0
 """A sensor whose readings begin so long after those of the others, or end so long before them, is silent then."""
 PERIODS = 2.5
-"""So many of a sensor's own periods without a reading are missing readings: where the array is polled forth and back,
-readings are up to two periods apart."""
+"""The number of a sensor's own periods without a reading from which readings count as missing: where the array is
+polled forth and back, readings are up to two periods apart.
+"""
 
 _MOST_STRETCHES = 64_000
 """Stretches of all sensors together: 28 bytes each, a third more as text, so that the page stays below 5 MB."""

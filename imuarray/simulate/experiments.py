@@ -101,7 +101,7 @@ def vehicle(wanted: ExperimentOptions) -> Motion:
 
 
 DRIVES: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyType({"hand": hand, "vehicle": vehicle})
-"""What moves the box in the experiment "motion"."""
+"""The motions of the box in the experiment "motion"."""
 
 EXPERIMENTS: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyType(
     {"static": static, "tumble": tumble, "heating": heating, "turn-on": turn_on, "motion": motion}

@@ -152,5 +152,5 @@ def _draw(parameter: Field[Any], effect: str, sensor: SensorHeader, streams: Str
 
 
 def _count(parameter: Field[Any] | None) -> int:
-    """How many numbers the parameter is a list of; 0 for one that is a single number, and for none."""
+    """Return the length of the parameter's list; 0 for a single number or no parameter."""
     return 0 if parameter is None or not isinstance(parameter.default, tuple) else len(parameter.default)

@@ -110,7 +110,7 @@ class Place:
     dtype: npt.DTypeLike = np.float64
     waits: Callable[[int, int], tuple[Integers, Booleans]] | None = None
     copy: int = 1
-    """Which of several effects of one kind this is for: each has streams of its own."""
+    """The index among several effects of one kind: each has its own random streams."""
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:

@@ -287,7 +287,7 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
 
 
 def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
-    """How many frames lie between two rows, and in which frame the first one comes."""
+    """Return the number of frames between two rows, and the frame of the first row."""
     if sensor.spec.on_demand:  # each conversion is asked for in the first frame after the one before
         first = sum(max(1, math.ceil(frame_rate_hz * seconds)) for seconds in sensor.spec.conversions_s)
         return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz)), first

@@ -115,7 +115,7 @@ def polled_text(array: ArrayConfig) -> str:
 
 
 def chips_text(array: ArrayConfig) -> str:
-    """How many sensors of which chip there are: "8 icm42688_acc, 8 icm42688_gyro"."""
+    """Return the number of sensors of each chip: "8 icm42688_acc, 8 icm42688_gyro"."""
     chips = [sensor.chip for sensor in array.sensors]
     return ", ".join(f"{chips.count(chip)} {chip}" for chip in dict.fromkeys(chips))
 

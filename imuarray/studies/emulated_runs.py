@@ -17,7 +17,7 @@ from imuarray.gap.model.workers import processes
 from imuarray.log.format import Phase
 
 RATE_HZ = 48.0
-"""What the paper's full array was logged at: (std/sem)^2 / 900 s of its Table 10."""
+"""The rate at which the paper logged its full array: (std/sem)^2 / 900 s of its Table 10."""
 
 RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
 """The runs, and the share of the recorded time that each of them gets."""

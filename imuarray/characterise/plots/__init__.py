@@ -33,4 +33,4 @@ FIGURES: dict[str, Callable[[Mapping[str, Any]], Figure]] = {
     "autocorrelation.png": autocorrelation_figure,
     "histogram.png": histogram_figure,
 }
-"""What each file shows; every function takes a result and raises MissingExtraError without matplotlib."""
+"""The function that draws each file; it takes a result and raises MissingExtraError without matplotlib."""

@@ -70,7 +70,7 @@ def _draw(panel: Axes, kind: Kind, level: float) -> None:
 
 
 def _legend(panel: Axes, kind: Kind, curves: list[Curve], half: float, level: float) -> None:
-    """Only of the sensors that are in colour, the grey and the band."""
+    """Draw the legend: the sensors in colour, the grey ones as one entry, and the band."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_SENSORS = 12
-"""So many rows of panels are drawn, those with marks before those without."""
+"""The number of rows of panels that are drawn, those with marks first."""
 
 MOST_BARS = 120
 """Wider histograms have bars of several codes."""
@@ -182,7 +182,7 @@ def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Floats) -> None:
 
 
 def _write_marks(panel: Axes, mean: float, texts: list[str]) -> None:
-    """In the right corner, or the left if most readings are right of the middle."""
+    """Write the marks into the right corner, or the left one if most readings are right of the middle."""
     low, high = panel.get_xlim()
     is_left = mean > low + 0.6 * (high - low)
     style: dict[str, Any] = {"fontsize": 7.5, "color": COLOURS[1], "va": "top", "ha": "left" if is_left else "right"}

@@ -62,7 +62,7 @@ class Silence:
 
 
 _KNOWN_WINDOWS = 20
-"""So many windows tell what is normal for a sensor."""
+"""The number of windows from which a sensor's normal scatter is estimated."""
 
 _RARE = 1e-3
 """A sensor is judged by its changes only if no more than this share of its windows was quiet by itself: where noise is
@@ -147,7 +147,7 @@ _BASELINE_WINDOWS = 10
 """How often it is asked whether somebody has walked off."""
 
 _FORGOTTEN_WINDOWS = 50
-"""What could not be told is told again if it has not shown for so many windows."""
+"""The number of windows without a fault after which an ambiguous fault is reported again."""
 
 _STUCK_GAIN = 100.0
 """Ten standard deviations: what two windows without a change stand for, at the least."""
@@ -276,8 +276,8 @@ class FaultIsolation:
     def _decide(
         self, window: Window, masks: Sequence[Booleans], before: Booleans, departed: tuple[Suspect, float] | None = None
     ) -> None:
-        """Who is left out besides those `before`, and who comes back; `departed` is who has walked off, where that was
-        asked already.
+        """Exclude further sensors than those `before`, and readmit others; `departed` is the sensor that has drifted
+        away, where that was tested already.
         """
         time_ns = int(window.time[0])
         waiting = [e for e in self._out if not e.named and before[list(e.axes)].any()]

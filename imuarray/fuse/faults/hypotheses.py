@@ -34,7 +34,7 @@ SENSOR_GAIN = 57.0
 """The same probability with three degrees of freedom."""
 
 _MORE_AXES = 24.0
-"""What a whole sensor has to gain over one of its axes, to be blamed as a whole."""
+"""The gain over a single axis from which the whole sensor is blamed."""
 
 _ENERGY_NATS = 25.0
 """A sum of squares that white noise exceeds with a probability of e^-25 (bound of Laurent and Massart, Annals of
@@ -80,7 +80,7 @@ def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) 
 
 
 _FEWEST_SENSORS = 4
-"""So many sensors are needed to tell what they have in common from what one of them does."""
+"""The number of sensors from which a common change can be distinguished from a change of a single sensor."""
 
 _FEWEST_READINGS = 3
 

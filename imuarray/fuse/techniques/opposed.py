@@ -160,7 +160,7 @@ _JUDGED = 6.0
 
 _SIGNIFICANCE = 0.05
 _LOST_OF_THREE = 0.125
-"""What `significance` reckons with for one axis along and two against."""
+"""The value of `lost` in `significance` for one axis along and two against."""
 
 
 @dataclass(frozen=True)

@@ -65,9 +65,7 @@ class AdaptiveRange(Effect):
         return replace(codes, counts=np.where(is_held[:, None], shown[run], codes.counts))
 
     def _noticed_ns(self, codes: Codes, passed: Indices, period_ns: float, sensitivity: float) -> Floats:
-        """When the chip notices each passage, of which it first has a reading in a row of `passed`: at its first
-        reading after it.
-        """
+        """Return the time at which the chip notices each passage: its first reading after it, in a row of `passed`."""
         before, after = (np.abs(codes.counts[rows]).astype(float) for rows in (passed - 1, passed))
         limit = self.threshold * sensitivity
         with np.errstate(divide="ignore", invalid="ignore"):

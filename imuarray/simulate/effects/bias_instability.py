@@ -11,7 +11,9 @@ from imuarray.simulate.processes import gauss_markov
 from imuarray.simulate.signal import Analog, Place, Triple
 
 RATIO = 4.0
-"""Of neighbouring time constants of flicker noise: their sum is 1/f within 1 % between the fastest and the slowest."""
+"""The ratio of neighbouring time constants of flicker noise: the sum is 1/f within 1 % between the fastest and the
+slowest.
+"""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class BiasInstability(Effect):
 
     @property
     def time_constants_s(self) -> tuple[float, ...]:
-        """Of its processes, the slowest first."""
+        """Return the time constants of its processes, the slowest first."""
         fastest_s = max(self.fastest_time_constant_s, 1e-3)
         octaves = math.log(self.time_constant_s / fastest_s, RATIO) if self.fastest_time_constant_s else 0.0
         return tuple(self.time_constant_s / RATIO**step for step in range(1 + max(0, math.floor(octaves + 1e-9))))

@@ -15,7 +15,7 @@ from imuarray.simulate.signal import Codes, Counts, Place
 KINDS = ("spike", "torn", "word")
 
 _WORD = -32768, 32767
-"""What two bytes hold, whatever the chip would put in them."""
+"""The range of two bytes, whatever range the chip uses."""
 
 _LOW_BITS = {"bma180": 6}
 """Bits of the code that travel in the low byte, where they aren't eight (BMA-60)."""
@@ -105,7 +105,7 @@ class Glitches(Effect):
 
 
 def _torn(counts: Counts, at: Place) -> Counts:
-    """In two's complement the high byte is what is left when the low one is taken off."""
+    """Return readings with the low byte of their own code and the high byte of the previous one (two's complement)."""
     low = high_byte(at.sensor.chip) - 1
     before = np.concatenate([counts[:1], counts[:-1]])
     return (before & ~low) | (counts & low)

@@ -55,7 +55,7 @@ class Tone(Effect):
         return at.boot_generator(self.name, f"{self.frequency_hz!r} Hz").uniform(0.0, 360.0)
 
     def _first_hz(self, at: Place) -> float:
-        """At the log's epoch."""
+        """Return the frequency at the log's epoch."""
         if self.frequency_spread_hz == 0:
             return self.frequency_hz
         drawn = at.boot_generator(self.name, f"{self.frequency_hz!r} Hz, its spread").standard_normal()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RAMP_S = 1.0
 SHARES = (0.6, 0.4)
-"""What the slow and the fast sine of an axis contribute to its peak."""
+"""The shares of an axis' slow and fast sine in its peak."""
 
 PLACE_HZ = ((1.5, 3.0), (3.5, 6.0))
 TURN_HZ = ((0.8, 1.6), (2.0, 5.0))

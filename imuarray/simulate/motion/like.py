@@ -40,7 +40,9 @@ noise: otherwise a straight line is taken, since the noise of a thermometer is n
 TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
 
 _FEW = 256
-"""What was felt at so few instants is kept: the same ones, scattered over a phase, are asked for again and again."""
+"""The largest number of instants whose stimulus is cached: the same few, scattered over a phase, are requested
+repeatedly.
+"""
 _KEPT = 512
 
 _LAST = 8

@@ -230,7 +230,7 @@ def _layout(cells: _Cells) -> tuple[str, ...]:
 
 
 def _attitudes(cells: _Cells) -> Rotation:
-    """From angles or quaternions; SourceError for a quaternion that is none."""
+    """Return attitudes from angles or quaternions; SourceError for an invalid quaternion."""
     from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
 
     if ANGLES[0] in cells.text:

@@ -55,8 +55,8 @@ SETS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
         "2 ADXL345": ("perpendicular", ("ADXL1", "ADXL2")),
     }
 )
-"""What is fused together: the array, and its sensors (none named: all). The angular rate of "all" is that of Gyro1,
-Gyro2 and Gyro3, and its specific force that of all six accelerometers.
+"""A set of sensors that is fused: the array and the names of its sensors (none: all). The angular rate of "all" is that
+of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers.
 """
 
 

@@ -247,7 +247,7 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
 
 
 def _time_constants_s(effect: Effect) -> tuple[float, ...]:
-    """Of an effect's independent processes of equal variance."""
+    """Return the time constants of an effect's independent processes of equal variance."""
     if isinstance(effect, BiasInstability):
         return effect.time_constants_s
     return (getattr(effect, "time_constant_s", math.inf),)

@@ -386,7 +386,7 @@ WORDS = {
     "no slopes": "calibrated, no slopes with temperature",
     "true": "true parameters, model right",
 }
-"""What a calibration is called."""
+"""The words for each kind of calibration."""
 
 
 def render_text(study: Study) -> str:

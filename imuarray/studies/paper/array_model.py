@@ -363,7 +363,7 @@ def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
 
 
 def _scale(group: Sequence[Unit]) -> dict[str, Table]:
-    """How accelerometers' axes answer; for gyroscopes nothing was measured but their answer to force."""
+    """Return the response of accelerometers' axes; of gyroscopes only the response to force was measured."""
     unit, known = group[0].unit, len(group)
     if unit == "dps":
         response = np.array([member.response for member in group])

@@ -37,7 +37,7 @@ COLUMNS: Mapping[str, str] = {
         "it is marked"
     ),
 }
-"""What stands in the columns of the tables."""
+"""The meaning of the columns of the tables."""
 
 TABLE_WORDS: Mapping[int, tuple[str, str]] = {
     1: (
@@ -159,7 +159,7 @@ Recomputed = Mapping[str, Sequence[RecomputedRow]]
 """`imuarray.studies.paper.results.recomputed_rows()`."""
 
 NOTHING = "–"
-"""What stands where there is no number."""
+"""The text of a cell without a number."""
 _DECIMALS = 6
 _PRINTED_DECIMALS = 4
 """The most that the text prints."""
@@ -481,7 +481,7 @@ def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
 
 
 def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
-    """In plain words."""
+    """Return the summary in words."""
     whole = replica.summary
     item, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
     yield (

@@ -396,7 +396,7 @@ PLANE_COLUMNS: dict[str, tuple[int, str]] = {
     "in_run": (11, "cont_std_of_means"),
     "turn_on": (11, "runs_std_of_means"),
 }
-"""What is compared between the out-of-plane and the in-plane axes of a sensor: table and column."""
+"""The quantities compared between the out-of-plane and the in-plane axes of a sensor: table and column."""
 
 
 def plane_ratio(sensor: str, quantity: str) -> Decimal:

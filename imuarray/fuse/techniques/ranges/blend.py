@@ -42,7 +42,7 @@ class RangeBlend:
         self._weights = range_weights(axes)
         self._fading = Fading(axes) if changes(axes) else None
         self.tracker = Tracker(axes, self._weights, self._noise)
-        """What is known of the differences between the axes (of an array without a low range: nothing)."""
+        """The estimated differences between the axes (empty for an array without a low range)."""
         self._followed_s = min([GAP_S, *(FOLLOWED_PERIODS / axis.bandwidth_hz for axis in axes if axis.bandwidth_hz)])
         self._last_time = np.zeros(0, np.int64)
         self._last_triad = np.zeros((0, 3))

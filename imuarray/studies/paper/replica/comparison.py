@@ -391,7 +391,7 @@ def deviation_spread(channel: str, half: str) -> float:
 
 
 def _step_of_fault(channel: str) -> float:
-    """How uncertain the faulty run's distance from the others is, as a share of it; 0 where there is none.
+    """Return the relative uncertainty of the faulty run's distance from the others; 0 where there is none.
 
     Seven times what a day moves them by, eight times what a run does.
     """
@@ -527,7 +527,7 @@ def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
 
 @cache
 def _heated() -> _HeatingSpread:
-    """From the temperature every half minute."""
+    """Return the spread of the heating experiment's lines, from the temperature every half minute."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds, 30.0)
     degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
