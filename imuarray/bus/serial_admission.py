@@ -77,7 +77,7 @@ class Admission:
 
     @property
     def newest_us(self) -> int:
-        """Return the time at which the newest admitted frame was sent; before the first frame that of START's answer."""
+        """Return when the newest admitted frame was sent; before the first frame, the time of START's answer."""
         return self._newest_us
 
     def admit(self, frames: Sequence[Frame], sent_us: Integers) -> FrameSelection:
