@@ -119,8 +119,37 @@ class ClockRow(NamedTuple):
     realtime_ns: int
 
 
+class CountScale:
+    """The scale of a sensor's counts, the same for its header and its recording."""
+
+    quantity: str
+    sensitivity: float
+
+    @property
+    def adjustment(self) -> tuple[float, float, float]:
+        """The factory's factors of `sensitivity` along x, y and z, 256 / (ASA + 128); 1 where the log has none."""
+        words = [self._adjustment_attributes.get(name) for name in ADJUSTMENT_ATTRIBUTES]
+        x, y, z = (256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words)
+        return x, y, z
+
+    @property
+    def axis_sensitivity(self) -> tuple[float, float, float]:
+        """Counts per `unit` along x, y and z, as the factory adjusted them if the log says so."""
+        x, y, z = (self.sensitivity * factor for factor in self.adjustment)
+        return x, y, z
+
+    @property
+    def is_triad(self) -> bool:
+        """True for an inertial or magnetic sensor: three axes."""
+        return self.quantity in TRIADS
+
+    @property
+    def _adjustment_attributes(self) -> Mapping[str, object]:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class SensorHeader:
+class SensorHeader(CountScale):
     """The header of one sensor in a log: the attributes of `/sensors/<NAME>`.
 
     `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` names
@@ -157,15 +186,8 @@ class SensorHeader:
         return ThermometerScale(float(zero_degc), float(lsb_per_degc))
 
     @property
-    def adjustment(self) -> tuple[float, float, float]:
-        """The factory's factors of `sensitivity` along x, y and z; 1 if the header has none."""
-        return adjustment_of(self.extra)
-
-    @property
-    def axis_sensitivity(self) -> tuple[float, float, float]:
-        """Counts per `unit` along x, y and z."""
-        x, y, z = (self.sensitivity * factor for factor in self.adjustment)
-        return x, y, z
+    def _adjustment_attributes(self) -> Mapping[str, object]:
+        return self.extra
 
     @property
     def count_bits(self) -> int:
@@ -174,18 +196,6 @@ class SensorHeader:
         return int(bits) if isinstance(bits, int | float) else 16
 
     @property
-    def is_triad(self) -> bool:
-        """True for an inertial or magnetic sensor: three axes."""
-        return self.quantity in TRIADS
-
-    @property
     def where(self) -> str:
         """The name in errors."""
         return f"sensor {self.name}"
-
-
-def adjustment_of(attributes: Mapping[str, object]) -> tuple[float, float, float]:
-    """Factors of the counts per unit along x, y and z, 256 / (ASA + 128), by a sensor's attributes; 1 without them."""
-    words = [attributes.get(name) for name in ADJUSTMENT_ATTRIBUTES]
-    x, y, z = (256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words)
-    return x, y, z

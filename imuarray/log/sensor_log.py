@@ -21,10 +21,9 @@ from imuarray.log.format import (
     COUNT_BITS,
     FLAGS,
     THERMOMETER_ATTRIBUTES,
-    TRIADS,
+    CountScale,
     SensorHeader,
     ThermometerScale,
-    adjustment_of,
 )
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
@@ -49,7 +48,7 @@ class OpenLog(Protocol):
     def __getitem__(self, name: str, /) -> SensorLog: ...
 
 
-class SensorLog:
+class SensorLog(CountScale):
     """One sensor's part of a log. `time`, `counts`, ... are as HDF5 datasets: slice them, or `numpy.asarray` them
     whole; LogError where they are damaged. Pickled, it is its log's path and its name.
     """
@@ -151,15 +150,8 @@ class SensorLog:
                 raise LogError(f"{self.where}: column time does not increase")
 
     @property
-    def is_triad(self) -> bool:
-        """True for an inertial or magnetic sensor: three axes."""
-        return self.quantity in TRIADS
-
-    @property
-    def axis_sensitivity(self) -> tuple[float, float, float]:
-        """Counts per `unit` along x, y and z, as the factory adjusted them if the log says so."""
-        x, y, z = (self.sensitivity * factor for factor in adjustment_of(self.adjustment_words))
-        return x, y, z
+    def _adjustment_attributes(self) -> Mapping[str, object]:
+        return self.adjustment_words
 
     @property
     def count_bits(self) -> int:

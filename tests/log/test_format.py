@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from imuarray.log.format import adjustment_of
+from imuarray.log import open_log
+from imuarray.log.format import SensorHeader
+from imuarray.log.verify import verify
 
 EPOCH = "2013-09-16T08:30:00.000000Z"
 
@@ -153,6 +156,18 @@ class TestXarray:
 
 def test_a_factorys_adjustment_divides_the_counts_per_unit() -> None:
     """(ASA + 128) / 256: 128 is none, 0 half, 255 almost one and a half (AKM-16). Nonsense is no adjustment."""
-    assert adjustment_of({"asa_x": 128, "asa_y": 0, "asa_z": 255}) == pytest.approx((1.0, 2.0, 0.66840731))
-    assert adjustment_of({"asa_x": -1, "asa_y": 256, "asa_z": "176"}) == (1.0, 1.0, 1.0)
-    assert adjustment_of({}) == (1.0, 1.0, 1.0)
+
+    def header(**words: Any) -> SensorHeader:
+        return SensorHeader("HMC", "ak8963", "magnetic_field", "gauss", 49.12, 667.0, extra=words)
+
+    assert header(asa_x=128, asa_y=0, asa_z=255).adjustment == pytest.approx((1.0, 2.0, 0.66840731))
+    assert header(asa_x=-1, asa_y=256, asa_z="176").adjustment == (1.0, 1.0, 1.0)
+    assert header().adjustment == (1.0, 1.0, 1.0)
+    assert header(asa_x=128, asa_y=0, asa_z=255).axis_sensitivity == pytest.approx((667.0, 1334.0, 445.827569))
+
+
+def test_a_finished_log_has_nothing_to_report(small: Path) -> None:
+    with open_log(small) as log:
+        assert (log.state, log.has_journal, log.damaged_commits, log.is_rebuilt) == ("finished", True, 0, False)
+    verdict = verify(small)
+    assert (verdict.problems, verdict.remarks) == ((), ())

@@ -201,6 +201,23 @@ def test_a_torn_end_is_no_damage(tmp_path: Path, length: int, zeros: int) -> Non
         assert journal.damage == []
 
 
+@pytest.mark.parametrize("head", [1, 3, 4, 5, 11, 12, 13])
+def test_a_head_across_two_pages_of_which_the_second_is_zeros_is_torn(tmp_path: Path, head: int) -> None:
+    """The first `head` bytes of a block were the last ones of a page that reached the disk. Anything behind them other
+    than zeros was written later, so that the rows between are lost.
+    """
+    first = len(written(tmp_path / "o.h5", [(5, 1, b"#")]))
+    comment = b"#" * (1 + (-head - first) % 4096)
+    content = written(tmp_path / "r.h5", [(5, len(comment), comment), *ROWS[:2]])
+    cut = content[: len(content) - 2 * SIZE + head]
+    assert len(cut) % 4096 == 0
+    for tail, damaged in ((bytes(9000), False), (bytes(5000) + b"x" + bytes(4000), True)):
+        journal_of(tmp_path / "r.h5").write_bytes(cut + tail)
+        with JournalReader(tmp_path / "r.h5") as journal:
+            assert [record.payload for record in journal.records()] == [comment]
+            assert bool(journal.damage) == damaged
+
+
 @pytest.mark.parametrize("garbage", [b"abc", b"\xff" * 5000, bytes(5000) + b"x", b"\x55" * 12])
 def test_bytes_behind_the_last_block_that_are_no_block_are_told(tmp_path: Path, garbage: bytes) -> None:
     content = written(tmp_path / "r.h5", ROWS)
