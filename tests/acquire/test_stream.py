@@ -7,6 +7,7 @@ HMC-31, BMP-47), and timed by the emulated clock.
 from __future__ import annotations
 
 import errno
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -397,6 +398,20 @@ class TestPlan:
         assert all(2 * place.every / 48.0 < 1 for place in places)
         per_frame = [sum(frame % place.every == place.offset for place in places) for frame in range(places[0].every)]
         assert max(per_frame) - min(per_frame) <= 1
+
+    @pytest.mark.parametrize("rate_hz", [5.0, 20.0, 48.0, 150.0, 400.0])
+    def test_read_backs_are_spread_evenly_over_the_frames_of_a_sweep(self, rate_hz: float) -> None:
+        """With more frames than registers they are equally far apart, with fewer they share frames in equal numbers."""
+        found, _, _ = self.the(rate_hz)
+        places = [watched.place for watched in found.watched]
+        (every,) = {place.every for place in places}
+        shared = Counter(place.offset for place in places)
+        assert len(shared) == min(every, len(places), 64)
+        assert max(shared.values()) - min(shared.values()) <= 1
+        taken = sorted(shared)
+        apart = np.diff([*taken, taken[0] + every])
+        assert 0 <= taken[0] <= taken[-1] < every
+        assert apart.max() - apart.min() <= 1
 
     def test_conversions_have_their_time(self) -> None:
         for rate_hz in (0.1, 1.0, 9.0, 30.0, 100.0, 200.0, 1000.0):
