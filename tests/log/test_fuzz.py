@@ -78,7 +78,9 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(800, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [12, pytest.param(120, marks=pytest.mark.slow), pytest.param(800, marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("kind", some(KINDS, 1))
 def test_none_does_harm(small: Path, tmp_path: Path, kind: str, count: int) -> None:
     make, extra = KINDS[kind]

@@ -1,7 +1,9 @@
 """This project's commands in a guest, on the kernel's own /dev/i2c-N: what they do there, seen from outside.
 
 One boot and one Python process for all (`on_a_real_bus`): the first import alone takes longer than all the rest
-there. The array is plugged in over USB/IP, and pulled out.
+there. The array is plugged in over USB/IP, and pulled out. It takes minutes, so it is a campaign:
+`tests/bus/test_linux.py` logs through emulated device files, and in `tests/system/test_kernel_usbip.py` the kernel's
+own drivers read the array.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from imuarray.log.format import LOST_BEFORE, RECONFIGURED
 from tests.system.bench import CONFIG, served
 from tests.system.conftest import SHARE, HostGuest, module_bytes
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign
 
 PROGRAM = Path(__file__).with_name("on_a_real_bus.py")
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "i2c-mux", "st_gyro_i2c")

@@ -1,7 +1,8 @@
 """The service's unit under systemd, process 1 of a guest: what it does there, seen from outside.
 
 The guest's systemd is this machine's. The unit is the one of configs/, unchanged; a drop-in shortens its times, so that
-nobody waits a minute for the watchdog. The array is on the kernel's /dev/i2c-N, over USB/IP.
+nobody waits a minute for the watchdog. The array is on the kernel's /dev/i2c-N, over USB/IP. It takes minutes, so it is
+a campaign: `tests/acquire/test_service.py` has what the service tells systemd.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from imuarray.log.journal import journal_of
 from tests.system.bench import CONFIG, served
 from tests.system.conftest import SHARE, HostGuest, require
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign
 
 ROOT = Path(__file__).parents[2]
 SYSTEMD = Path("/lib/systemd/systemd")
