@@ -436,8 +436,8 @@ def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) ->
         wanted = second.spec.allowed_bandwidths_hz(second.chip_rate_hz)[numbers[0]]
         yield (
             "bandwidth_hz",
-            f"{pair} are one {die}, which has one filter: with bandwidth_hz {first.chip_bandwidth_hz:g} of the first"
-            f" goes {wanted:g} of the second, not {second.chip_bandwidth_hz:g}",
+            f"{pair} are one {die} with one filter: bandwidth_hz {first.chip_bandwidth_hz:g} of the first requires"
+            f" {wanted:g} of the second, not {second.chip_bandwidth_hz:g}",
         )
 
 

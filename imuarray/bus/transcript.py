@@ -86,7 +86,7 @@ class RecordingBus:
     """Any open bus, with everything that passes written to a file. `failed` says why nothing more is written, if the
     file could not take it: the recording goes on. `remark` is what should be known of such a transcript.
 
-    A microcontroller is polled through it, transaction by transaction: what it streams by itself has none.
+    Through it a microcontroller executes one transaction at a time and does not stream.
     """
 
     def __init__(self, bus: OpenBus, path: str | PathLike[str], *, force: bool = False) -> None:
@@ -111,8 +111,8 @@ class RecordingBus:
         if self.source != "serial":
             return ""
         return (
-            f"{self.path}: while a transcript is written the microcontroller is asked for each transaction;"
-            " what it streams by itself has none"
+            f"{self.path}: while a transcript is written, the microcontroller executes one transaction at a time and"
+            " does not stream"
         )
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:

@@ -109,7 +109,7 @@ class Bma180(ChipDriver):
             longest_ns, looked_ns, looks = max(longest_ns, now_ns - looked_ns), now_ns, looks + 1
             sleep_for(self.clock, 0.0005)
         self.configure()
-        text = f"deflects {', '.join(f'{value:.0f}' for value in deflection)} counts; more than {_SELF_TEST_LSB} wanted"
+        text = f"deflects {', '.join(f'{value:.0f}' for value in deflection)} counts; over {_SELF_TEST_LSB} required"
         noise = _SELF_TEST_SIGMAS * before.std(axis=0)
         passed = bool((deflection > np.maximum(noise, _SELF_TEST_LSB)).all())
         if not passed and noise.max() > _SELF_TEST_LSB:

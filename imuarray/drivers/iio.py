@@ -305,7 +305,7 @@ class IioSensor:
 
     def self_test(self) -> SelfTest:
         """IIO has none that all drivers share."""
-        return SelfTest(None, "the kernel's driver has none that could be asked for")
+        return SelfTest(None, "the kernel's driver offers no self-test")
 
     # Reading ------------------------------------------------------------------------------------------------------
 

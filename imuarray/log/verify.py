@@ -67,7 +67,7 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
             before = time[:0] if last_ns is None else np.array([last_ns])
             late = np.flatnonzero(np.diff(np.concatenate([before, time])) <= 0)
             if len(late):
-                problems.append(f"{place}: time does not increase behind row {block.start + late[0] - len(before)}")
+                problems.append(f"{place}: time does not increase after row {block.start + late[0] - len(before)}")
             last_ns = int(time[-1])
         yield block.stop, problems
 

@@ -43,7 +43,7 @@ def test_the_range_tells_which_half_of_a_chip_is_meant() -> None:
     [
         (half("G", range=500.0, rate_hz=250.0), "'A' and 'G' are one mpu6050: rate_hz is the same for both"),
         (half("G", range=500.0, axes="-X-Y+Z"), "'A' and 'G' are one mpu6050: axes is the same for both"),
-        (half("G", range=500.0, bandwidth_hz=98.0), "with bandwidth_hz 44 of the first goes 42 of the second, not 98"),
+        (half("G", range=500.0, bandwidth_hz=98.0), "bandwidth_hz 44 of the first requires 42 of the second, not 98"),
         (half("G", range=2.0), "sensors 'A' and 'G' are both at channel 0 address 0x68"),
         (half("G", range=3.0), "range 3: allowed are 2, 4, 8, 16, 250, 500, 1000, 2000"),
     ],

@@ -449,7 +449,7 @@ def test_a_microcontroller_is_polled_while_a_transcript_is_written(tmp_path: Pat
     array = parse_array(text)
     bench = Bench(array)
     with RecordingBus(bench.bus(), tmp_path / "t.jsonl") as bus:
-        assert "what it streams by itself has none" in bus.remark
+        assert "one transaction at a time and does not stream" in bus.remark
         assert len(bus.remark.splitlines()) == 1
         record(array, bus, tmp_path / "live.h5", rate_hz=50, seconds=2)
     with ReplayBus(tmp_path / "t.jsonl") as replay:

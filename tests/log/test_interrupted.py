@@ -438,7 +438,7 @@ class TestVerify:
                 del group[name]
         problems = verify(finished).problems
         assert "sensor Acc: column counts: 3 of 3 chunks were never written" in problems
-        assert "sensor Acc: time does not increase behind row 4999" in problems
+        assert "sensor Acc: time does not increase after row 4999" in problems
 
 
 @settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
