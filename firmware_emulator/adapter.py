@@ -80,13 +80,13 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {"plain": Kind(), "bcm2835": Kind(one_read=True), "gpio": Kind(mangling=True)}
-"""An adapter that does all it is asked, the Raspberry Pi's, and the one that toggles two pins (LNX-09)."""
+"""Adapters: one without limits, the Raspberry Pi's, and the one that toggles two pins (LNX-09)."""
 
 
 class Adapter:
     """One adapter: `kind` is a key of `KINDS`, `owned` tells which kernel driver has which address.
 
-    With `stuck` set somebody holds the clock low: every transfer takes the whole timeout and ends with ETIMEDOUT.
+    While `stuck` is set, the clock is held low: every transfer takes the whole timeout and ends with ETIMEDOUT.
     `timeout_ns` and `retries` are what programs set; only arbitration is retried (LNX-14), and it is never lost here.
     """
 

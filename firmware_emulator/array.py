@@ -38,7 +38,7 @@ SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
 BOARD = "board"
-"""Names the file that the array is from; who asked for the array has read it."""
+"""Parameter that names the array's configuration file; the caller has read that file already."""
 FAULTS = "faults"
 """Names a file of faults that happen by the clock (`firmware_emulator.faults`)."""
 

@@ -24,7 +24,7 @@ class Clock(Protocol):
 
 
 class VirtualClock:
-    """Time that passes only when somebody uses it."""
+    """A clock that advances only by transfers and sleeps."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns

@@ -13,7 +13,7 @@ DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
 SPI_PATH = "/dev/spidev0."
 """A sensor that an array has on chip select N of controller 0 is on chip select N of the microcontroller."""
 SLOWEST_HZ = 1_000_000
-"""Clock of a chip select that nobody has set."""
+"""The clock of a chip select that was not configured."""
 
 
 class Transfers(Protocol):

@@ -1,6 +1,6 @@
 """PCA9544A: one control byte that says which of four channels joins the trunk, if any (NXP data sheet Rev 5, 2014).
 
-The byte counts at once for who reads it back, but the wires are switched only by the STOP that ends the transaction
+The byte reads back at once, but the wires are switched only by the STOP that ends the transaction
 (PCA-06, DEC-40), also when that transaction was broken off (DEC-41).
 """
 

@@ -17,7 +17,7 @@ IDLE_S = 1.0
 
 
 class SerialPort:
-    """Serves `firmware` at `path`, in real time. `dropped` counts the lists that nobody took."""
+    """Serves `firmware` at `path`, in real time. `dropped` counts the lists that were not read in time."""
 
     def __init__(self, firmware: Firmware) -> None:
         self.firmware = firmware

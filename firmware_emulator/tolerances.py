@@ -47,7 +47,7 @@ NONE = Spread(0.0, 0.0)
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
     """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one.
-    A tolerance that the data sheet does not state is none.
+    A tolerance that the data sheet does not state is zero.
     """
 
     bias: tuple[Spread, Spread, Spread] = (NONE, NONE, NONE)

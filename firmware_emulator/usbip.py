@@ -67,7 +67,7 @@ class UsbDevice(Protocol):
         """One control transfer: `data` is its data stage if that goes out, the answer if it comes in; None stalls."""
 
     def reset(self) -> None:
-        """The client has gone, perhaps in the midst of something."""
+        """Note that the client has disconnected, perhaps in the middle of a frame."""
 
 
 class Export:

@@ -138,7 +138,9 @@ class Wire:
         self._bytes(count)
 
     def receive(self, address: int, count: int) -> bytes:
-        """One reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when nobody answers."""
+        """One reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when no chip
+        acknowledges.
+        """
         self._interfere(address)
         return self._receive(address, count)
 

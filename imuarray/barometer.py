@@ -70,7 +70,7 @@ EXAMPLE_WORDS_BMP388: Words = MappingProxyType(
         "P11": -60,
     }
 )
-"""A part that somebody measured with, for the data sheet has no example (BMP-220)."""
+"""The calibration words of a real part, because the data sheet has no example (BMP-220)."""
 
 _SIXTEENTHS = 160
 """B5 is the temperature in sixteenths of 0.1 degC (BMP-60)."""

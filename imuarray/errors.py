@@ -31,7 +31,7 @@ import re
 from os import PathLike
 
 NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
-"""The two errnos with which Linux adapters say that nobody acknowledged (LNX-40, LNX-41)."""
+"""The two errnos of Linux adapters for a missing acknowledge (LNX-40, LNX-41)."""
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """The errors of a write when space is exhausted: the disk, the user's quota, the file size limit."""
@@ -78,7 +78,7 @@ class LogError(ImuArrayError):
 
 
 class LogBusyError(LogError):
-    """A log that somebody else is writing or recovering."""
+    """A log that another process is writing or recovering."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
         super().__init__(f"{path}: is being written by another process; wait until it ends, or choose another name")

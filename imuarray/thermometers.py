@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class ChipThermometer(NamedTuple):
-    """counts = (temperature - `zero_degc`) * `lsb_per_degc`, in so many `bits`."""
+    """counts = (temperature - `zero_degc`) * `lsb_per_degc`, in this number of `bits`."""
 
     zero_degc: float
     lsb_per_degc: float

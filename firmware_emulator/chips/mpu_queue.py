@@ -102,7 +102,7 @@ OVERFLOW, DATA_READY = 0x10, 0x01
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
-"""Samples whose transfers on the auxiliary bus are made up for, at most, and so many times more as it is delayed."""
+"""The largest number of samples whose transfers on the auxiliary bus are made up for, times the delay in samples."""
 
 
 class MpuFamily(SixAxis):

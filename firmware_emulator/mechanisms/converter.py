@@ -209,7 +209,7 @@ LIMPING: dict[str, type[Chip]] = {"adxl345": LimpingAdxl345, "l3g4200d": Limping
 
 @dataclass(frozen=True)
 class SlowOscillator(SensorMechanism):
-    """The chip's own oscillator limps: it converts less often than it is asked.
+    """The chip's own oscillator is slow: it converts less often than configured.
 
     `rate_hz` conversions a second on the chip's own grid; a reading asked for in between is the one before.
 

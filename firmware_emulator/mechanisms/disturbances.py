@@ -286,7 +286,7 @@ class OneSidedNoise(SensorMechanism):
 
 @dataclass(frozen=True)
 class ReferenceNoise(SensorMechanism):
-    """The converter's reference is noisy: what is large comes out noisier than what is small.
+    """The converter's reference is noisy: the noise of a reading grows with its size.
 
     output = input / (1 + `share` n), n white and Gaussian, one for all axes of a conversion. Reference: 1.5 %.
     """

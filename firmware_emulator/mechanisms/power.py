@@ -95,7 +95,7 @@ class SupplyDroop(SensorMechanism):
 
 @dataclass(frozen=True)
 class BrownOut(SensorMechanism):
-    """The supply dips, and the chip forgets what it was told.
+    """The supply dips, and the chip loses its configuration.
 
     One dip a power-up, after an exponential time of mean `mean_s` from `WHILE_SET_UP_S` on: every register at its reset
     value, the range the one of the EEPROM, as after power-on (BMA-52, BMA-57).

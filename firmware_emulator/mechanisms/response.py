@@ -278,7 +278,7 @@ class OutputFilter(SensorMechanism):
 
 @dataclass(frozen=True)
 class PipelineDelay(SensorMechanism):
-    """A decimation filter with a long pipeline: what comes out went in a while ago.
+    """A decimation filter with a long pipeline: the output is delayed.
 
     The chip feels the world as it was `delay_s` ago: a group delay that its data sheet is silent about.
 

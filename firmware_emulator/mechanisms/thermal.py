@@ -14,7 +14,7 @@ from firmware_emulator.world import ROOM_DEGC, Stimulus
 
 @dataclass(frozen=True)
 class ThermistorBow(SensorMechanism):
-    """The compensation of temperature is straight, the physics are not: what is left bows.
+    """The compensation of temperature is linear, the physical dependence is not: a curved residual remains.
 
     error = d (T - 25)^2, d on each axis `bow_g_per_k2` or `bow_dps_per_k2` on average. Reference: 50 ug/K^2 (20 mg at
     45 degC) or 1.5 mdps/K^2.

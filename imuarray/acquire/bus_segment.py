@@ -31,7 +31,7 @@ HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})
 REMOVED = frozenset({errno.ENODEV})
 """The errors of a bus whose adapter was unplugged (`imuarray.bus.linux`)."""
 SEARCH_NS = 250_000_000
-"""Between two looks for an adapter that was removed."""
+"""The interval between two searches for an adapter that was removed."""
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
@@ -123,7 +123,7 @@ class Channel:
     def right(self) -> bool:
         """Ask the next witness; if it doesn't say yes, the multiplexer's control byte and the other witnesses.
 
-        A chip that was reset or is gone says neither yes nor no: it can't make a right channel wrong.
+        A chip that was reset or removed is no evidence: it can't make a right channel wrong.
         """
         self.seen = self.doubted = None
         if self.witnesses:
@@ -169,7 +169,7 @@ class Channel:
 
 
 def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int) -> Channel | None:
-    """The channel of these routes, if anybody on it could be taken for somebody else."""
+    """Return the channel of these routes if a chip on it has a twin on another channel."""
     bus = here[0].driver.registers.bus
     channel = Channel(bus, here, everywhere, limit) if isinstance(bus, MuxChannel) else None
     return channel if channel is not None and channel.twins else None

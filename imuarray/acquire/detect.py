@@ -57,8 +57,8 @@ class Detection:
     self_test: str = ""
     """The result of the chip's self-test, if that was requested."""
     channel: int | None = None
-    """Channel of the multiplexer (None: the trunk), with the address, for a chip that answered where nobody looked for
-    it.
+    """Channel of the multiplexer (None: the trunk) and address of a chip that answered where the configuration has
+    none.
     """
     address: int | None = None
     undetermined: bool = False

@@ -129,8 +129,8 @@ def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
 
 
 def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str], rate_hz: float) -> list[Check]:
-    """All of them, for each of `buses`; one that isn't there is not asked further. Without an array nobody knows whose
-    addresses are meant: drivers of the kernel are named, and not judged.
+    """All of them, for each of `buses`; one that isn't there is not asked further. Without an array the addresses of
+    its sensors are unknown: drivers of the kernel are listed and not judged.
     """
     checks: list[Check] = []
     for device in buses:
@@ -338,7 +338,7 @@ def _about(hours: float) -> str:
 
 
 def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
-    """Logs that were never finished, and what else a process that is gone has left."""
+    """List logs that were never finished, and other files that terminated processes left."""
     clean = True
     for journal in sorted(folder.glob("*.journal")):
         log = journal.with_suffix("")

@@ -34,7 +34,7 @@ BATCH = 1024
 """Frames between two writes, at most; `BATCH_S` seconds' worth otherwise."""
 BATCH_S = 1.0
 TICK_S = 0.2
-"""Between two looks at what is too slow to be looked at every frame."""
+"""The interval between two checks of conditions that are too slow to be checked in every frame."""
 _NAP_NS = 200_000_000
 _FAR_NS = 100_000_000
 """A set-up that has begun does not wait for a frame that is further away; nor can a conversion's result get too old

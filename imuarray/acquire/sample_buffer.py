@@ -39,12 +39,13 @@ _FROZEN_BANDWIDTHS = 30.0
 rms on a single axis, three in four readings repeat the code before."""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""Share of the time that so many readings should take: frames that follow each other faster than the chip measures
+"""The least share of the nominal duration of the readings: frames that follow each other faster than the chip measures
 repeat its reading.
 """
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
-"""A sensor without a reading for so many seconds, and as long as so many readings take, gives none any more."""
+"""A sensor counts as silent after this many seconds, and after the duration of this many readings, without a reading.
+"""
 HELD_S = 10.0
 """No row waits longer. One that nobody could vouch for in this time is written as suspect; where a sensor is read so
 seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""

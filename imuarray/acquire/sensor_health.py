@@ -63,7 +63,7 @@ class Freshness:
 
 
 AWAY_NS = 250_000_000
-"""A sensor that has been silent for so long is looked for instead of read, ever less often; one that holds the clock
+"""After this time of silence a sensor is searched for instead of read, at growing intervals; one that holds the clock
 costs everybody time, and is left alone after two frames."""
 IDLE_NS = 1_000_000_000
 """A queue that gives nothing for so long has stopped."""

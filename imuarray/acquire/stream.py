@@ -35,7 +35,9 @@ WRITE_NS = 1_000_000_000
 """Between two writes."""
 SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
-"""A microcontroller that has sent nothing for so long, and for so many times its own pauses, was reset or is gone."""
+"""A microcontroller that has sent nothing for this time, and for this multiple of its usual pauses, was reset or
+removed.
+"""
 QUIET_S = 0.5
 """Nothing for so long before the end, and two of the microcontroller's own pauses more, is no such pause."""
 PAUSE_NS = 3_000_000_000
@@ -205,7 +207,9 @@ class Streaming:
             self._bus.clock.sleep_until(self._bus.clock.now_ns() + PAUSE_NS // 10)
 
     def _repair(self) -> None:
-        """The stream is stopped: set up who is ill, count what was left out meanwhile, and start."""
+        """Stop the stream, configure the sensors at fault, count the readings that were lost meanwhile, and start
+        again.
+        """
         self._tried_ns = self._bus.clock.now_ns()
         self._forget_channels()
         self._health.set_up_again(self._tried_ns)

@@ -147,12 +147,14 @@ class StreamHealth:
         return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
 
     def written(self, rows: Rows, count: int) -> None:
-        """The oldest `count` rows were written and are gone."""
+        """Forget the oldest `count` rows, which were written."""
         for check in self._checks[id(rows)]:
             check.good_rows = max(check.good_rows - count, 0)
 
     def finish(self, now_ns: int) -> None:
-        """The log ends, and the stream is stopped: read every register back twice, flag what nobody can vouch for."""
+        """End of the log, after the stream was stopped: read every register back twice, and flag the rows that remain
+        unverified.
+        """
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=True)
         for rows in self._rows:

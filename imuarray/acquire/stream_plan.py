@@ -309,7 +309,7 @@ class Rows:
         return self.missing(number)
 
     def left_out(self, periods: int) -> int:
-        """Readings that are lost because there was no stream for so many periods."""
+        """Return the number of readings that are lost when the stream stops for this many periods."""
         return periods // self.places[-1].every
 
     def unread(self, number: int, now_ns: int) -> int:

@@ -139,7 +139,7 @@ class IioDevice:
             raise SensorError(f"{self}: {attribute} reads {kept!r} after {text!r} was written; the driver refuses it")
 
     def triggers(self) -> dict[str, Path]:
-        """The folders of all triggers that there are, by name."""
+        """Return the folders of all existing triggers by name."""
         folders = sorted((self._root / DEVICES).glob("trigger[0-9]*"))
         return {name: folder for folder in folders if (name := _text(folder / "name"))}
 
@@ -169,7 +169,7 @@ class IioDevice:
             raise SensorError(f"{self}: {where}/{printable(str(error))}") from None
 
     def hold(self) -> None:
-        """Open the buffer, which then is nobody else's, and stop it; OSError with EBUSY if another program has it."""
+        """Open the buffer, which excludes other programs, and stop it; OSError with EBUSY if another program has it."""
         if self._file < 0:
             path = self.device_file
             try:
@@ -243,7 +243,7 @@ class IioDevice:
         self._forget()
 
     def _forget(self) -> None:
-        """Close the buffer, of a device that may be gone."""
+        """Close the buffer; the device may have been removed."""
         if self._file >= 0:
             os.close(self._file)
         self._file, self._layout = -1, None

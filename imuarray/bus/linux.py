@@ -44,7 +44,7 @@ TIMEOUT_S = 0.03
 """The kernel's own is 1 s a transfer: a hung bus would stop the log for as long, sensor after sensor."""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
-"""Between two looks for an adapter that was removed: each lists the adapters of the machine."""
+"""The interval between two searches for an adapter that was removed: each lists the adapters of the machine."""
 
 Request = tuple[int, bytes, int]
 """Address, bytes to write, count to read: the arguments of `transfer`."""

@@ -21,7 +21,7 @@ class Bus(Protocol):
         """One transaction: ``S address+W write... [Sr address+R read...] P``; the bytes that were read.
 
         With nothing to write the transaction is ``S address+R read... P``, and ``transfer(address)`` alone, ``S
-        address+W P``, asks whether anybody answers. Raises OSError as Linux does: errno 6 or 121 when nobody
+        address+W P``, asks whether anybody answers. Raises OSError as Linux does: errno 6 or 121 when no chip
         acknowledges, 110 when the clock is held too long.
         """
 

@@ -132,7 +132,9 @@ class ReplayBus:
             raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
 
     def _line(self, asked: str) -> dict[str, Any]:
-        """The next line, if that is what is asked now; once it wasn't, the first difference is all that is told."""
+        """Return the next line if it equals the present request; after the first difference, only that difference is
+        reported.
+        """
         if self._failure is None:
             try:
                 return self._checked(asked)

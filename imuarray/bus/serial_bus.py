@@ -33,7 +33,7 @@ SPI_CONTROLLER = "/dev/spidev0"
 NAP_S = 0.02
 """Between two pieces of a stream: what comes in the meantime is read at once."""
 SEARCH_NS = 1_000_000_000
-"""Between two looks for a microcontroller that is gone, while it is asked transaction by transaction."""
+"""The interval between two searches for a microcontroller that was removed, while single transactions are requested."""
 BUSY_BYTES = 8192
 """When more than this came in a nap, the next one is left out: the system's own buffers are no larger."""
 
@@ -50,10 +50,10 @@ class Samples(NamedTuple):
 
 
 class SerialBus:
-    """The microcontroller on the port that `open_port` opens; LinkError if nobody there speaks the link. `clock` is
-    the host's.
+    """The microcontroller on the port that `open_port` opens; LinkError if no device there speaks the link's protocol.
+    `clock` is the host's.
 
-    While lists are being gone through the multiplexer is theirs: `stop` before using the bus as a bus.
+    While lists are executed, they control the multiplexer: call `stop` before single transactions.
     """
 
     source = "serial"
@@ -126,7 +126,7 @@ class SerialBus:
         return link.outcome_of(answer.payload, read, what)
 
     def _find_again(self) -> None:
-        """Open the port anew; OSError with ENODEV if nobody who speaks the link is there."""
+        """Open the port anew; OSError with ENODEV if no device there speaks the link's protocol."""
         now_ns = self.clock.now_ns()
         if now_ns < self._search_ns:
             raise OSError(errno.ENODEV, "the microcontroller was disconnected")
@@ -156,7 +156,7 @@ class SerialBus:
         self._transact(link.SELECT, payload, 0, f"chip select {select} in mode {mode} at {clock_hz} Hz")
 
     def start(self, lists: Sequence[PollList], period_us: int, prepare: Callable[[], None] | None = None) -> None:
-        """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room.
+        """Start to execute these lists, frame after frame; OSError if the microcontroller refuses or has no room.
         `prepare` is called when it has the lists, right before the first frame.
         """
         size = link.request_bytes(lists)
@@ -195,7 +195,7 @@ class SerialBus:
 
     def reconnect(self, patience_s: float = PATIENCE_S) -> None:
         """Open the port anew and begin from the beginning, after it was unplugged or its microcontroller was reset: the
-        chips may have lost their supply too. LinkError when nobody is there.
+        chips may have lost their supply too. LinkError if no device answers.
         """
         self._period_us = 0
         self._session.reconnect(patience_s)

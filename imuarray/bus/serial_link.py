@@ -28,14 +28,15 @@ is answered again and not done again; HELLO alone is always new.
 
 A list is what is asked in one frame of the array. Its requests follow each other as ``address, bytes to write u8, bytes
 to read u8, what to write``. From START on, frame number 0, 1, 2, ... begins every `period`; in frame k the lists with
-``k mod every == offset`` are gone through, in order of their numbers, and each is sent at once. One that nobody
-acknowledges is tried a second time. STOP forgets all lists. What comes in between, and after each list, is::
+``k mod every == offset`` are gone through, in order of their numbers, and each is sent at once. One without an
+acknowledge is tried a second time. STOP forgets all lists. What comes in between, and after each list, is::
 
     D0 DATA      sequence: frame number mod 65536;  list number, then for each request: age u16, the bytes read
 
 `age` is how many microseconds before `time` the request's START was on the wire, FFFD for any longer time; FFFF in its
-place means that nobody acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that
-comes late leaves frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
+place means that no chip acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller
+that comes late leaves frames out, and one whose line is full leaves out what it would have sent; their numbers are
+missing.
 
 A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
 

@@ -50,7 +50,7 @@ MAX_PAUSE = 64
 for which it had no time."""
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
-"""Time for a greeting that begins anew, once somebody has answered at all."""
+"""The time for a repeated greeting after a first answer."""
 
 _NONE: Times = np.empty(0, np.int64)
 
@@ -128,8 +128,8 @@ class Session:
         self.capacity = self._greet(patience_s)
 
     def _greet(self, patience_s: float) -> Capacity:
-        """HELLO until somebody answers, then a few times more to see how long an answer takes. A left-over answer to
-        an earlier program does not fit to the answers that follow; then all begins anew.
+        """Send HELLO until there is an answer, then a few times more to measure the delay of an answer. A left-over
+        answer to an earlier program does not fit to the answers that follow; then all begins anew.
         """
         self._deframer = link.Deframer()
         until_ns = self.clock.now_ns() + round(patience_s * 1e9)

@@ -5,9 +5,9 @@ transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"erro
 own. A query for the owner of an address (`claim`) is ``{"claim": "53", ...}``, with the answer as ``"errno"`` or
 ``"error"`` if it was not "yours". ``"seen"`` are the times at which the program read the clock before that line, in ns
 before its ``at_ns``: a replay gives the same times, so that the program takes the same decisions. ``{"epoch":
-"2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` says that the program was
-told to stop when it asked for the second time since the line before. A replayed bus refuses the first transaction that
-differs, naming the line, so that a user's transcript can become a test.
+"2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` says that the second query
+for a stop since the previous line was answered with yes. A replayed bus refuses the first transaction that differs,
+naming the line, so that a user's transcript can become a test.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ recording of MPU-9150)."""
 
 BREAK_S = 30.0
 _BREAKS = 10.0
-"""Poses are read in one go as long as no break is longer than this and than so many usual breaks."""
+"""Poses form one series as long as no break is longer than this time and than this multiple of the usual break."""
 
 _SURE = 5.0
 """Standard errors beyond which a change is no noise: by chance in one of a million."""

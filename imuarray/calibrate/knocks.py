@@ -16,7 +16,7 @@ from imuarray.arrays import Floats
 from imuarray.calibrate.pose_readings import BRIDGED_S, MIN_POSE_S, SAME_POSE, Indices, RestWindows
 
 STRONG = 4.0
-"""A disturbance in which readings scatter by so many times what they do at rest is a knock; a weaker one may be the
+"""A disturbance in which readings scatter by this multiple of their scatter at rest is a knock; a weaker one may be the
 noise of windows with few rows.
 """
 

@@ -54,7 +54,7 @@ _WINDOW_SEGMENTS = 4
 
 _FEWEST_WINDOWS = 4
 _SEEN = 0.25
-"""A line that wanders is in at least so many windows, and in this share of all rows."""
+"""A wandering line must be in at least this number of windows, and in this share of all rows."""
 
 _NEAR = 3.0
 """... no more than so many bins from where it was before."""

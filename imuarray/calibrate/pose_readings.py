@@ -38,7 +38,7 @@ TURNING_DPS = 0.5
 and end of a turn, and turns about the vertical, are not felt by accelerometers."""
 
 BRIDGED_S = 5.0
-"""A shorter time in which nothing was read does not end a pose, if the box lies behind it as it lay before: a recorder
+"""A shorter time without readings does not end a pose if the box lies the same way after it: a recorder
 that stalls says nothing of the box, and nobody turns it by hand and puts it back within hundredths of a g in that time.
 """
 

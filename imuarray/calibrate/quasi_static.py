@@ -40,7 +40,7 @@ MOST_STRETCHES = 100
 """Stretches that are fitted at once; if there are more, the calmest of every direction."""
 
 WORTHLESS_G = 0.05
-"""Standard error of a bias from which on a path told nothing: a data sheet promises as much (BMA-113)."""
+"""The standard error of a bias from which a path gives no information: a data sheet promises as much (BMA-113)."""
 
 _ROUNDS = 3
 """Fit and motion in turn; they settle in two."""
@@ -59,7 +59,7 @@ _MEDIAN_OF_SQUARES = 0.4549
 """Median of chi-squared with one degree of freedom."""
 
 _CELLS = 3
-"""Directions are told apart by so many cells along each box axis."""
+"""The number of cells along each box axis by which directions are distinguished."""
 
 _STRANGE = 4.0
 """Standard deviations by which the length of a stretch may be off before it is left out."""

@@ -204,7 +204,7 @@ def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tupl
 
 
 _SEGMENTS = 60
-"""A run is looked at in so many parts."""
+"""The number of parts into which a run is divided for the test."""
 
 _RUN = re.compile(r"run (\d{1,6})")
 

@@ -95,8 +95,8 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     """The calibration with the biases of the states in which the gyroscopes of a log came up, which are the only ones
     left, and how each sensor did.
 
-    Told from the first seconds at rest: a phase that says so, else a pose that is found. Nothing is told, and nothing
-    changed, of a log without one. Where most accelerometers are far from their states the box lies another way than in
+    Told from the first seconds at rest: a phase that says so, else a pose that is found. Without one, nothing is
+    reported and nothing changed. Where most accelerometers are far from their states the box lies another way than in
     the calibrating runs, and nothing is said of accelerometers but a wrong range.
     """
     means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])

@@ -51,7 +51,7 @@ _INTERVAL_DROP = 1.92
 """Half the 95 % quantile of chi-squared with one degree of freedom: a likelihood interval's ends."""
 
 _CURVED = 1e-3
-"""A quadratic term is told if chance alone gave as large a one with less than this probability."""
+"""A quadratic term is reported if chance alone gives one as large with less than this probability."""
 
 _STRAIGHT = 1e-6
 """Temperatures the squares of which are a straight line in temperature and time but for this share of their variance

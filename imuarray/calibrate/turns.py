@@ -38,7 +38,7 @@ LONGEST_S = 20.0
 """A turn that takes longer is left out: what it adds of noise and bias outgrows what it tells."""
 
 _GAP = 3.0
-"""A pause between readings of so many usual ones is a hole in the integral."""
+"""A pause of this many usual intervals between readings is a hole in the integral."""
 
 _TOLD = 0.01
 """A column of the response whose standard error is a larger share of the sensitivity than this was not told by turns,

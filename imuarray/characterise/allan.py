@@ -98,8 +98,8 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
     """The overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that consist
     of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
 
-    The noise type is told from the longest run. Memory holds one column's running sum and the place of every row in
-    its run. ValueError for fewer than two counts.
+    The noise type is estimated from the longest run. Memory holds one column's running sum and the place of every row
+    in its run. ValueError for fewer than two counts.
     """
     if len(lengths) == 1:
         return allan_deviation_of_counts(columns, interval_s)

@@ -33,7 +33,8 @@ _FINE = 12
 """Lags per averaging factor near the kinks of r; twice as many change a correlation by less than 0.003."""
 
 _FAR = 12.0
-"""Beyond so many of the longer factor r of flicker noise is taken from its fourth derivative: less rounding."""
+"""Beyond this multiple of the longer factor, r of flicker noise is computed from its fourth derivative: less rounding.
+"""
 
 _WIDER = 1.06
 """Lags far from the kinks stand so much further from them each."""

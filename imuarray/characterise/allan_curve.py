@@ -22,7 +22,8 @@ CONFIDENCE = 0.95
 """Share of intervals that hold the true deviation."""
 
 IDENTIFY = 8192
-"""The noise type is told from at most so many averages: their autocorrelation is then sure to 0.01."""
+"""The largest number of averages from which the noise type is estimated: their autocorrelation is then known to 0.01.
+"""
 
 STARTS = 8
 """The decimated estimator starts at least so often in an averaging time; more starts tell next to nothing new."""

@@ -234,7 +234,7 @@ _FREEDOM = 5.0
 """Points with fewer degrees of freedom are left out: they scatter too far from normal for least squares."""
 
 _ROUNDING = 1e-12
-"""Deviations smaller than so much of the largest are what is left of nothing: of readings that repeat, for example."""
+"""Deviations below this share of the largest one are rounding errors, for example of readings that repeat."""
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,13 @@ _LOWEST = 2
 
 _LEAST_SIDE = 4
 _SIDE = 2
-"""A side is so many boxes wide, and begins half a box away: a line that is as wide as its box has skirts."""
+"""The width of a side in boxes; it begins half a box away, because a line as wide as its box has skirts."""
 
 _SHARED = 1.94
 """Indices that are as sure as one alone: Hann-windowed neighbours correlate by 4/9 and 1/36 in power."""
 
 _MEDIAN = 0.64
-"""A median is as sure as the mean of so many of its values."""
+"""A median is as precise as the mean of this share of its values."""
 
 _CLEARED = 3
 """Indices on either side of a narrow line that hold its power."""

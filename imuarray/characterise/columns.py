@@ -21,10 +21,10 @@ from imuarray.characterise.survey import Survey
 from imuarray.log import SensorLog
 
 FILTER_TIMES = 5.0
-"""A chip's low-pass filter shapes the shortest taus: noise is fitted from so many of its time constants on."""
+"""A chip's low-pass filter shapes the shortest taus: noise is fitted from this many of its time constants on."""
 
 HARMONICS = 8
-"""Multiples of a line's frequency that are looked for."""
+"""The multiples of a line's frequency that are searched for."""
 
 CHANCE = 0.02
 """Share of the distance of two harmonics, over their order, within which a line is taken for one."""

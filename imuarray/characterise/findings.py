@@ -1,6 +1,6 @@
 """Remarkable properties of a characterisation, in sentences: lines, codes, correlation, repeats, gaps, bad fits.
 
-Everything is told from the result of `characterise_log` alone.
+Everything is derived from the result of `characterise_log` alone.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from imuarray.characterise.repeats import STALE_SHARE
 
 SURE = 1e-6
-"""A probability below which something is no chance, however many axes were looked at."""
+"""The probability below which a finding is significant, whatever the number of axes."""
 
 _CORRELATED = 0.05
 _CLIPPED_SHARE = 1e-4

@@ -28,7 +28,8 @@ _POINTS = 64
 """Lags per averaging factor in the sum above; more change the result by less than a thousandth."""
 
 _REACH = 32
-"""Lags beyond so many averaging factors are nothing: for flicker rho falls as lag^-2, for the others it ends at 2."""
+"""Lags beyond this many averaging factors are negligible: for flicker rho falls as lag^-2, for the others it ends at 2.
+"""
 
 
 @cache

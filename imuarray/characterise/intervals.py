@@ -26,7 +26,7 @@ PLACES = 5
 """The number of longest gaps that are named."""
 
 _TYPICAL = 1024
-"""The typical interval is the upper quartile of so many, the first."""
+"""The typical interval is the upper quartile of this many first intervals."""
 
 _QUARTILE = 0.75
 

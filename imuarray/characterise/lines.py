@@ -31,7 +31,7 @@ _APART = 3
 """Peaks nearer than this many bins are one line."""
 
 _LEAKED = 4.0
-"""A peak has to be so many times what stronger lines leak to its bin: their frequency may not be quite constant."""
+"""A peak must be this multiple of the leakage of stronger lines to its bin: their frequency may vary."""
 
 _BESIDE = np.array([-5, -3, 3, 5])
 """A line is narrow: it also stands out from these bins near it, whatever the floor does there (a skirt, a notch)."""

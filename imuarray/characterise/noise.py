@@ -27,7 +27,7 @@ LEFT_OUT = STALE | SATURATED | SUSPECT
 """Rows with one of these flags don't count as readings."""
 
 BATCHES = 32
-"""The standard error of the mean comes from the scatter of so many batch means."""
+"""The number of batch means whose scatter gives the standard error of the mean."""
 
 _MIN_BATCH = 8
 _BLOCK = 1 << 16

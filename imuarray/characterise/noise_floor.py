@@ -22,7 +22,8 @@ from imuarray.arrays import Floats, Indices
 from imuarray.characterise.spectrum import Spectrum
 
 FIRST_BIN = 24
-"""Lines of fewer cycles in a segment aren't looked for: there the floor can't be told from drift or a corner."""
+"""The least number of a line's cycles in a segment: below it the floor can't be distinguished from drift or a corner.
+"""
 
 _GUARD = 2
 """Indices on either side that share a line's power: the main lobe of the Hann window is four bins wide."""

@@ -31,7 +31,7 @@ BEFORE = 8
 """Codes before the last one that it is compared with."""
 
 SURE = 1e-6
-"""Chance of such a pile below which it is none."""
+"""The probability of a pile by chance below which it is reported."""
 
 NOMINAL = 2
 """Codes by which the end of a range may lie off range times sensitivity: 2047 or 2048, rounded or cut."""

@@ -17,7 +17,7 @@ import numpy.typing as npt
 Counts = npt.NDArray[np.integer]
 
 APART = 64
-"""Rows so far apart are equal by chance only, unless the chip measures less than once in so many rows."""
+"""Rows at this distance are equal by chance only, unless the chip measures less than once in this many rows."""
 
 STALE_SHARE = 0.015
 """Share of repeated rows, beyond chance, that is reported."""

@@ -18,8 +18,9 @@ STILL_NAMES = frozenset({"static", "room"})
 FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 
 GAP = 1.5
-"""An interval longer than so many times the upper quartile of the intervals is a gap; an array that is polled to and
-fro has a short and a long interval in turn, and the long ones are none."""
+"""An interval longer than this multiple of the upper quartile of the intervals is a gap; an array that is polled forth
+and back has short and long intervals in turn, and the long ones are no gaps.
+"""
 
 
 @dataclass(frozen=True)

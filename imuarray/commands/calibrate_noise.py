@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from imuarray.calibrate.stability import NoiseLine
 
 _WORTH_SAYING = 0.2
-"""Share of the variance from which the lines of an axis are told in a sentence."""
+"""The share of the variance from which a sentence reports the lines of an axis."""
 
 
 def report_of(calibration: Calibration) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
 
 _SIGNIFICANT = 0.05
 _WORTH = 1.25
-"""An error that is so many times less, for sure, is worth opposing axes for."""
+"""The significant reduction of the error from which opposing axes are recommended."""
 
 _MOST_PAIRS = 20
 """Pairs that are printed."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from imuarray.errors import MissingExtraError
 
 _PATIENCE_S = 8.0
-"""A page that is looked at is served on for three seconds behind the end."""
+"""An open page is served for three more seconds after the end."""
 _NICENESS = 10
 
 

@@ -158,8 +158,8 @@ def bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 class Steps:
-    """Progress of work in several steps: a bar of each (`progress`), or where nobody watches a line on standard error
-    every few seconds, also while nothing gets done. A context manager.
+    """Progress of work in several steps: a bar for each (`progress`), or, without a terminal, a line on standard error
+    every few seconds, even while there is no progress. A context manager.
     """
 
     def __init__(self) -> None:
@@ -168,7 +168,7 @@ class Steps:
         self._thread = threading.Thread(target=self._tell, daemon=True)
 
     def begin(self, label: str) -> None:
-        """The next step, of which nobody knows yet how long it takes."""
+        """Begin the next step, whose length is not known yet."""
         self._label, self._done, self._length, self._begin_s = label, 0, 0, time.monotonic()
         if self._watched:
             click.echo(label, err=True)
@@ -245,7 +245,7 @@ class _Interrupt:
         raise KeyboardInterrupt
 
     def heed(self) -> None:
-        """KeyboardInterrupt if somebody asked and was not heard."""
+        """Raise KeyboardInterrupt if an interrupt was requested and lost."""
         if self._asked:
             raise KeyboardInterrupt
 

@@ -27,8 +27,8 @@ SLIVER_NS = 1e3
 """A bound that would cut off less than this is left out: it would add a corner and tell nothing."""
 MANY_VERTICES = 16
 SAME_NS = 10.0
-"""Where counts always come at the same phase of the samples, their bounds all meet in one corner: of so many vertices
-those that are as close are one. A period must agree within a ten-thousandth of it, for a window has thousands of them.
+"""Where counts always fall at the same phase of the samples, their bounds all meet in one corner: beyond this number of
+vertices, close ones are merged. A period must agree within a ten-thousandth of it, for a window has thousands of them.
 """
 
 Vertices = list[tuple[float, float]]

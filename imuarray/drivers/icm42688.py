@@ -117,7 +117,7 @@ class _Half(SixAxisHalf):
         return self.registers.peek(setting.register)[0] & setting.mask == setting.value
 
     def _write_shared(self) -> None:
-        """Bits that nobody names keep their value."""
+        """Bits that are not named keep their value."""
         for setting in chain(self.settings, self._filters_by_bank()):
             if setting.mask == 0xFF:
                 self.registers.poke(setting.register, setting.value)

@@ -22,7 +22,7 @@ from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, 
 from imuarray.facts.registers import Register, Setting
 
 _CALLS = 3
-"""After so many late calls in a row, calls are considered rare, and nothing was interrupted."""
+"""The number of late calls in a row after which calls are considered rare rather than interrupted."""
 
 
 class OnDemandBarometer(ChipDriver):

@@ -35,7 +35,7 @@ class Visit:
 
 
 class _NotingBus:
-    """Notes what is asked, answers with zeros."""
+    """Records the requests and answers with zeros."""
 
     def __init__(self) -> None:
         self.asked: list[Request] = []

@@ -48,9 +48,8 @@ def export(  # noqa: PLR0913
     """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`); whole or not at all.
 
     `sensors`: only these. `units`: one of `UNITS`; by default raw counts with all that is needed to convert them (MCAP
-    and whatever has a `calibration`: SI in the box frame). `tool`: one of the `TOOLS` of the suffix. ExportError for a
-    suffix, units or a tool that there are none of, LogError, CalibrationError, OutputExistsError, OutputError,
-    MissingExtraError.
+    and whatever has a `calibration`: SI in the box frame). `tool`: one of the `TOOLS` of the suffix. ExportError for an
+    unknown suffix, unit or tool, LogError, CalibrationError, OutputExistsError, OutputError, MissingExtraError.
     """
     target = Path(path)
     write = _writer(target)

@@ -183,7 +183,7 @@ class CommittedRows:
         return pieces[1] if len(pieces) == 2 else np.concatenate(pieces)
 
     def _stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Rows of the file, as they stand there."""
+        """Return rows of the file, as stored."""
         column = self._file[self._groups[number].path][name]
         for _ in range(_TRIES - 1):
             try:

@@ -185,8 +185,8 @@ def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event,
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
-    """Remove what a finished log does not need: journal (put aside to `keep` it), reserve, and the copies of processes
-    that are gone. The new name of the journal, if it was put aside.
+    """Remove what a finished log does not need: journal (put aside to `keep` it), reserve, and the copies of terminated
+    processes. The new name of the journal, if it was put aside.
     """
     kept = None
     if lock is not None and keep:

@@ -24,7 +24,7 @@ _ENDS = re.compile(r"works again|in all \d|the adapter is back|answers again|set
 fault, which another event reported when it began."""
 
 MANY_MISSED = 0.05
-"""Share of missed frames from which on a recording is not what was asked for."""
+"""The share of missed frames from which a recording does not meet its frame rate."""
 
 SHORT_ROOM_S, NO_ROOM_S = 3600.0, 600.0
 """Seconds until the disk is full, below which that is a warning, or urgent."""

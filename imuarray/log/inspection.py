@@ -267,7 +267,7 @@ def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:
-    """Return how long the texts of a column say they are, together; 0 where it does not stand in the file in one piece.
+    """Return how long the texts of a column say they are, together; 0 where it is not contiguous in the file.
 
     Each is a descriptor: length (32 bits), address of its heap, number in it (HDF5 file format, III.E and IV.A.2.d).
     """

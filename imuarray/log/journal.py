@@ -68,7 +68,7 @@ def tag_of(identity: str) -> int:
 
 
 def is_running(path: Path) -> bool:
-    """Return whether somebody is writing the log at `path` now."""
+    """Return whether a process is writing the log at `path` now."""
     try:
         fd = os.open(journal_of(path), os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0))
     except OSError:
@@ -81,7 +81,7 @@ def is_running(path: Path) -> bool:
 
 def _locked_alone(fd: int) -> bool:
     """Lock an open file alone. Who looks whether it is written (`is_running`) has it for a moment, as one of many: that
-    is waited for. False if somebody else has it alone, or for longer.
+    is waited for. False if another process holds it exclusively, or for longer.
     """
     for _ in range(_TRIES):
         if _locked(fd, exclusive=True):
@@ -99,7 +99,7 @@ def _unlock(fd: int) -> None:
 
 
 def _locked(fd: int, *, exclusive: bool) -> bool:
-    """Lock an open file, as one of many or alone; False if somebody else has it."""
+    """Lock an open file, as one of many or alone; False if another process has it."""
     if sys.platform == "win32":
         return True
     try:
@@ -110,10 +110,10 @@ def _locked(fd: int, *, exclusive: bool) -> bool:
 
 
 class JournalLock:
-    """The journal of one log, open and locked: nobody else writes or recovers that log meanwhile."""
+    """The journal of one log, open and locked: no other process writes or recovers that log meanwhile."""
 
     def __init__(self, path: Path, *, create: bool) -> None:
-        """LogBusyError if somebody else has it; FileNotFoundError if there is none and none is to be created."""
+        """LogBusyError if another process has it; FileNotFoundError if there is none and none is to be created."""
         self.path = journal_of(path)
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:

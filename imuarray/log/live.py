@@ -114,7 +114,7 @@ class LiveFile:
         self._rows[number] = start + count
 
     def close(self) -> None:
-        """Close the file; what was committed stands in it."""
+        """Close the file; committed rows are in it."""
         with contextlib.suppress(Exception):  # the journal has what this can't write any more
             self.file.close()
         self._room.close()

@@ -47,7 +47,7 @@ def frames_in(seconds: float, rate_hz: float) -> int:
 
 
 def duration_s(frames: int, missed: int, rate_hz: float) -> float:
-    """Return the duration of so many frames at `rate_hz`, in s."""
+    """Return the duration of this number of frames at `rate_hz`, in s."""
     return (frames + missed) / rate_hz
 
 

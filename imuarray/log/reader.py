@@ -314,7 +314,7 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
 
 
 def _open_unfinished(path: Path, thorough: bool) -> LiveView | RebuiltFile:
-    """A log that was closed in good order and never finished, and whose journal is gone."""
+    """A log that was closed properly and never finished, and whose journal is missing."""
     unfinished = open_interrupted(path, thorough=thorough)
     if unfinished is None:  # it was finished a moment ago
         raise LogError(f"{path}: changed while it was opened; open it again")

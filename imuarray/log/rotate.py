@@ -187,7 +187,9 @@ class RotatingWriter:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
 
     def _turn(self) -> None:
-        """Finish the first part if everybody has left it, or a third one has begun (somebody has been silent)."""
+        """Finish the first part if every sensor has moved on to the next, or a third one has begun (a sensor was
+        silent).
+        """
         while len(self._open) > 1 and (
             len(self._open) > 2 or min(self._last_ns.values()) >= self._span_ns(self._first)[1]
         ):

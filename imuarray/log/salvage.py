@@ -30,7 +30,7 @@ OVERHEAD = HEAD.size + CRC.size
 LONGEST_BLOCK = 1 << 28
 
 SEARCH_BYTES = 1 << 26
-"""Bytes behind damage in which one reader looks for good blocks, in all."""
+"""The number of bytes after damage in which one reader searches for good blocks, in all."""
 
 CHECK_BYTES = 1 << 26
 """Bytes that one reader checks as possible blocks, in all."""
@@ -97,7 +97,7 @@ class Salvage:
         return self._search_bytes <= 0 or self._check_bytes <= 0
 
     def is_good(self, position: int, chain: int) -> bool:
-        """Return whether a good block stands at `position` and goes on from `chain`."""
+        """Return whether a good block is at `position` and continues from `chain`."""
         self._check_bytes -= _LEAST_CHECK
         if self._check_bytes <= 0:
             return False
@@ -230,7 +230,7 @@ class Salvage:
 
 
 def _chained(head: bytes, payload: bytes, chain: int) -> int:
-    """The check sum of a block that goes on from `chain`."""
+    """Return the check sum of a block that continues from `chain`."""
     return zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
 
 

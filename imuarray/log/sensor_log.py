@@ -202,7 +202,7 @@ class SensorLog(CountScale):
 
     @property
     def attributes(self) -> Mapping[str, Any]:
-        """All attributes as they stand in the file."""
+        """All attributes as stored in the file."""
         return cast(Mapping[str, Any], self._group.attrs)
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:

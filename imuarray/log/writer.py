@@ -201,7 +201,7 @@ class LogWriter:
     def keep(self) -> None:
         """Keep the log from now on, whatever happens: it appears under its name, with a journal next to it.
 
-        LogBusyError if somebody else began the same log meanwhile, DiskFullError, LogError.
+        LogBusyError if another process began the same log meanwhile, DiskFullError, LogError.
         """
         if self._live is not None:
             return

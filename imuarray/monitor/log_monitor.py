@@ -67,7 +67,7 @@ class LogMonitor:
         return Snapshot(self.path, WAITING, self._remark)
 
     def _look(self, now_s: float) -> None:
-        """Open what is there, read what is new, go on to the next part."""
+        """Open the log if it exists, read new rows, continue with the next part."""
         source = self._source
         if source is None or (source.state != WRITTEN and look(source.path) != self._there):
             source = self._open(self._found() if source is None else source.path, now_s)

@@ -137,7 +137,7 @@ def look(path: Path) -> tuple[object, ...]:
 
 
 class Whole:
-    """A log that nobody writes: finished, or interrupted. LogError."""
+    """A log that is not being written: finished, or interrupted. LogError."""
 
     def __init__(self, path: Path, read_rows: ReadRows) -> None:
         self.path, self.read_rows = path, read_rows

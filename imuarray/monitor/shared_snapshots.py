@@ -60,7 +60,7 @@ class SharedSnapshots:
         return await asyncio.get_running_loop().run_in_executor(self._thread, make)
 
     def close(self) -> None:
-        """Take no more snapshots: clients that still ask get the last one."""
+        """Take no more snapshots: further requests get the last one."""
         self._is_closed = True
         self._thread.shutdown()
         self._monitor.close()

@@ -40,7 +40,7 @@ class CodeSpan:
 
 @dataclass(frozen=True)
 class Thermometer:
-    """counts = (temperature - zero_degc) * lsb_per_degc, in so many `bits`."""
+    """counts = (temperature - zero_degc) * lsb_per_degc, in this number of `bits`."""
 
     zero_degc: float
     lsb_per_degc: float

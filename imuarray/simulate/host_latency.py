@@ -24,10 +24,10 @@ _TIGHT_NS = 500_000
 """Spread of the intervals between two readings of a frame, apart from waits; what a wait shortens is idle time."""
 
 _LEAST_NS = 250_000
-"""Half of a shorter wait is none."""
+"""Half of the shortest wait that counts."""
 
 _LEAST = 16
-"""So often one sensor has to follow another for their usual interval to be known."""
+"""The number of times that one sensor must follow another for their usual interval to be known."""
 
 _NEVER_NS = 1 << 62
 _NOTHING: Integers = np.zeros(0, np.int64)
@@ -208,7 +208,7 @@ def _halves(rows: _Rows, pairs: _Pairs) -> Floats:
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
-    """The numbers of its rows that were lost when every other sensor lost some: nobody was there to read them."""
+    """Return the numbers of its rows that were lost when every other sensor lost some: the host did not read."""
     others = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not others:
         return _NOTHING

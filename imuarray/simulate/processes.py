@@ -124,7 +124,7 @@ def _weights(spacing: int, dtype: str) -> Reals:
 
 
 def _growth(steps: npt.ArrayLike, decay: float) -> Floats:
-    """Variance after so many steps from a known start, in variances of one step."""
+    """Return the variance after this number of steps from a known start, in variances of one step."""
     count = np.asarray(steps, float)
     return np.asarray(np.expm1(-2 * decay * count) / math.expm1(-2 * decay)) if decay else count
 

@@ -19,7 +19,7 @@ from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK
 
 EPOCH = "2000-01-01T00:00:00.000000Z"
-"""Time 0 of a simulated log unless somebody says otherwise: the same every time, as all of it is."""
+"""Time 0 of a simulated log by default: the same in every run, as the whole log is."""
 
 _AHEAD = 4
 """Blocks per worker that are worked out before they are written."""

@@ -35,7 +35,7 @@ _WORTH_IT = 1024
 """Fewer rows than that are cut from their whole chunk, which others will be wanted of."""
 
 NO_READY_BIT = ("hmc5883", "hmc5883l", "mmc5983")
-"""Chips whose ready bit no driver sees: an identical triad is all it knows of."""
+"""Chips whose ready bit no driver reads: only an identical triad shows a stale reading."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 

@@ -1,7 +1,7 @@
 """Random numbers that can be generated for any stretch of rows alone, independent of earlier requests.
 
 Every stream is named (seed, boot, sensor, effect, purpose): leaving one effect out changes no draw of any other, and a
-run is another `boot` of the same units. A stream is cut into chunks of `CHUNK` rows, each with a generator of its own
+run is another `boot` of the same units. A stream is cut into chunks of `CHUNK` rows, each with its own generator
 (SFC64, seeded by hashing its name and number), so row 10**9 costs no more than row 0.
 """
 

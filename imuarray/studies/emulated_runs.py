@@ -66,7 +66,7 @@ def record_all(config: Path, folder: Path, options: DemoOptions, say: Say) -> di
 
 
 def record_run(config: Path, path: Path, run: str, seconds: float, seed: int) -> None:
-    """Record one run of the emulated array, of so many seconds."""
+    """Record one run of the emulated array, this many seconds long."""
     array = load_array(config)
     with open_bus(f"emulated:?{_world(run, seconds)}&seed={seed}", array) as bus:
         start_s = bus.clock.now_ns() * 1e-9

@@ -39,7 +39,7 @@ _BINS = slice(2, -1)
 """Bin 0 is the mean, of bin 1 a part has gone with the mean of every segment, and the last has half a density."""
 
 _LINE_BINS = 3
-"""A line reaches so many bins to either side."""
+"""The number of bins that a line covers on either side."""
 
 _LABELS_APART = 1.1
 """Frequencies nearer than this ratio share a label, that of the highest peak."""

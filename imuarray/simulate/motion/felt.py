@@ -19,7 +19,7 @@ class Felt:
     angular rate in rad/s, `angular_acceleration` (n, 3) in rad/s2, magnetic `field` (n, 3) in gauss, all in the box
     frame and at its origin; `temperature_degc` (n,) and `pressure_pa` (n,).
 
-    Constant columns may be broadcast (read-only); nobody writes into them.
+    Constant columns may be broadcast (read-only); they are not written to.
     """
 
     time_ns: Integers

@@ -379,7 +379,7 @@ _NOTHING = 5e-4
 """A change of a ratio that three digits don't show."""
 
 _WIDE = 20.0
-"""Ends of an interval that are so many times apart tell nothing."""
+"""The ratio of the ends of an interval from which it says nothing."""
 
 WORDS = {
     "measured": "calibrated",
