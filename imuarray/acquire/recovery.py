@@ -16,7 +16,7 @@ LONGEST_PAUSE_NS = 3_200_000_000
 """Between two attempts to reach a sensor; doubled each time. A silent address costs 30 microseconds to ask."""
 
 
-class Recovery:
+class SensorRecovery:
     """The recovery of one sensor. `intact` once it is found as it was configured, `done` when it can be read again.
 
     `look` tries for that; without it the chip is set up anew whatever it says.

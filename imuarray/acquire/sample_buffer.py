@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.recovery import Recovery
+from imuarray.acquire.recovery import SensorRecovery
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times
@@ -72,7 +72,7 @@ class SampleBuffer:
         self._failed = False
         self._set_up_again = False
         self._condemned = False
-        self._recovery: Recovery | None = None
+        self._recovery: SensorRecovery | None = None
         self._silent_since_ns: int | None = None
         self._last: npt.NDArray[Any] | None = None
         self.clocks = 9 * (self.driver.burst + 3)  # BUS-02
@@ -107,7 +107,7 @@ class SampleBuffer:
         return self._times_ns
 
     @property
-    def recovery(self) -> Recovery | None:
+    def recovery(self) -> SensorRecovery | None:
         """The recovery in progress, None while the sensor is read."""
         return self._recovery
 
@@ -121,8 +121,8 @@ class SampleBuffer:
         self._missing = True
 
     def recover(self, at_ns: int, *, look: bool) -> None:
-        """Begin a recovery at `at_ns` in place of readings (`Recovery`)."""
-        self._recovery = Recovery(self.route, at_ns, look=look)
+        """Begin a recovery at `at_ns` in place of readings (`SensorRecovery`)."""
+        self._recovery = SensorRecovery(self.route, at_ns, look=look)
 
     def end_recovery(self) -> None:
         """Return to reading the sensor."""

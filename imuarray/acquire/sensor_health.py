@@ -20,7 +20,7 @@ import numpy.typing as npt
 from imuarray.acquire.bus_segment import HUNG, SLACK_NS
 from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
-from imuarray.acquire.recovery import Recovery
+from imuarray.acquire.recovery import SensorRecovery
 from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
 from imuarray.acquire.start_up import StartUp
 from imuarray.array import SensorConfig
@@ -167,7 +167,7 @@ class SensorHealth:
             buffer.mark_lost()
         return count
 
-    def _recovered(self, buffer: SampleBuffer, recovery: Recovery, state: _SensorState, now_ns: int) -> None:
+    def _recovered(self, buffer: SampleBuffer, recovery: SensorRecovery, state: _SensorState, now_ns: int) -> None:
         took_s = (now_ns - recovery.since_ns) * 1e-9
         buffer.end_recovery()
         state.last_row_ns = now_ns

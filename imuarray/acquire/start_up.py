@@ -20,7 +20,7 @@ ATTEMPTS = 3
 """How often a sensor that started wrong is configured again before none of its readings are trusted."""
 
 
-class Verdict(NamedTuple):
+class StateVerdict(NamedTuple):
     """A verdict on a sensor's start: `fault` if its readings can't be used, and a sentence (or "")."""
 
     fault: bool
@@ -28,7 +28,7 @@ class Verdict(NamedTuple):
 
 
 class StartVerdict(Protocol):
-    """A verdict on one sensor, as `Verdict`."""
+    """A verdict on one sensor, as `StateVerdict`."""
 
     @property
     def fault(self) -> bool:
@@ -76,8 +76,10 @@ class StartUp:
         readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
         verdicts = dict(self._judge(readings)) if readings else {}
         for name in heard.keys() - readings.keys():
-            verdicts[name] = Verdict(False, f"not checked: {len(heard[name])} readings of at least {FEWEST_READINGS}")
-        judged = [(item, verdicts.get(item.route.sensor.name, Verdict(False))) for item in ripe]
+            verdicts[name] = StateVerdict(
+                False, f"not checked: {len(heard[name])} readings of at least {FEWEST_READINGS}"
+            )
+        judged = [(item, verdicts.get(item.route.sensor.name, StateVerdict(False))) for item in ripe]
         for item, verdict in judged:
             del self._since_ns[id(item)]
             if verdict.fault:

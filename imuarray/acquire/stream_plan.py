@@ -5,9 +5,9 @@ value. Every list selects its own channels: a lost switch command spoils one lis
 each twice in `SWEEP_S`, so that two wrong reads in a row are at most a second apart.
 
 A chip that converts on demand is visited several times for one reading. Where frames are so rare that a result would be
-too old by the next one, the microcontroller is given shorter periods, several to a frame (`Plan.split`): the other
-sensors are read in the first of them. The same is done for a queue that holds more samples than one request can read.
-A reading that did not arrive has no row; the next row is flagged.
+too old by the next one, the microcontroller is given shorter periods, several to a frame (`StreamPlan.split`): the
+other sensors are read in the first of them. The same is done for a queue that holds more samples than one request can
+read. A reading that did not arrive has no row; the next row is flagged.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _SLACK_NS = 500_000
 
 
 @dataclass(frozen=True)
-class Place:
+class VisitPlace:
     """One visit in the answers of list `number`: there in frames `offset`, `offset` + `every`, ...
 
     Positions of bytes: `ages` of the requests that must have been answered, `age` of the one that times the reading,
@@ -66,11 +66,11 @@ class ReadbackPlace:
 
     route: SensorRoute
     setting: Setting
-    place: Place
+    place: VisitPlace
 
 
 @dataclass(frozen=True)
-class Plan:
+class StreamPlan:
     """Lists for the microcontroller, and where to look: the visits of each route, in order, and the registers.
 
     `split` periods of the microcontroller are one frame; its frame numbers count periods.
@@ -78,7 +78,7 @@ class Plan:
 
     split: int
     lists: tuple[PollList, ...]
-    visits: tuple[tuple[Place, ...], ...]
+    visits: tuple[tuple[VisitPlace, ...], ...]
     watched: tuple[ReadbackPlace, ...]
 
 
@@ -99,7 +99,7 @@ class _Lists:
         self._newest: dict[_Key, tuple[Request, int]] = {}
         self._parts: dict[tuple[int, int], int] = {}
 
-    def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> Place:
+    def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> VisitPlace:
         """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
         requests = [_on_the_bus(route, request) for request in visit.requests]
         key = self._with_room(every, offset, requests)
@@ -108,7 +108,7 @@ class _Lists:
         own = [self._ask(key, request) for request in requests]
         first = own[0] + 2
         stop = first + visit.requests[0].read
-        return Place(
+        return VisitPlace(
             number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
         )
 
@@ -160,12 +160,12 @@ def _on_the_bus(route: SensorRoute, request: Request) -> Request:
     return Request(bus.port.address, bus.message(request.write, request.read), request.read)
 
 
-def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
+def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
     """The plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host drains."""
     split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
-    places: dict[int, tuple[Place, ...]] = {}
+    places: dict[int, tuple[VisitPlace, ...]] = {}
     segments = list(dict.fromkeys(route.segment for route in routes))
     ordered = sorted(routes, key=lambda route: segments.index(route.segment))
     for route in ordered:
@@ -192,7 +192,7 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
         )
         for index, (route, setting) in enumerate(wanted)
     )
-    return Plan(split, lists.finished(), tuple(places[id(route)] for route in routes), watched)
+    return StreamPlan(split, lists.finished(), tuple(places[id(route)] for route in routes), watched)
 
 
 def _turn(index: int, count: int, turns: int, sweep: int) -> int:
@@ -254,7 +254,7 @@ class Readings(NamedTuple):
     failure: str
 
 
-def readings_at(place: Place, samples: Samples, rate: float) -> Readings:
+def readings_at(place: VisitPlace, samples: Samples, rate: float) -> Readings:
     """Return the readings at `place`; `rate` is that of the host's clock over the microcontroller's."""
     payload = samples.payload
     ages = np.stack([ages_at(payload, position) for position in place.ages], axis=1)
@@ -277,7 +277,7 @@ def ages_at(payload: npt.NDArray[np.uint8], position: int) -> Integers:
 class Rows:
     """Fills the rows of one sensor, whose readings consist of the visits at `places`."""
 
-    def __init__(self, buffer: SampleBuffer, places: tuple[Place, ...]) -> None:
+    def __init__(self, buffer: SampleBuffer, places: tuple[VisitPlace, ...]) -> None:
         self.buffer = buffer
         self.places = places
         self._forget()

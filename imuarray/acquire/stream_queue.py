@@ -13,7 +13,7 @@ import numpy as np
 
 from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.acquire.sensor_routes import SensorRoute
-from imuarray.acquire.stream_plan import WHY, Place, Plan, Rows, ages_at
+from imuarray.acquire.stream_plan import WHY, Rows, StreamPlan, VisitPlace, ages_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_LONGEST
 from imuarray.drivers.six_axis import QueuedHalf
@@ -28,7 +28,7 @@ LONGEST_US = 1_000_000
 RAN_OVER = "the chip's queue ran over"
 
 
-def rows_of(routes: Sequence[SensorRoute], plan: Plan, rate_hz: float) -> list[Rows]:
+def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> list[Rows]:
     """The rows of each route; those of both halves of a die with a queue are filled by the half that comes first."""
     leaders: dict[int, QueueRows] = {}
     rows: list[Rows] = []
@@ -47,7 +47,7 @@ class QueueRows(Rows):
     """Fills the rows of one half of a die. Its `leader`, which may be itself, takes the bursts for both halves."""
 
     def __init__(
-        self, buffer: SampleBuffer, places: tuple[Place, ...], queue: BurstQueue, leader: QueueRows | None
+        self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: BurstQueue, leader: QueueRows | None
     ) -> None:
         if not isinstance(buffer.driver, QueuedHalf):
             raise TypeError(f"{buffer.route.sensor.name} has no queue")

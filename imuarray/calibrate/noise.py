@@ -23,8 +23,8 @@ from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.pose_readings import (
     SEGMENT_ROWS,
-    Clock,
     Pose,
+    ReadingInterval,
     Readings,
     Stretches,
     clock_of,
@@ -76,7 +76,7 @@ class _Track:
 
 
 def noise_lines(
-    stretches: Stretches, whole: Spectrum, clock: Clock, rms_lsb: Floats, false_alarm: float
+    stretches: Stretches, whole: Spectrum, clock: ReadingInterval, rms_lsb: Floats, false_alarm: float
 ) -> tuple[NoiseLine, ...]:
     """The lines of every axis, strongest first, from the spectrum of the `whole` and those of windows; a line's share
     is that of its sine in the variance `rms_lsb`^2.
@@ -97,7 +97,7 @@ def noise_lines(
     return tuple(results)
 
 
-def _welch(stretches: Stretches, clock: Clock) -> Welch | None:
+def _welch(stretches: Stretches, clock: ReadingInterval) -> Welch | None:
     """The spectrum of all stretches, without a reading so far; None where none is long enough."""
     lengths = [rows.stop - rows.start for _, rows in stretches]
     longest = min(max(lengths), max(SEGMENT_ROWS, sum(lengths) // _AVERAGED), SEGMENT)
@@ -110,7 +110,7 @@ def _power_of_two(rows: float) -> int:
     return int(2 ** np.floor(np.log2(rows)))
 
 
-def _spectrum(sensor: SensorLog, rows: slice, clock: Clock, segment_rows: int) -> Spectrum:
+def _spectrum(sensor: SensorLog, rows: slice, clock: ReadingInterval, segment_rows: int) -> Spectrum:
     """Return the spectrum of the sound readings of some rows."""
     welch = Welch(clock.rate_hz, segment_rows, columns=3)
     for part in readings(sensor, rows, clock.limit_ns):
@@ -134,7 +134,7 @@ def _windows(stretches: Stretches) -> Stretches:
     return [cut[index] for index in chosen.tolist()]
 
 
-def _tracks(windows: Stretches, clock: Clock, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:
+def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:
     """Per axis, every line that is in enough windows, and the rows of all windows."""
     if len(windows) < _FEWEST_WINDOWS:
         return ((), (), ())

@@ -396,24 +396,24 @@ SEGMENT_ROWS = 256
 _BLOCK_ROWS = 256 * SEGMENT_ROWS
 
 
-class Clock(NamedTuple):
+class ReadingInterval(NamedTuple):
     """Readings a second, and the interval that is a gap."""
 
     rate_hz: float
     limit_ns: float
 
 
-def clock_of(stretches: Stretches) -> Clock:
+def clock_of(stretches: Stretches) -> ReadingInterval:
     """Return the clock of the first block of the longest stretch; no rate where that has no two sound readings."""
     sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
     part = slice(rows.start, min(rows.stop, rows.start + _BLOCK_ROWS))
     sound = (np.asarray(sensor.status[part]) & LEFT_OUT) == 0
     intervals = np.diff(np.asarray(sensor.time[part])[sound]).astype(float)
     if len(intervals) == 0:
-        return Clock(0.0, np.inf)
+        return ReadingInterval(0.0, np.inf)
     limit_ns = GAP * float(np.quantile(intervals, 0.75))
     usual = intervals[(intervals > 0) & (intervals <= limit_ns)]
-    return Clock(1e9 / float(usual.mean()) if len(usual) else 0.0, limit_ns)
+    return ReadingInterval(1e9 / float(usual.mean()) if len(usual) else 0.0, limit_ns)
 
 
 class Readings(NamedTuple):

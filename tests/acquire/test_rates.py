@@ -12,7 +12,7 @@ import pytest
 from imuarray.acquire.record import record
 from imuarray.acquire.sample_buffer import HELD_S
 from imuarray.acquire.sensor_routes import connect
-from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.start_up import StateVerdict
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver
@@ -297,9 +297,9 @@ def test_a_start_is_judged_by_ten_readings_or_not_at_all(
     array = an_array(A=0, G=0)
     heard: list[int] = []
 
-    def judge(readings: Mapping[str, Any]) -> dict[str, Verdict]:
+    def judge(readings: Mapping[str, Any]) -> dict[str, StateVerdict]:
         heard.extend(len(counts) for counts in readings.values())
-        return {name: Verdict(True, "came up wrong") for name in readings}
+        return {name: StateVerdict(True, "came up wrong") for name in readings}
 
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=30, judge=judge)

@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.acquire import record
 from imuarray.acquire.fault_episode import FaultEpisode
-from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.start_up import StateVerdict
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main
@@ -203,8 +203,8 @@ def test_missed_frames_are_lost_readings_of_what_is_polled(bad_night: Callable[.
 
 
 def test_a_sensor_that_comes_up_wrong_for_good_is_trusted_no_more(bad_night: Callable[..., Any]) -> None:
-    def judge(readings: Any) -> dict[str, Verdict]:
-        return {"G": Verdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
+    def judge(readings: Any) -> dict[str, StateVerdict]:
+        return {"G": StateVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
 
     table = '[[fault]]\nkind="start_up"\nsensor="G"\nbias=[90.0, 90.0, 90.0]\n'
     _, log = bad_night(table, 45, rate_hz=20, judge=judge, A=0, G=0)

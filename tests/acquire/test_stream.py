@@ -17,7 +17,7 @@ import pytest
 
 from firmware_emulator import serial_firmware
 from imuarray.acquire import connect
-from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.start_up import StateVerdict
 from imuarray.acquire.stream import streams
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, load_array, parse_array
@@ -328,9 +328,9 @@ def test_a_sensor_that_came_up_wrong(an_array: Callable[..., ArrayConfig], tmp_p
     array = an_array(A=0, G=0)
     asked: list[int] = []
 
-    def judge(readings: Mapping[str, Any]) -> dict[str, Verdict]:
+    def judge(readings: Mapping[str, Any]) -> dict[str, StateVerdict]:
         asked.extend(len(counts) for name, counts in readings.items() if name == "G")
-        return {"G": Verdict(len(asked) == 1, "came up in another state" if len(asked) == 1 else "")}
+        return {"G": StateVerdict(len(asked) == 1, "came up in another state" if len(asked) == 1 else "")}
 
     stream(Bench(array), array, tmp_path / "r.h5", rate_hz=50, seconds=25, judge=judge)
     _, _, status = logged(tmp_path / "r.h5", "G")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.start_up import StateVerdict
 from imuarray.array import ArrayConfig
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 
@@ -236,10 +236,10 @@ def test_start_up_in_another_state(count: int) -> None:
     sensitivity = 1 / 0.00875  # L3G-40
     random = np.random.default_rng(8)
 
-    def judge(readings: Any) -> dict[str, Verdict]:
+    def judge(readings: Any) -> dict[str, StateVerdict]:
         rate_dps = readings["G"].mean(axis=0)[0] / sensitivity
         fault = bool(min(abs(rate_dps + 2.0), abs(rate_dps - 1.0)) > 1.0)
-        return {"G": Verdict(fault, f"{rate_dps:.1f} dps" if fault else "")}
+        return {"G": StateVerdict(fault, f"{rate_dps:.1f} dps" if fault else "")}
 
     for _ in range(count):
         bias = float(random.uniform(5.0, 20.0))

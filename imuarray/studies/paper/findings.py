@@ -28,7 +28,7 @@ _WIDTH = 100
 
 
 @dataclass(frozen=True)
-class Figure:
+class FindingFigure:
     """A number that shows a finding: `of` says what it is of, `printed` what the tables make it, in `unit`.
 
     `data_sheet` is its value without the cause (a limit, where the data sheet prints one), `with_cause` what the cause
@@ -61,7 +61,7 @@ class Finding:
     domain: str
     confusable_with: tuple[str, ...]
     open: str
-    figures: tuple[Figure, ...]
+    figures: tuple[FindingFigure, ...]
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -75,7 +75,7 @@ def findings() -> tuple[Finding, ...]:
 def _finding(entry: Mapping[str, Any]) -> Finding:
     fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
     figures = fields.pop("figure")
-    return Finding(**fields, figures=tuple(Figure(**figure) for figure in figures))
+    return Finding(**fields, figures=tuple(FindingFigure(**figure) for figure in figures))
 
 
 def as_json() -> dict[str, Any]:
@@ -158,7 +158,7 @@ def _paragraph(finding: Finding) -> Iterator[str]:
     yield from _hanging("  open     ", finding.open)
 
 
-def _sentence(figure: Figure) -> str:
+def _sentence(figure: FindingFigure) -> str:
     neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
     others = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
     where = f"{figure.channel}, " if figure.channel else ""

@@ -167,7 +167,7 @@ _RUNS = {6: "BMA1", 7: "Gyro3"}
 
 
 @dataclass(frozen=True)
-class Line:
+class PrintedNumber:
     """One number of a table: as printed, its recomputation and its simulated twin as far as there are such."""
 
     channel: str
@@ -187,19 +187,19 @@ class Line:
         return [self.channel, self.statistic, self.printed, recomputed, *_simulated(self.twin, self.printed)]
 
 
-def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[Line]:
+def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
     """Every number of "Table 3": channel by channel, what was only recomputed after what was simulated."""
     cells = dict(_cells(name, recomputed))
     by_key = {(twin.channel, twin.statistic): twin for twin in twins}
     channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
     keys = sorted(dict.fromkeys((*by_key, *cells)), key=lambda key: channels.index(key[0]))
     texts = _texts(int(name.removeprefix("Table ")))
-    return [Line(*key, _text(key, texts, by_key.get(key)), cells.get(key), by_key.get(key)) for key in keys]
+    return [PrintedNumber(*key, _text(key, texts, by_key.get(key)), cells.get(key), by_key.get(key)) for key in keys]
 
 
-def line_of(twin: Statistic) -> Line:
+def line_of(twin: Statistic) -> PrintedNumber:
     """A number of a figure or of the text."""
-    return Line(twin.channel, twin.statistic, _in_digits(twin), None, twin)
+    return PrintedNumber(twin.channel, twin.statistic, _in_digits(twin), None, twin)
 
 
 def _texts(number: int) -> dict[Key, str]:
@@ -305,7 +305,7 @@ def table_sections(
         yield Section(f"{name}: {title}", text, parts, fold=_fold_of(lines, len(parts) - 1 - (number == 8)))
 
 
-def _fold_of(lines: Sequence[Line], drawings: int = 0) -> str:
+def _fold_of(lines: Sequence[PrintedNumber], drawings: int = 0) -> str:
     """Return the line behind which a table is hidden: how much there is to see, and how much of it agrees."""
     count, _, two, _, cells, equal, near, _ = counted(lines)
     said = [f"{len(lines)} numbers"]
@@ -315,7 +315,7 @@ def _fold_of(lines: Sequence[Line], drawings: int = 0) -> str:
     return "; ".join(said)
 
 
-def _table(lines: Sequence[Line], caption: str = "") -> Table:
+def _table(lines: Sequence[PrintedNumber], caption: str = "") -> Table:
     rows = [_row(line) for line in lines]
     shown = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
     count, item, two, three, cells, equal, near, _ = counted(lines)
@@ -324,7 +324,7 @@ def _table(lines: Sequence[Line], caption: str = "") -> Table:
     return Table([HEADING[i] for i in shown], [[row[i] for i in shown] for row in rows], caption, (1,))
 
 
-def _row(line: Line) -> list[str]:
+def _row(line: PrintedNumber) -> list[str]:
     texts = line.texts()
     return [*texts[:-1], _marked(texts[-1])] if line.marked else texts
 
@@ -384,13 +384,13 @@ def _pair_row(pair: AxisPair, slopes: dict[str, float]) -> list[str]:
     return [f"{first}, {second}", relation, plain(float(pair.fused_slope)), f"{float(pair.reduction):.1f}", *simulated]
 
 
-def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[Line]:
+def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[PrintedNumber]:
     """Return the comparisons of a table, a figure or the appendix."""
     twins = replica.of(name)
     return lines_of(name, recomputed, twins) if name.startswith("Table") else [line_of(twin) for twin in twins]
 
 
-def counted(lines: Sequence[Line]) -> list[str]:
+def counted(lines: Sequence[PrintedNumber]) -> list[str]:
     """Return how many statistics were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near,
     neither.
     """
@@ -581,7 +581,7 @@ def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
     return Section("Known gaps", words, parts, fold=f"{len(rows)} statistics")
 
 
-def _without_recomputed(line: Line) -> list[str]:
+def _without_recomputed(line: PrintedNumber) -> list[str]:
     """Statistic, paper, simulated, difference, z."""
     _, statistic, printed, _, *simulated = line.texts()
     return [statistic, printed, *simulated]

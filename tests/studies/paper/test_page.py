@@ -21,7 +21,7 @@ from imuarray.studies.paper import page as paper_page
 from imuarray.studies.paper import recompute
 from imuarray.studies.paper import results as paper_files
 from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_figure, opposed_figure, temperature_figure
-from imuarray.studies.paper.page import NO_FIGURES, Line, line_of, recomputed_text, write_paper_page
+from imuarray.studies.paper.page import NO_FIGURES, PrintedNumber, line_of, recomputed_text, write_paper_page
 from imuarray.studies.paper.replica import Curves, ExperimentData, Replica, Statistic, compare, curves_of, observe
 from imuarray.studies.paper.tables import Cell
 
@@ -242,7 +242,7 @@ def test_lines(twin: Statistic, texts: list[str]) -> None:
 def test_marks_begin_beyond_two() -> None:
     assert not line_of(statistic(0.0, 2.0, 1.0)).marked
     assert line_of(statistic(0.0, -2.001, 1.0)).marked
-    assert not Line("a", "b", "1", None, None).marked
+    assert not PrintedNumber("a", "b", "1", None, None).marked
 
 
 @pytest.mark.parametrize(
