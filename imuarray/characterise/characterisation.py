@@ -20,14 +20,16 @@ if TYPE_CHECKING:
 WIDTH = 110
 
 _HEAD = (
-    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'lag-1':>6} {'even':>5} {'stale':>6}"
+    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'lag-1':>6} {'even':>5}"
+    f" {'repeat':>6}"
 )
 _FIT_HEAD = f"{'sensor':12} {'axis':4} {'N':>17} {'B':>17} {'K':>17} {'p':>7} {'lowest':>10} {'at tau':>7}"
 _ROWS_HEAD = (
     f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
 )
 _NOTES = (
-    "error of the mean: its standard error, correlation allowed for. N: density of the white noise, two-sided "
+    "error of the mean: its standard error, correlation allowed for. repeat: rows without a new reading, flagged as "
+    "stale or equal to the row before beyond chance. N: density of the white noise, two-sided "
     "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
     "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
     "such a misfit if the model holds; '!' if it is too small to trust the figures. lowest: lowest point of"
@@ -87,8 +89,17 @@ def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
         f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
         f"{_number(values['std'], 4):>9} {_number(axis['counts']['std'], 4):>8} {_number(values['sem']):>9} "
         f"{_fixed(axis['lag1'], 3):>6} {_fixed(axis['even_share'], 1, 100):>5} "
-        f"{_fixed(sensor['stale_share'], 2, 100):>6}"
+        f"{_fixed(_repeat_share(sensor), 2, 100):>6}"
     )
+
+
+def _repeat_share(sensor: Mapping[str, Any]) -> float | None:
+    """Return the share of rows without a new reading: flagged as stale, or equal to the row before beyond chance."""
+    new_share = sensor["timing"]["repeats"]["new_share"] if sensor["timing"] else None
+    shares = [
+        share for share in (sensor["stale_share"], None if new_share is None else 1 - new_share) if share is not None
+    ]
+    return max(shares, default=None)
 
 
 def _fits(sensors: list[Mapping[str, Any]]) -> Iterator[str]:

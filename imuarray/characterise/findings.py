@@ -1,120 +1,315 @@
-"""Remarkable properties of a characterisation, in sentences: lines, codes, correlation, repeats, gaps, bad fits.
+"""Remarkable properties of a characterisation, in sentences: times, clipping, lines, codes, correlation, bad fits.
 
-Everything is derived from the result of `characterise_log` alone.
+Everything is derived from the result of `characterise_log` alone. Sensors and axes of which the same is true share a
+sentence, whose numbers then are from the least to the greatest; what makes a recording unusable comes first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from imuarray.characterise.repeats import STALE_SHARE
+from imuarray.printable import listed
 
 SURE = 1e-6
 """The probability below which a finding is significant, whatever the number of axes."""
 
+SHARED_S = 1e-7
+"""Interval below which rows were written with the same time: the importer separates these by 1 ns."""
+
 _CORRELATED = 0.05
 _CLIPPED_SHARE = 1e-4
 _SLOW_SHARE = 0.95
-_LINES = 4
 _ALIASES = 3
+
+_LISTED_LINES = 12
+"""Lines that are listed: the strongest of all axes, by their share of the axis's variance."""
+
+_SPANS = 4
+"""Stretches of missing codes that are listed of an axis."""
 
 _MAINS_HZ = (50, 60)
 _MAINS_HZ_ERROR = 0.05
 """The mains frequency of large grids stays within this in normal operation (the Continental European grid: 50 mHz)."""
 
 Axis = Mapping[str, Any]
+Place = tuple[str, str]
+"""A sensor and an axis of it; "" for the sensor."""
+
+
+@dataclass(frozen=True)
+class _Remark:
+    """A sentence about an axis of a sensor ("": about the sensor), with a field of `str.format` for each of the
+    `numbers`, which are spelled already and sorted by `values`.
+    """
+
+    place: Place
+    sentence: str
+    numbers: tuple[str, ...] = ()
+    values: tuple[float, ...] = ()
 
 
 def findings(result: Mapping[str, Any]) -> list[str]:
-    """One sentence for each thing that a person should know, sensor by sensor; axes of which the same is true share
-    it.
-    """
+    """One sentence for each thing that a person should know, the most important first."""
     remark = result["stretch"]["remark"]
     about_box = [f"{remark}; the rows around are left out"] if remark else []
-    return [*about_box, *(sentence for sensor in result["sensors"] for sentence in _of_sensor(sensor))]
+    sensors = [sensor for sensor in result["sensors"] if sensor["timing"] is not None]
+    return [
+        *about_box,
+        *_merged(sensors, _timing, _adaptive_range, _repeats, _rails, _ends),
+        *_lines(sensors),
+        *_merged(sensors, _codes, _correlation, _fit),
+    ]
 
 
-def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
-    if sensor["timing"] is None:
-        return
-    name = sensor["name"]
-    yield from (f"{name} {text}".replace(" : ", ": ") for text in _times(sensor["timing"], sensor["rate_hz"]))
+def _merged(
+    sensors: Sequence[Mapping[str, Any]], *kinds: Callable[[Mapping[str, Any]], Iterator[_Remark]]
+) -> list[str]:
+    """One text for each sentence of each kind in turn, with its places and its numbers."""
+    groups: dict[str, list[_Remark]] = {}
+    for remark in (remark for kind in kinds for sensor in sensors for remark in kind(sensor)):
+        groups.setdefault(remark.sentence, []).append(remark)
+    texts = []
+    for sentence, same in groups.items():
+        numbers = [
+            _span([(remark.values[index], remark.numbers[index]) for remark in same])
+            for index in range(len(same[0].numbers))
+        ]
+        texts.append(f"{places_in_short([remark.place for remark in same])}: {sentence.format(*numbers)}")
+    return texts
+
+
+def _span(numbers: Sequence[tuple[float, str]]) -> str:
+    """Return the number, or the least and the greatest of several."""
+    low, high = min(numbers)[1], max(numbers)[1]
+    return low if low == high else f"{low} to {high}"
+
+
+def places_in_short(places: Sequence[Place]) -> str:
+    """Spell axes of sensors: "Gyro1 to Gyro3 x, z; Acc1"."""
+    axes: dict[str, list[str]] = {}
+    for sensor, axis in places:
+        known = axes.setdefault(sensor, [])
+        if axis and axis not in known:
+            known.append(axis)
+    sensors: dict[str, list[str]] = {}
+    for sensor, names in axes.items():
+        sensors.setdefault(", ".join(sorted(names)), []).append(sensor)
+    return "; ".join(f"{listed(names)} {those}".rstrip() for those, names in sensors.items())
+
+
+def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    """Describe stalls and bursts of the whole log, else the gaps of the stretch."""
+    place, timing = (sensor["name"], ""), sensor["timing"]
+    pattern = timing["pattern"]
+    if pattern["kind"] == "bursts" and pattern["usual_s"] < SHARED_S:
+        sentence = (
+            "several rows have the same time, and the next time is {0} s later: the clock is coarse, and rows are"
+            " assumed to have been read at the mean rate"
+        )
+        yield _Remark(place, sentence, (f"{pattern['gap_s']:.3g}",), (pattern["gap_s"],))
+    elif pattern["sentence"]:
+        yield _Remark(place, pattern["sentence"])
+    elif timing["gaps"]:
+        longest = timing["longest"][:3]
+        places = ", ".join(f"{gap['length_s']:.3g} s after {gap['after_ns'] * 1e-9:.3f} s" for gap in longest)
+        count = "a gap" if timing["gaps"] == 1 else f"{timing['gaps']} gaps, {timing['gaps_s']:.3g} s in all"
+        yield _Remark(place, f"has {count}: {places}")
+
+
+def _adaptive_range(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     stalls = sensor.get("stalls")
     if stalls and stalls["adaptive_range"]:
-        yield (
-            f"{name} stands still at {stalls['stalled']} of {stalls['passages']} passages of 100 dps in the log: its"
-            " adaptive range is on, which imuarray log switches off (bits 7:6 of register 0x4D are 01)"
+        sentence = (
+            "stands still at {0} of {1} passages of 100 dps in the log: its adaptive range is on, which imuarray log"
+            " switches off (bits 7:6 of register 0x4D are 01)"
         )
-    axes: dict[str, list[str]] = {}
-    for text, axis in (*_rails(sensor), *_of_axes(sensor)):
-        axes.setdefault(text, []).append(axis)
-    yield from (f"{name} {', '.join(those)}: {text}" for text, those in axes.items())
+        counts = stalls["stalled"], stalls["passages"]
+        yield _Remark((sensor["name"], ""), sentence, tuple(map(str, counts)), counts)
 
 
-def _rails(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _repeats(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    """Describe a sensor that is read more often than it measures."""
+    place, repeats, rate_hz = (sensor["name"], ""), sensor["timing"]["repeats"], sensor["rate_hz"]
+    share = repeats["new_share"]
+    if share is None:
+        return
+    if rate_hz and share < _SLOW_SHARE:
+        sentence = (
+            "is read {1} times a second, but measures only {0} times; the same reading occurs up to {2} times in a row"
+        )
+        values = repeats["update_rate_hz"], rate_hz, repeats["longest"]
+        yield _Remark(place, sentence, tuple(f"{value:.4g}" for value in values), values)
+    elif share < 1 - STALE_SHARE:
+        sentence = "{0} % of its rows repeat the previous row without new readings"
+        yield _Remark(place, sentence, (f"{100 * (1 - share):.1f}",), (share,))
+
+
+def _rails(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     """Describe the codes at which each axis clips anywhere in the log."""
     rails = sensor["rails"]
     if rails is None:
         return
-    flagged = "" if rails["flagged"] else "; none of them is flagged as saturated: import the log again"
-    for axis, low, high, readings in zip(sensor["axes"], rails["low"], rails["high"], rails["rows"], strict=True):
-        ends = [f"{code:.0f}" for code in (low, high) if code is not None]
-        if ends:
-            yield f"clips at {' and '.join(ends)}, {readings} readings in the log{flagged}", axis["axis"]
+    ends = [_ends_in_words(low, high) for low, high in zip(rails["low"], rails["high"], strict=True)]
+    for axis, codes, readings in zip(sensor["axes"], ends, rails["rows"], strict=True):
+        if not codes:
+            continue
+        flagged = rails["flagged"]
+        count, unit = (
+            (flagged, "readings of the sensor are flagged as saturated")
+            if flagged
+            else (readings, "readings of the axis")
+        )
+        other = "" if flagged else "; none of them is flagged as saturated: import the log again"
+        sentence = f"clips at {codes}; {{0}} {unit} in the log{other}"
+        yield _Remark((sensor["name"], axis["axis"]), sentence, (str(count),), (count,))
 
 
-def _of_axes(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Sentence and axis."""
+def _ends_in_words(low: float | None, high: float | None) -> str:
+    return " and ".join(f"{code:.0f}" for code in (low, high) if code is not None)
+
+
+def _ends(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    """Describe axes without readings, and readings that pile up at the last code."""
     for axis in sensor["axes"]:
-        texts = (*_codes(axis), *_correlation(axis), *_lines(axis, sensor), *_fit(axis))
-        yield from ((text, axis["axis"]) for text in texts)
+        codes, place = axis["codes"], (sensor["name"], axis["axis"])
+        if codes is None:
+            continue
+        if codes["step"] == 0:
+            yield _Remark(place, "always the same code")
+        for end in (codes["low_end"], codes["high_end"]):
+            if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
+                yield _Remark(place, "readings pile up at code {0}: clipped", (str(end["code"]),), (end["code"],))
 
 
-def _codes(axis: Axis) -> Iterator[str]:
-    codes = axis["codes"]
-    if codes is None:
-        return
-    if codes["step"] == 0:
-        yield "always the same code"
-    elif codes["usual_step"] > 1:
-        every = "only even codes" if codes["usual_step"] == 2 and codes["even_share"] == 1.0 else None
-        yield every or f"only every {codes['usual_step']}th code"
-    missing = [gap for gap in codes["missing"] if gap["p_value"] < SURE]
-    if missing:
-        spans = ", ".join(_span(gap) for gap in missing[:_LINES])
-        yield f"codes that never occur: {spans}"
-    for end in (codes["low_end"], codes["high_end"]):
-        if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
-            yield f"readings pile up at code {end['code']}: clipped"
+def _codes(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    """Describe the codes that occur and those that do not."""
+    for axis in sensor["axes"]:
+        codes, place = axis["codes"], (sensor["name"], axis["axis"])
+        if codes is None:
+            continue
+        if codes["step"] and codes["usual_step"] > 1:
+            is_even = codes["usual_step"] == 2 and codes["even_share"] == 1.0
+            yield _Remark(place, "only even codes" if is_even else f"only every {ordinal(codes['usual_step'])} code")
+        missing = [gap for gap in codes["missing"] if gap["p_value"] < SURE]
+        if missing:
+            spans = ", ".join(_code_span(gap) for gap in missing[:_SPANS])
+            more = f" and {len(missing) - _SPANS} more" if len(missing) > _SPANS else ""
+            yield _Remark(place, f"codes that never occur: {spans}{more}")
 
 
-def _span(gap: Mapping[str, Any]) -> str:
+def ordinal(number: int) -> str:
+    """Spell 2nd, 3rd, 4th, 11th, 22nd."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ending}"
+
+
+def _code_span(gap: Mapping[str, Any]) -> str:
     return str(gap["first"]) if gap["first"] == gap["last"] else f"{gap['first']} to {gap['last']}"
 
 
-def _correlation(axis: Axis) -> Iterator[str]:
-    values, errors = axis["autocorrelation"]["correlation"], axis["autocorrelation"]["error"]
-    if values[1] is None or errors[1] is None or abs(values[1]) < max(_CORRELATED, 5 * errors[1]):
-        return
-    if not axis["lines"]:  # a line correlates everything with everything
-        yield f"neighbouring readings correlate by {values[1]:.2f}"
+def _correlation(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    for axis in sensor["axes"]:
+        values, errors = axis["autocorrelation"]["correlation"], axis["autocorrelation"]["error"]
+        if values[1] is None or errors[1] is None or abs(values[1]) < max(_CORRELATED, 5 * errors[1]):
+            continue
+        if not axis["lines"]:  # a line correlates everything with everything
+            place = sensor["name"], axis["axis"]
+            yield _Remark(place, "neighbouring readings correlate by {0}", (f"{values[1]:.2f}",), (values[1],))
 
 
-def _lines(axis: Axis, sensor: Mapping[str, Any]) -> Iterator[str]:
-    scale = axis["unit_per_count"] or 1.0
-    unit = sensor["unit"] if sensor["unit_per_count"] is not None else "counts"
-    for line in axis["lines"][:_LINES]:
-        amplitude, error = line["amplitude"] * scale, line["amplitude_error"] * scale
-        others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
-        aliases = f", or of {', '.join(others)}, ... Hz" if others else ""
-        width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
-        base = line.get("fundamental_hz")
-        order = f", harmonic {round(line['frequency_hz'] / base)} of {base:.4g} Hz" if base else ""
-        place = f"{width}at {line['frequency_hz']:.4g} Hz{order}{aliases}"
-        yield f"a line {place}, amplitude {amplitude:.3g} +- {error:.1g} {unit}{_mains(line)}"
-    if len(axis["lines"]) > _LINES:
-        yield f"weaker lines: {len(axis['lines']) - _LINES}"
+def _fit(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    for axis in sensor["axes"]:
+        fit = axis["fit"]
+        if fit is None or not fit["verdict"]:
+            continue
+        way = "above" if fit["worst_ratio"] > 1 else "below"
+        off, tau_s = abs(fit["worst_ratio"] - 1), fit["worst_tau_s"]
+        why = ", as its lines make it" if axis["lines"] else ""
+        sentence = f"its Allan curve is not a sum of the fitted noises{why}: {{0}} {way} the fit at {{1}} s"
+        yield _Remark((sensor["name"], axis["axis"]), sentence, (f"{100 * off:.0f} %", f"{tau_s:.3g}"), (off, tau_s))
+
+
+@dataclass(frozen=True)
+class _FoundLine:
+    """A line of an axis, with its share of the axis's variance."""
+
+    place: Place
+    unit: str
+    scale: float
+    share: float
+    resolution_hz: float
+    line: Mapping[str, Any]
+
+    def matches(self, other: _FoundLine) -> bool:
+        """Return whether both can be the same disturbance: equal in unit and, within resolution and width, in
+        frequency.
+        """
+        if self.unit != other.unit or (self.line["fundamental_hz"] is None) != (other.line["fundamental_hz"] is None):
+            return False
+        widths = [line["width_hz"] for line in (self.line, other.line)]
+        reach_hz = max(self.resolution_hz, other.resolution_hz, min(widths))
+        return bool(abs(self.line["frequency_hz"] - other.line["frequency_hz"]) <= reach_hz)
+
+
+def _lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Describe the strongest lines, one that several axes have once, and count the others."""
+    groups: list[list[_FoundLine]] = []
+    for line in sorted(_all_lines(sensors), key=lambda line: -line.share):
+        same = next((group for group in groups if group[0].matches(line) and not _has_place(group, line)), None)
+        if same is None:
+            groups.append([line])
+        else:
+            same.append(line)
+    order = [(sensor["name"], axis["axis"]) for sensor in sensors for axis in sensor["axes"]]
+    for group in groups[:_LISTED_LINES]:
+        yield _line_in_words(group, places_in_short(sorted((line.place for line in group), key=order.index)))
+    others = [line for group in groups[_LISTED_LINES:] for line in group]
+    if others:
+        places = places_in_short(sorted((line.place for line in others), key=order.index))
+        yield f"weaker lines: {len(others)}, in {places}"
+
+
+def _has_place(group: Sequence[_FoundLine], line: _FoundLine) -> bool:
+    return any(member.place == line.place for member in group)
+
+
+def _all_lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[_FoundLine]:
+    for sensor in sensors:
+        unit = sensor["unit"] if sensor["unit_per_count"] is not None else "counts"
+        for axis in sensor["axes"]:
+            variance = (axis["counts"]["std"] or 0.0) ** 2
+            for line in axis["lines"]:
+                share = line["amplitude"] ** 2 / 2 / variance if variance else 0.0
+                place = sensor["name"], axis["axis"]
+                resolution_hz = sensor["spectrum"]["resolution_hz"]
+                yield _FoundLine(place, unit, abs(axis["unit_per_count"] or 1.0), share, resolution_hz, line)
+
+
+def _line_in_words(group: Sequence[_FoundLine], places: str) -> str:
+    """One line, of the strongest of the axes that have it; amplitudes of all."""
+    strongest = group[0]
+    line, scale = strongest.line, strongest.scale
+    others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
+    aliases = f", or of {', '.join(others)}, ... Hz" if others else ""
+    width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
+    fundamental_hz = line.get("fundamental_hz")
+    order = (
+        f", harmonic {round(line['frequency_hz'] / fundamental_hz)} of {fundamental_hz:.4g} Hz"
+        if fundamental_hz
+        else ""
+    )
+    amplitude = f"{line['amplitude'] * scale:.3g} +- {line['amplitude_error'] * scale:.1g} {strongest.unit}"
+    if len(group) > 1:
+        values = [(member.line["amplitude"] * member.scale,) * 2 for member in group]
+        amplitude = f"{_span([(value, f'{value:.3g}') for value, _ in values])} {strongest.unit}"
+    shares = _span([(member.share, f"{100 * min(member.share, 1):.2g}") for member in group])
+    return (
+        f"{places}: a line {width}at {line['frequency_hz']:.4g} Hz{order}{aliases}, amplitude {amplitude},"
+        f" {shares} % of the variance{_mains(line)}"
+    )
 
 
 def _mains(line: Mapping[str, Any]) -> str:
@@ -127,34 +322,3 @@ def _mains(line: Mapping[str, Any]) -> str:
             aliased = "" if abs(line["frequency_hz"] - mains_hz) < near else "aliased "
             return f", as {aliased}{mains_hz} Hz mains would be"
     return ""
-
-
-def _fit(axis: Axis) -> Iterator[str]:
-    fit = axis["fit"]
-    if fit is not None and fit["verdict"]:
-        way = "above" if fit["worst_ratio"] > 1 else "below"
-        off = abs(fit["worst_ratio"] - 1)
-        tau = f"{fit['worst_tau_s']:.3g} s"
-        yield f"its Allan curve is not a sum of the fitted noises: {off:.0%} {way} the fit at {tau}"
-
-
-def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
-    pattern = timing["pattern"]["sentence"]
-    if pattern:
-        yield f": {pattern}"
-    elif timing["gaps"]:
-        places = ", ".join(f"{gap['length_s']:.3g} s after {gap['after_ns'] * 1e-9:.3f} s" for gap in _places(timing))
-        yield f"has {timing['gaps']} gaps, {timing['gaps_s']:.3g} s in all: {places}"
-    repeats = timing["repeats"]
-    if rate_hz and repeats["new_share"] is not None and repeats["new_share"] < _SLOW_SHARE:
-        yield (
-            f"gives {repeats['update_rate_hz']:.4g} new readings a second, but is read {rate_hz:.4g} times; up to"
-            f" {repeats['longest']} times the same"
-        )
-    elif repeats["new_share"] is not None and repeats["new_share"] < 1 - STALE_SHARE:
-        yield f": {1 - repeats['new_share']:.1%} of its rows repeat the previous row without new readings"
-
-
-def _places(timing: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    places: Sequence[Mapping[str, Any]] = timing["longest"][:3]
-    return places

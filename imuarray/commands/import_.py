@@ -133,6 +133,7 @@ def _print_result(summary: Summary, output: Path, as_json: bool) -> None:
 
     with open_log(output) as log:
         report = report_of(log)
+        messages = {event.kind: event.message for event in log.events}
     if as_json:
         print_json(
             {
@@ -154,7 +155,10 @@ def _print_result(summary: Summary, output: Path, as_json: bool) -> None:
     size = f"{counted(len(summary.sensors), 'sensor')}, {counted(summary.rows, 'row')} {each}"
     click.echo(f"{output}: {size} over {summary.seconds:.1f} s{lost}")
     for kind, count in summary.events.items():
-        click.echo(f"  {kind}: {count} (see events: imuarray info {output})")
+        if count == 1 and kind in messages:
+            click.echo(f"  {printable(messages[kind])}")
+        else:
+            click.echo(f"  {kind}: {count} events, which imuarray info {output} lists")
     for mark, sentences in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):
         for text in sentences:
             for line in textwrap.wrap(printable(text), _WIDTH, initial_indent=f"  {mark} ", subsequent_indent="    "):

@@ -47,4 +47,5 @@ def _print(run: Path, verdict: Verdict) -> None:
     for text in (*verdict.problems, *verdict.remarks):
         click.echo(f"  {text}")
     finding = counted(len(verdict.problems), "problem") if verdict.problems else "every block is good"
-    click.echo(f"{run}: {verdict.state}, {sum(verdict.rows.values())} rows of {len(verdict.rows)} sensors: {finding}")
+    size = f"{sum(verdict.rows.values())} rows of {counted(len(verdict.rows), 'sensor')}"
+    click.echo(f"{run}: {verdict.state}, {size}: {finding}")

@@ -359,10 +359,7 @@ class Clock:
 
     def nanoseconds(self, column: Column) -> npt.NDArray[np.int64]:
         """Return (n,) int64 ns; SourceError unless each is later than the previous one."""
-        if column.values is not None:
-            times = self._of_numbers(column)
-        else:
-            times = np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
+        times = self.stamps(column)
         first = -_LAST_NS * 2 if self.last_ns is None else self.last_ns
         if self._span_ns:
             before = np.concatenate([[times[0] if self.last_ns is None else first - self._turns_ns], times[:-1]])
@@ -377,18 +374,25 @@ class Clock:
             row = int(np.argmax(times <= before))
             same = times[row] == before[row]
             hint = "; of a coarse clock the map says ties = true" if same else self._later_hint()
+            earlier = f", {column.text(row - 1)}" if row else ""
             raise column.refuse(
-                row, f"{column.text(row)} is not later than the row before; allowed are increasing times{hint}"
+                row, f"{column.text(row)} is not later than the row before{earlier}; allowed are increasing times{hint}"
             )
         self.last_ns = int(times[-1]) if len(times) else self.last_ns
         return times
+
+    def stamps(self, column: Column) -> npt.NDArray[np.int64]:
+        """Return the times (n,) in ns as the cells say them, in any order; SourceError for a cell that is no time."""
+        if column.values is not None:
+            return self._of_numbers(column)
+        return np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
 
     def _later_hint(self) -> str:
         if self._span_ns:
             return ""
         return (
-            "; sort rows that are out of order; for a counter that restarts, the map says wraps_at; import several"
-            " recordings one by one"
+            "; for a counter that restarts, the map says wraps_at; for rows out of order, sort = true; import several"
+            " recordings one by one, and so the parts before and after a clock was set"
         )
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

@@ -11,14 +11,14 @@ from imuarray.characterise.rails import SPAN, Rails, find_rails
 from imuarray.log import LogWriter
 from imuarray.log.format import SATURATED, SensorHeader
 from imuarray.log.layout import Columns
-from imuarray.printable import counted
+from imuarray.printable import counted, listed
 
 
 def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
     """Flag the rows of triads that are at the end of the range. Returns which, as sentences, one for sensors that clip
     alike.
     """
-    clipping: dict[str, list[str]] = {}
+    clipping: dict[str, list[tuple[str, int]]] = {}
     for header in headers:
         rails = find_rails(log[header.name])
         if not rails.rows.any():
@@ -27,10 +27,21 @@ def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
         ends = ends[np.isfinite(ends)]
         if ((ends > SPAN[0]) & (ends < SPAN[1])).any():
             log.revise(header.name, "status", _flagging(rails))
-        clipping.setdefault(_where(header, rails), []).append(
-            f"{header.name} ({counted(int(rails.rows.sum()), 'reading')})"
-        )
-    return [f"{', '.join(names)}: {where}; flagged as saturated" for where, names in clipping.items()]
+        rows = log[header.name].flagged()["saturated"]
+        clipping.setdefault(_where(header, rails), []).append((header.name, rows))
+    return [
+        f"{listed([name for name, _ in sensors])}: {where}; {_readings([rows for _, rows in sensors])} flagged as"
+        " saturated"
+        for where, sensors in clipping.items()
+    ]
+
+
+def _readings(rows: Sequence[int]) -> str:
+    """Return how many readings of each sensor are at an end."""
+    if len(rows) == 1:
+        return counted(rows[0], "reading")
+    span = f"{min(rows)} to {max(rows)}" if min(rows) < max(rows) else f"{rows[0]}"
+    return f"{span} readings of each"
 
 
 def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:

@@ -131,9 +131,10 @@ class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
     A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
-    are separated by 1 ns. A unit with `%` is the format of dates, as `datetime.strptime` has them; a time of day alone
-    goes on after midnight. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the log's times
-    are then reconstructed (`imuarray.importers.arrival`), and the delays are stored.
+    are separated by 1 ns. With `sort`, rows that come late are put in the order of their times
+    (`imuarray.importers.row_order`). A unit with `%` is the format of dates, as `datetime.strptime` has them; a time of
+    day alone goes on after midnight. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the
+    log's times are then reconstructed (`imuarray.importers.arrival`), and the delays are stored.
     """
 
     model_config = _STRICT
@@ -143,6 +144,7 @@ class TimeTable(BaseModel):
     ticks: Positive = 1.0
     wraps_at: Positive | None = None
     ties: bool = False
+    sort: bool = False
     stamps: Literal["reading", "arrival"] = "reading"
 
     @model_validator(mode="after")
@@ -151,8 +153,12 @@ class TimeTable(BaseModel):
             raise ValueError("needs either column and unit, or rate_hz")
         if (self.column is None) != (self.unit is None):
             raise ValueError(f"unit goes with column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
-        if self.column is None and (self.wraps_at is not None or self.ties or self.stamps == "arrival"):
-            raise ValueError("wraps_at, ties and stamps go with column")
+        if self.column is None and (self.wraps_at is not None or self.ties or self.sort or self.stamps == "arrival"):
+            raise ValueError("wraps_at, ties, sort and stamps go with column")
+        if self.sort and (
+            self.wraps_at is not None or (is_date_format(self.unit or "") and has_no_day(self.unit or ""))
+        ):
+            raise ValueError("sort does not go with times that restart (wraps_at, or a time of day without a date)")
         if self.is_date and (self.wraps_at is not None or self.ticks != 1):
             raise ValueError(f"ticks and wraps_at go with a column of numbers, not of dates ({self.unit})")
         return self

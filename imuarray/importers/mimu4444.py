@@ -164,7 +164,10 @@ class _Recording:
         )
         self._tell("clock", jumps, at, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}")
         self._tell(
-            "end", end + np.flatnonzero(odd[end:]), at, lambda i: f"{odd[i]} bytes at the end are not a whole packet"
+            "cut_off",
+            end + np.flatnonzero(odd[end:]),
+            at,
+            lambda i: f"{odd[i]} bytes at the end are not a whole packet",
         )
 
     def _tell(self, kind: str, where: Iterable[int], at: Integers, message: Callable[[int], str]) -> None:

@@ -22,10 +22,11 @@ from imuarray.calibrate.knocks import find_knocks, knock_sentence
 from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
+from imuarray.characterise.findings import SHARED_S
 from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
-from imuarray.printable import counted
+from imuarray.printable import counted, listed
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 WINDOW_S = 0.5
@@ -47,9 +48,6 @@ NEAR_TURNS = 0.3
 
 EARTH_GAUSS = (0.15, 1.0)
 """Field of the earth (0.22 to 0.67 gauss, IGRF) with the influence of iron near a sensor."""
-
-SHARED_S = 1e-7
-"""Interval below which rows were written with the same time: the importer separates these by 1 ns."""
 
 LEAST_OFFSET = 64.0
 """Least code that is taken for the middle of an unsigned converter's range: that of 8 bits has 128."""
@@ -173,7 +171,7 @@ class _Sentences:
 
     def all(self) -> tuple[str, ...]:
         """Return the sentences; sensors with the same sentence share it."""
-        return tuple(f"{', '.join(names)}: {sentence}" for sentence, names in self.sentences.items())
+        return tuple(f"{listed(names)}: {sentence}" for sentence, names in self.sentences.items())
 
 
 def report_of(log: Log) -> Report:
@@ -228,7 +226,7 @@ def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
             yield from (f"{name}: {wording.format(f'{value:.4g}')}" for name, value in values.items())
         else:
             span = f"{min(values.values()):.4g} to {max(values.values()):.4g}"
-            yield f"{', '.join(values)}: {wording.format(span)}"
+            yield f"{listed(list(values))}: {wording.format(span)}"
 
 
 class _Windows:

@@ -36,6 +36,7 @@ from imuarray.importers.mapping import (
     load_map,
 )
 from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
+from imuarray.importers.row_order import Blocks, RowOrder
 from imuarray.importers.sources import Reference, Rows, open_rows
 from imuarray.log import Block as LogBlock
 from imuarray.log import LogWriter, Stimulus
@@ -82,7 +83,7 @@ def import_table(
     with LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log:
         recording = _Recording(log, table_map, {header.name: header for header in headers}, streams)
         for stream in recording.streams:
-            for block, where in rows.blocks(stream.plan.columns, stream.plan.kind, ROWS):
+            for block, where in stream.in_order(rows.blocks(stream.plan.columns, stream.plan.kind, ROWS)):
                 stream.add(block, where)
         recording.finish(str(source), str(map_path), up)
         remarks = [*rows.remarks, *recording.remarks(learnt)]
@@ -267,6 +268,8 @@ class _Stream:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
         self._clock = Clock(time.unit or "ns", time.ticks, time.wraps_at, time.ties)
+        self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
+        self._last_stamp: Times = np.zeros(0, np.int64)
         self._wanted = wanted
         self.time_of: dict[int, int] = {}
         self.count = self.padding = 0
@@ -277,6 +280,20 @@ class _Stream:
         self._flagged_losses: Counter[str] = Counter()
         triads = [item for item in plan.items if isinstance(item, SensorTable)]
         self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
+
+    def in_order(self, blocks: Blocks) -> Blocks:
+        """Yield the rows in the order of their times, if the map wants that."""
+        return self._order.in_order(blocks) if self._order is not None else blocks
+
+    def _stamps(self, block: Block, where: Sequence[int]) -> Times:
+        """Return the time of each row; a row without time, or of zeros as padding is, has that of the row before."""
+        cell = block.column(where[0], repr(self.plan.time_column))
+        timed = ~(cell.blank() | _zeros(cell))
+        known = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
+        if not len(known):
+            return np.zeros(cell.rows, np.int64)
+        self._last_stamp, before = known[-1:], len(self._last_stamp)
+        return np.asarray(known[np.maximum(np.cumsum(timed) + before - 1, 0)])
 
     def add(self, block: Block, where: Sequence[int]) -> None:
         """Write the rows of one block."""
@@ -407,6 +424,9 @@ class _Stream:
         """Return what was changed or left out, as sentences."""
         if self.padding:
             yield f"{counted(self.padding, 'row')} of zeros only, time included, left out as padding"
+        if self._order is not None and self._order.late:
+            rows = counted(self._order.late, "row")
+            yield f"{rows} out of order in the file sorted by time; the file's order is not kept"
         if self._clock.tied:
             yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
         if self._clock.wrapped:

@@ -15,7 +15,7 @@ from imuarray.printable import counted, printable
 Level = Literal["green", "amber", "red"]
 
 HARMLESS = frozenset(
-    {"back", "reconfigured", "clock", "start_up", "recovered", "imported", "import", "simulated", "taken"}
+    {"back", "reconfigured", "clock", "start_up", "recovered", "imported", "import", "simulated", "taken", "cut_off"}
 )
 """Kinds of events that report no fault, or the end of one."""
 
@@ -28,6 +28,14 @@ MANY_MISSED = 0.05
 
 SHORT_ROOM_S, NO_ROOM_S = 3600.0, 600.0
 """Seconds until the disk is full, below which that is a warning, or urgent."""
+
+_KINDS: Mapping[str, str] = {
+    "checksum": "packets with a wrong checksum",
+    "garbage": "bytes that belong to no packet",
+    "repeated": "packets received twice",
+    "lost": "readings lost",
+}
+"""Kinds of events that a word of their own would not explain."""
 
 _NAMED = 3
 """Reasons, and sensors of a reason, that are named."""
@@ -115,7 +123,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         text = f"{counted(sum(clipped.values()), 'reading')} of {_names(clipped)} at the end of the range"
         yield _Reason(text, "choose a wider range if the motion was intended")
     if faults := {key: count for key, count in seen.faults.items() if not _is_counted(seen, *key)}:
-        kinds = dict.fromkeys(kind.replace("_", " ") for _, kind in faults)
+        kinds = dict.fromkeys(_KINDS.get(kind, kind.replace("_", " ")) for _, kind in faults)
         total = counted(sum(faults.values()), "fault")
         of = dict.fromkeys(sensor for sensor, _ in faults if sensor)
         yield _Reason(f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})", _EVENTS)

@@ -122,7 +122,7 @@ def demo_verdict(rows: Rows, tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
     figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
     figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
     what = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
-    sentence = f"Fusion works: {case.technique} leaves {best.ratio:.2f} of the average's {what}."
+    sentence = f"Fusion works: {case.technique} reduces the {what} to {best.ratio:.2f} times that of the average."
     return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
 
 

@@ -14,6 +14,7 @@ from imuarray.characterise import characterise_log
 from imuarray.characterise.findings import findings
 from imuarray.characterise.imu_noise import imu_files
 from imuarray.log import open_log
+from imuarray.printable import listed
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.motion import HandShake, Still
 
@@ -70,9 +71,12 @@ def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     coarse = ("quantisation", {"step_lsb": 4})
     told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
     assert "G x, y, z: only every 4th code" in told
-    assert any(text.startswith("G gives 24") and "is read 350 times" in text for text in told)  # 0.7 * 350 = 245
+    (slow,) = (
+        text for text in told if text.startswith("G: is read 350 times a second, but measures only 24")
+    )  # 0.7 * 350
+    assert re.search(r"only 24\d(\.\d)? times; the same reading occurs up to \d+ times in a row", slow)
     (seldom,) = findings(characterised(NOISE, ("stale_samples", {"probability": 0.03})))
-    share = re.fullmatch(r"G: (.*)% of its rows repeat the previous row without new readings", seldom)
+    share = re.fullmatch(r"G: (.*) % of its rows repeat the previous row without new readings", seldom)
     assert share is not None and float(share[1]) == pytest.approx(3, abs=0.3)  # of 70,000 rows: four standard errors
     lossy = findings(characterised(NOISE, ("dropped_samples", {"probability": 0.01, "burst_rows": 50.0})))
     assert any("gaps" in text and "s after" in text for text in lossy)
@@ -127,5 +131,81 @@ def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
     assert bool(told) == bool(hold_s)
     if hold_s:
         assert re.search(
-            r"G stands still at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
+            r"G: stands still at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
         )
+
+
+def axis_of(name: str, **known: Any) -> dict[str, Any]:
+    """An axis of which nothing is remarkable but what is `known`."""
+    nothing = {"correlation": [1.0, 0.0], "error": [0.0, 0.01]}
+    return {
+        "axis": name, "unit_per_count": 0.1, "counts": {"std": 10.0}, "codes": None, "fit": None, "lines": [],
+        "autocorrelation": nothing,
+    } | known  # fmt: skip
+
+
+def line_of(frequency_hz: float, amplitude: float, width_hz: float = 0.0) -> dict[str, Any]:
+    return {
+        "frequency_hz": frequency_hz, "frequency_error_hz": 0.001, "amplitude": amplitude, "amplitude_error": 0.01,
+        "width_hz": width_hz, "aliases_hz": [frequency_hz], "fundamental_hz": None,
+    }  # fmt: skip
+
+
+def result_of(axes: dict[str, list[dict[str, Any]]], **known: Any) -> dict[str, Any]:
+    steady = {
+        "pattern": {"kind": "steady", "sentence": ""}, "gaps": 0,
+        "repeats": {"new_share": 1.0, "update_rate_hz": 100.0, "longest": 1},
+    }  # fmt: skip
+    sensors = [
+        {"name": name, "unit": "dps", "unit_per_count": 0.1, "rate_hz": 100.0, "timing": steady, "rails": None,
+         "spectrum": {"resolution_hz": 0.02}, "axes": these} | known
+        for name, these in axes.items()
+    ]  # fmt: skip
+    return {"stretch": {"remark": ""}, "sensors": sensors}
+
+
+def test_sensors_of_which_the_same_is_true_share_a_sentence() -> None:
+    """Correlations 0.2 and 0.3 of four units; the unit that has only one such axis is listed apart."""
+    correlated = {"autocorrelation": {"correlation": [1.0, 0.2], "error": [0.0, 0.01]}}
+    more = {"autocorrelation": {"correlation": [1.0, 0.3], "error": [0.0, 0.01]}}
+    axes = {f"G{number}": [axis_of("x", **correlated), axis_of("y", **more)] for number in (1, 2, 3)}
+    axes["G7"] = [axis_of("x"), axis_of("y", **more)]
+    assert findings(result_of(axes)) == ["G1 to G3 x, y; G7 y: neighbouring readings correlate by 0.20 to 0.30"]
+
+
+def test_one_line_of_several_axes_is_one_sentence_and_the_strongest_is_first() -> None:
+    """Of 100 counts of variance, amplitudes 10, 5 and 2 are 50, 12.5 and 2 %; 50.03 Hz is another line at 0.02 Hz."""
+    axes = {
+        "A": [axis_of("x", lines=[line_of(31.0, 5.0)])],
+        "B": [axis_of("x", lines=[line_of(50.0, 10.0)]), axis_of("y", lines=[line_of(50.01, 5.0)])],
+        "C": [axis_of("x", lines=[line_of(50.03, 2.0)])],
+    }
+    assert findings(result_of(axes)) == [
+        "B x, y: a line at 50 Hz, amplitude 0.5 to 1 dps, 12 to 50 % of the variance, as 50 Hz mains would be",
+        "A x: a line at 31 Hz, amplitude 0.5 +- 0.001 dps, 12 % of the variance",
+        "C x: a line at 50.03 Hz, amplitude 0.2 +- 0.001 dps, 2 % of the variance, as 50 Hz mains would be",
+    ]
+
+
+def test_rows_of_equal_time_are_called_so() -> None:
+    burst = {"kind": "bursts", "usual_s": 1e-9, "gap_s": 0.02, "sentence": "rows arrive in bursts, 1e-06 ms apart"}
+    result = result_of({"A": [axis_of("x")]})
+    result["sensors"][0]["timing"]["pattern"] = burst
+    (text,) = findings(result)
+    assert text.startswith("A: several rows have the same time, and the next time is 0.02 s later: the clock is coarse")
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["A1", "A2", "A3"], "A1 to A3"),
+        (["A1", "A2"], "A1, A2"),
+        (["A9", "A10", "A11", "B"], "A9 to A11, B"),
+        (["IMU1_acc", "IMU2_acc", "IMU3_acc", "IMU5_acc"], "IMU1_acc to IMU3_acc, IMU5_acc"),
+        (["A1", "B2", "C3"], "A1, B2, C3"),
+        (["a1b1", "a1b2", "a1b3"], "a1b1, a1b2, a1b3"),
+        ([], ""),
+    ],
+)
+def test_consecutive_names_in_short(names: list[str], text: str) -> None:
+    assert listed(names) == text

@@ -111,10 +111,10 @@ def test_a_broken_packet_is_lost_and_garbage_alone_loses_nothing(tmp_path: Path,
     content = run([1]) + bytes(wrong) + run([3]) + b"garbage" + run([4]) + run([5])[:99]
     summary = import_file(source(tmp_path, content), out)
     assert (summary.rows, summary.lost) == (3, 1)
-    assert summary.events == {"checksum": 1, "lost": 1, "garbage": 1, "end": 1}
+    assert summary.events == {"checksum": 1, "lost": 1, "garbage": 1, "cut_off": 1}
     with open_log(out) as log:
         assert log["IMU5_acc"].status[:].tolist() == [0, LOST_BEFORE, 0]
-        assert [event.message for event in log.events if event.kind in ("garbage", "end")] == [
+        assert [event.message for event in log.events if event.kind in ("garbage", "cut_off")] == [
             "7 bytes that belong to no packet left out",
             "99 bytes at the end are not a whole packet",
         ]

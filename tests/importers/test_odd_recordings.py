@@ -195,12 +195,17 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["? Gyro2: has the same readings as Gyro: are its columns named twice?"],
     ),
-    "clipping at the range": (clipped(8.0), MAP, 0, ["Acc (", "clips at -32768 (-8 g) and 32767 (8 g)"]),
+    "clipping at the range": (
+        clipped(8.0),
+        MAP,
+        0,
+        ["Acc: xyz clips at -32768 (-8 g) and 32767 (8 g); 35 readings flagged as saturated"],
+    ),
     "clipping below the range": (
         clipped(4.0),
         MAP,
         0,
-        ["xyz clips at -16384 (-4 g) and 16384 (4 g); flagged as saturated"],
+        ["xyz clips at -16384 (-4 g) and 16384 (4 g); 917 readings flagged as saturated"],
     ),
     "bursts": (bursts(), MAP, 0, ["rows arrive in bursts", "The true rate is 1", "stamps = 'arrival'"]),
     "bursts, counted out": (
@@ -354,7 +359,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["less than MEMS gyroscopes have: the columns may be in rad/s, not dps"],
     ),
-    "shaken throughout": (clipped(8.0), MAP, 0, ["Acc (", "2000 rows each"]),
+    "shaken throughout": (clipped(8.0), MAP, 0, ["Acc: xyz clips", "2000 rows each"]),
     "turned throughout": (turned_throughout(), MAP, 0, ["~ Gyro: turns at ", "dps at its quietest"]),
     "a line that NUL bytes end": (
         edited(insert(900, "9.01,1,2" + "\0" * 40)),

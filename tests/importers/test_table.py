@@ -243,7 +243,7 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
         ("0,1,2,3\n1,4,5,-1e300\n", "data.csv: line 2, column 3: -1e300; allowed are -32768 to 32767"),
         (
             "0,1,2,3\n0,4,5,6\n",
-            "data.csv: line 2, column 0: 0 is not later than the row before; allowed are increasing",
+            "data.csv: line 2, column 0: 0 is not later than the row before, 0; allowed are increasing",
         ),
         ("1,1,2,3\n0.9,4,5,6\n", "data.csv: line 2, column 0: 0.9 is not later than the row before"),
         ("later,1,2,3\n", "data.csv: line 1, column 0: 'later' is not a number"),

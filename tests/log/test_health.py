@@ -49,7 +49,7 @@ def test_what_is_counted_otherwise_is_no_further_fault() -> None:
     """The logger reports missed frames and lost readings by events too."""
     seen = Observations(4, 999, missed=2, lost={"A": 1}, faults={("", "late"): 1, ("A", "lost"): 1})
     assert health_of(seen).reason == "2 frames missed; 1 reading of A lost"
-    assert health_of(Observations(4, 999, faults={("A", "lost"): 1})).reason == "1 fault of A reported (lost)"
+    assert health_of(Observations(4, 999, faults={("A", "lost"): 1})).reason == "1 fault of A reported (readings lost)"
     seen = Observations(4, 999, gaps={"A": 1}, faults={("A", "lost"): 1})
     assert health_of(seen).reason == "1 gap in the readings of A"
     seen = Observations(4, 999, silent={"A": 5.0}, faults={("A", "lost"): 1})

@@ -217,7 +217,7 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
     ]
     assert found["health"] == {
         "level": "amber",
-        "reason": "5 faults of Acc reported (lost)",
+        "reason": "5 faults of Acc reported (readings lost)",
         "advice": "read the events, which say why",
     }
 

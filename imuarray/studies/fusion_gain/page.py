@@ -268,8 +268,8 @@ def study_verdict(study: Study) -> Verdict:
     first = best[0]
     where = f"{first.experiment}, {first.sensors}, {first.quantity.replace('_', ' ')}"
     sure = bool(first.over_mean.high < 1)
-    gain = f"leaves {first.over_mean.ratio:.2f} of the simple average's error ({where})"
-    sentence = f"The technique {first.technique} gains most: at best it {gain}."
+    times = f"{first.over_mean.ratio:.2f} times that of the simple average"
+    sentence = f"The technique {first.technique} gains most: at best, its error is {times} ({where})."
     if not sure:
         sentence = "No technique is better than the simple average beyond chance."
     figures = tuple((f"{row.over_mean.ratio:.2f} ×", f"{row.technique} at best: {row.experiment}") for row in best[:5])

@@ -27,7 +27,7 @@ def test_the_technique_that_gains_most_is_named() -> None:
     verdict = study_verdict(Study(rows, (1, 2, 3)))
     assert verdict.level == "good"
     assert verdict.sentence == (
-        "The technique opposed gains most: at best it leaves 0.40 of the simple average's error"
+        "The technique opposed gains most: at best, its error is 0.40 times that of the simple average"
         " (heating, all, angular rate)."
     )
     assert verdict.figures == (("0.40 ×", "opposed at best: heating"), ("0.80 ×", "planes at best: heating"))

@@ -1,0 +1,540 @@
+"""What the columns of a recording mean, by their names and, if these do not help, by their values.
+
+Time increases, three columns whose names differ in x, y and z are a triad, gravity is 1 g. The result is a proposed map
+with its doubts.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
+from math import log as ln
+from types import MappingProxyType
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.importers.mapping import NS_PER_UNIT
+from imuarray.importers.text_layout import TextLayout, quoted
+from imuarray.printable import printable
+from imuarray.units import STANDARD_GRAVITY, UNITS_OF
+
+_WIDTH = 110
+_UNIT_IN_NAME = re.compile(
+    r"[\[(]\s*([^\])]*?)\s*[\])]"
+    r"|_(ms|us|ns|s|g|mg|m_?s2|mps2|m?dps|deg_?s|m?rad_?s|radps|m?gauss|[mun]T|degC|C|K)$"
+)
+_SPELLINGS: Mapping[str, str] = {
+    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2",
+    "°/s": "dps", "deg/s": "dps", "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s",
+    "ms2": "m/s2", "m_s2": "m/s2", "deg_s": "dps", "degs": "dps", "rad_s": "rad/s", "rads": "rad/s",
+    "mrad_s": "mrad/s", "mrads": "mrad/s",
+    "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
+    "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
+    "µs": "us", "usec": "us",
+}  # fmt: skip
+_BEGIN = r"(?<![a-z])"
+"""Before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
+_QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
+    ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
+    ("angular_rate", re.compile(rf"gyr|rot|omega|ang|rate|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
+    ("specific_force", re.compile(rf"acc|force|{_BEGIN}(?:l?a|f)\*|gravity|lin", re.IGNORECASE)),
+)
+_QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
+"""Every unit belongs to one quantity."""
+_GRAVITIES = (1.0, STANDARD_GRAVITY, 1000.0, *(2.0**power for power in range(8, 15)))
+"""1 g in g, m/s2, mg, and in counts of the usual ranges."""
+_NEAR_GRAVITY = 0.15
+_NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
+_TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
+_TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
+_PRESSURE = re.compile(r"press|baro|^p$", re.IGNORECASE)
+_PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
+"""Air pressure at sea level in each unit."""
+_COUNTS_OF_MAGNETOMETER = 1090.0
+"""Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
+COUNTS_OF_GYROSCOPE = 131.0
+_CODES_16 = 1 << 16
+_LEAST_MIDDLE = 128.0
+_NEAR_MIDDLE = 0.3
+"""Least middle of the range of an unsigned converter (8 bits), and the distance of the axes' medians from it: 1 g on an
+axis is at most a fourth of the range.
+"""
+_PART = re.compile(r"(.*)\[\d+\]")
+_TRIAD_AND_TIME = 4
+"""Maximum number of columns of an array that is one triad, perhaps with its time."""
+_COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
+_QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
+_WRAPS = (2.0**32, 2.0**24, 2.0**16)
+_INDEX = re.compile(
+    r"(sample|row|index|count(er)?|cnt|no|nr|n|i|seq|packet)s?[ _]?(no|nr|number|index|counter)?", re.IGNORECASE
+)
+"""Names of columns that number the rows."""
+
+
+@dataclass
+class Proposal:
+    """A map under construction: its lines, remarks and doubts, and the units of columns that are known."""
+
+    layout: TextLayout
+    time: list[str] = field(default_factory=list)
+    items: list[list[str]] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def text(self, head: Sequence[str]) -> str:
+        """Return the map as TOML."""
+        comments = [f"# {line}" for line in head]
+        for mark, sentences in (("~", self.remarks), ("?", self.doubts)):
+            for text in sentences:
+                comments += textwrap.wrap(
+                    printable(text), _WIDTH, initial_indent=f"# {mark} ", subsequent_indent="#   "
+                )
+        parts = [*comments, "", *self.layout.lines(), "[time]", *self.time]
+        for item in self.items:
+            parts += ["", *item]
+        return "\n".join(parts) + "\n"
+
+
+_INSTANCE = re.compile(r"i|id|imu|instance|(sensor|device|imu|unit)[ _]?(id|no|nr|number|index)?", re.IGNORECASE)
+_MOST_INSTANCES = 16
+_ALTERNATES = 0.3
+
+
+def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | None:
+    """Return the column that numbers the sensors whose rows alternate; None without one."""
+    for index, name in enumerate(names[: len(columns)]):
+        values = columns[index]
+        if not _INSTANCE.fullmatch(name.strip()) or not len(values) or not np.isfinite(values).all():
+            continue
+        if 1 < len(np.unique(values)) <= _MOST_INSTANCES and np.mean(np.diff(values) != 0) > _ALTERNATES:
+            return index
+    return None
+
+
+def _unit_in(name: str) -> str:
+    """Return the unit in a column's name; "" without one."""
+    texts = [match[1] or match[2] or "" for match in _UNIT_IN_NAME.finditer(name)]
+    units = [_SPELLINGS.get(text.lower(), text) for text in texts]
+    return next((unit for unit in units if unit and not unit.isdigit()), "")
+
+
+def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
+    """Remove the rows of zeros at the end, which a program reserved and did not fill."""
+    if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
+        return list(columns)
+    filled = np.flatnonzero(np.any([column != 0 for column in columns], axis=0))
+    return [column[: int(filled[-1]) + 1] if len(filled) else column for column in columns]
+
+
+def propose_columns(
+    layout: TextLayout,
+    names: list[str],
+    columns: Sequence[Floats],
+    dates: Mapping[int, str],
+    stem: str = "",
+    units: Mapping[str, str] = MappingProxyType({}),
+) -> Proposal:
+    """Propose a map of a table whose columns may have names; `units` of those whose unit is known."""
+    proposal = Proposal(layout, units=units)
+    if names and any(names.count(name) > 1 for name in names):
+        proposal.doubts.append("some columns have the same name and cannot be distinguished by it")
+    columns = _without_padding(columns)
+    time = _time_index(names, columns, dates)
+    taken = set() if time is None else {time}
+    triads = _with_quantity(list(_triads(names, columns, taken, stem)), names, proposal)
+    triads.sort(key=lambda triad: triad[0] != "specific_force")
+    if time is None:
+        proposal.time.append("rate_hz = 100   # ? no column increases like time")
+        proposal.doubts.append("no column increases like time: 100 rows a second are assumed")
+    else:
+        proposal.time += time_lines(names, columns, time, dates, proposal)
+    force_unit = ""
+    for quantity, indices in triads:
+        item, unit = _sensor(quantity, names, columns, indices, force_unit, proposal)
+        force_unit = unit if quantity == "specific_force" else force_unit
+        _add_own_time(item, names, columns, indices[0], (time, dates), proposal)
+        proposal.items.append(item)
+        taken |= set(indices)
+    others = any(_TEMPERATURE.search(name) or _PRESSURE.search(name) for name in names)
+    if not triads and not others:
+        proposal.doubts.append(
+            "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
+        )
+    for index, name in enumerate(names):
+        if index in taken or index >= len(columns):
+            continue
+        if _TEMPERATURE.search(name):
+            _propose_thermometer(proposal, name, columns[index])
+        elif _PRESSURE.search(name):
+            _propose_barometer(proposal, name, columns[index])
+    return proposal
+
+
+def _add_own_time(
+    item: list[str],
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    first: int,
+    time: tuple[int | None, Mapping[int, str]],
+    proposal: Proposal,
+) -> None:
+    """Add the time column of a sensor to its lines, if it is not that of the table, `time`, which may be a date."""
+    own = _own_time(names[first], names, columns, time[0]) if names else None
+    if own is None:
+        return
+    label = quoted(names[own])
+    units = [
+        _unit_of_time(_unit_in(names[index]), columns[index][np.isfinite(columns[index])])[0]
+        for index in (own, time[0])
+        if index is not None and index not in time[1]
+    ]
+    if len(units) == 2 and units[0] == units[1]:
+        item.append(f"time_column = {label}   # ? by its name")
+    else:
+        whose = item[1].split('"')[1]
+        proposal.doubts.append(
+            f"column {label} seems to be the time of {whose}; as time_column it needs the unit of [time]"
+        )
+
+
+def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:
+    """Propose the sensor of a kind of rows: time, and the three columns after it. Return "m/s2" once a sensor of this
+    table has that unit, else "".
+    """
+    quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
+    item, unit = _sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
+    number = sum(other[1].startswith(f'name = "{_NAMES[quantity]}') for other in proposal.items)
+    item[1] = f'name = "{_NAMES[quantity]}{number + 1 if number else ""}"'
+    item.insert(2, f"kind = {quoted(kind)}")
+    proposal.items.append(item)
+    return "m/s2" if unit == "m/s2" else force_unit
+
+
+def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[int, str]) -> int | None:
+    """Return the column of time: named so, and increasing (a counter may wrap, rows may be out of order)."""
+    if dates:
+        return min(dates)
+    increasing = [index for index, values in enumerate(columns) if increases(values)]
+    called = [index for index in range(min(len(names), len(columns))) if _TIME.search(names[index])]
+    ordered = [index for index in called if index in increasing]
+    shuffled = [index for index in called if len(np.unique(columns[index])) > len(columns[index]) / 2]
+    return next(iter([*ordered, *shuffled, *increasing]), None)
+
+
+def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
+    """Return the time column that has the beginning of its name in common with a sensor's column; None if that of the
+    whole table, `time`, fits as well or there is none.
+    """
+
+    def common(index: int) -> int:
+        same = takewhile(lambda pair: pair[0] == pair[1], zip(names[index].lower(), name.lower(), strict=False))
+        return sum(1 for _ in same)
+
+    fitting = [
+        index
+        for index in range(min(len(names), len(columns)))
+        if index != time
+        and _TIME.search(names[index])
+        and common(index) >= _OWN_PREFIX
+        and increases(columns[index][np.isfinite(columns[index])])
+    ]
+    best = max(fitting, key=common, default=None)
+    return None if best is None or (time is not None and common(time) >= common(best)) else best
+
+
+_OWN_PREFIX = 2
+
+
+def increases(values: Floats) -> bool:
+    """Return whether values (n,) increase like time: all but a hundredth of the steps, as a counter may wrap."""
+    steps = np.diff(values)
+    return len(steps) > 1 and bool(np.isfinite(steps).all()) and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
+
+
+def time_lines(
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    index: int,
+    dates: Mapping[int, str],
+    proposal: Proposal,
+) -> list[str]:
+    """Return the lines of `[time]` for the column `index`; adds doubts to the proposal."""
+    name = names[index] if index < len(names) else ""
+    lines = [f"column = {quoted(name) if names else index}"]
+    if index in dates:
+        month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
+        return [*lines, f"unit = {quoted(dates[index])}{month}"]
+    if name.lower() == "sampletimefine":
+        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz", "wraps_at = 4294967296"]
+    values = columns[index]
+    steps = np.diff(values)
+    said = _unit_in(name)
+    if said not in NS_PER_UNIT and _INDEX.fullmatch(name.strip()) and (steps == 1).all():
+        proposal.doubts.append(
+            f"column {name!r} counts the rows and says nothing about time: 100 rows a second are assumed; enter the"
+            " rate in rate_hz"
+        )
+        return ["rate_hz = 100   # ? enter the true rate"]
+    unit, step = _unit_of_time(said, values)
+    factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    mark = "" if said == unit else "   # ?"
+    lines.append(f'unit = "{unit}"{mark or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
+    if (steps < 0).any() and (wraps_at := _wrap_of(values)):
+        lines.append(f"wraps_at = {wraps_at:.0f}")
+    if (steps == 0).any():
+        lines.append("ties = true   # rows with equal times")
+    return lines
+
+
+def _wrap_of(values: Floats) -> float:
+    """Return the usual period that a counter (n,) with falls has; 0 without one."""
+    most = float(values.max())
+    return next((period for period in _WRAPS if 0.9 * period < most <= period), 0.0)
+
+
+def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
+    """Return the unit of times, as their column's name says it or by their step, and the step."""
+    steps = np.diff(values)
+    step = float((values[-1] - values[0]) / len(steps))
+    if (steps < 0).any():
+        step = float(steps[steps >= 0].mean()) if _wrap_of(values) else float(np.ptp(values) / len(steps))
+    if said in NS_PER_UNIT:
+        return said, step
+    return next((unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"), step
+
+
+def _triads(
+    names: Sequence[str], columns: Sequence[Floats], taken: set[int], stem_of_file: str
+) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
+    if not names:
+        free = [index for index in range(len(columns)) if index not in taken]
+        yield from _nameless(columns, free)
+        return
+    used: set[int] = set()
+    for prefix in dict.fromkeys(match[1] for name in names if (match := _PART.fullmatch(name))):
+        parts = [index for index, name in enumerate(names) if (match := _PART.fullmatch(name)) and match[1] == prefix]
+        if len(parts) > _TRIAD_AND_TIME:
+            yield from _nameless(columns, [index for index in parts if index not in taken])
+            used.update(parts)
+    for axes in ("xyz", "XYZ", "012", "123"):
+        for index, name in enumerate(names):
+            for place in (at for at, letter in enumerate(name) if letter == axes[0]):
+                stems = [name[:place] + letter + name[place + 1 :] for letter in axes]
+                if index in used or not all(stem in names for stem in stems):
+                    continue
+                indices = (names.index(stems[0]), names.index(stems[1]), names.index(stems[2]))
+                if used.intersection(indices) or taken.intersection(indices):
+                    continue
+                used.update(indices)
+                stem = name[:place] + "*" + name[place + 1 :]
+                if _QUATERNION.fullmatch(stem):
+                    continue
+                called = stem if stem.strip("*_.- []()") else stem_of_file
+                by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
+                yield _QUANTITY_OF_UNIT.get(_unit_in(name), by_name), indices
+
+
+def _with_quantity(
+    triads: list[tuple[str, tuple[int, int, int]]], names: Sequence[str], proposal: Proposal
+) -> list[tuple[str, tuple[int, int, int]]]:
+    """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
+
+    def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
+        return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
+
+    computed = [triad for triad in triads if triad[0] == "specific_force" and _COMPUTED.search(first_name(triad))]
+    if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
+        listed = ", ".join(map(first_name, computed))
+        proposal.doubts.append(
+            f"left out, by their names software computed them (acceleration without gravity, or gravity): {listed}, and"
+            " the next two of each"
+        )
+        triads = [triad for triad in triads if triad not in computed]
+    known = [triad for triad in triads if triad[0]]
+    if not known:
+        return [("specific_force", indices) for _, indices in triads]
+    others = [first_name(triad) for triad in triads if not triad[0]]
+    if others:
+        proposal.doubts.append(f"left out, their names say no quantity: {', '.join(others)}, and the next two of each")
+    return known
+
+
+def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield consecutive threes of columns; the magnitude of specific force is constant under rotation, so the first is
+    taken for a force.
+    """
+    triads = [(free[start], free[start + 1], free[start + 2]) for start in range(0, len(free) - 2, 3)][:3]
+    order = ["specific_force", "angular_rate", "magnetic_field"]
+    if len(triads) > 1 and [_is_gravity(columns, triad) for triad in triads[:2]] == [False, True]:
+        order[:2] = ["angular_rate", "specific_force"]
+    elif len(triads) > 1 and _is_gravity(columns, triads[1]) and _keeps_its_length(columns, triads[1]):
+        order[1] = "specific_force"
+    yield from zip(order, triads, strict=False)
+
+
+def _keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+    """Return whether a triad turns without getting longer, as gravity does in a sensor that is turned."""
+    values = np.stack([columns[index] for index in triad], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return False
+    length = np.linalg.norm(values, axis=1)
+    low, middle, high = np.quantile(length, (0.1, 0.5, 0.9))
+    turned = np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0))
+    return bool(high - low < _NEAR_GRAVITY * middle and turned > 0.5 * middle)
+
+
+def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+    """Return whether the median length of a triad is 1 g in some unit."""
+    length = float(np.nanmedian(np.sqrt(sum(columns[index] ** 2 for index in triad))))
+    return any(abs(length / gravity - 1) < _NEAR_GRAVITY for gravity in _GRAVITIES)
+
+
+def _sensor(
+    quantity: str,
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    indices: tuple[int, int, int],
+    force_unit: str,
+    proposal: Proposal,
+) -> tuple[list[str], str]:
+    """Return the lines of a sensor, and the chosen unit."""
+    values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
+    said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
+    whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
+    codes: list[str] = []
+    largest = _CODES_16 / 2
+    if whole:
+        values, codes, largest = _signed(values)
+        length = float(np.median(np.linalg.norm(values, axis=1)))
+    listed = ", ".join(quoted(names[index]) if names else str(index) for index in indices)
+    name = _NAMES[quantity]
+    number = sum(item[1].startswith(f'name = "{name}') for item in proposal.items)
+    item = [
+        "[[sensor]]",
+        f'name = "{name}{number + 1 if number else ""}"',
+        'chip = "unknown"   # ?',
+        f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
+        f"columns = [{listed}]",
+    ]
+    if said in UNITS_OF[quantity]:  # type: ignore[index]
+        return [*item, f'unit = "{said}"'], said
+    unit, lines = _counted(quantity, length, largest) if whole else _measured(quantity, length, force_unit)
+    return [*item, *codes, *lines], unit
+
+
+def _signed(values: Floats) -> tuple[Floats, list[str], float]:
+    """Return codes (n, 3) as signed ones, the lines that say how, and the largest code that is then possible."""
+    if values.min() < 0 or values.max() >= _CODES_16:
+        return values, [], _CODES_16 / 2
+    medians = np.median(values, axis=0)
+    middle = 2.0 ** np.rint(np.log2(max(float(np.median(medians)), 1.0)))
+    if _LEAST_MIDDLE <= middle < _CODES_16 / 2 and (np.abs(medians / middle - 1) < _NEAR_MIDDLE).all():
+        return values - middle, [f"offset = {middle:g}   # ? no code is negative, and all axes are near it"], middle
+    if values.max() < _CODES_16 / 2:
+        return values, [], _CODES_16 / 2
+    outer = (values < _CODES_16 / 4) | (values >= _CODES_16 * 3 / 4)
+    if float(np.mean(outer)) > 0.5:
+        return (
+            np.where(values >= _CODES_16 / 2, values - _CODES_16, values),
+            ["bits = 16   # ? none is negative"],
+            _CODES_16 / 2,
+        )
+    return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"], _CODES_16 / 2
+
+
+def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[str]]:
+    """Return unit and scale of columns of integers up to `largest`."""
+    bits = f"of {round(ln(2 * largest) / ln(2))} bits"
+    if quantity == "specific_force":
+        per_g = 2.0 ** round(ln(length) / ln(2))
+        if abs(ln(length / per_g)) > _NEAR_GRAVITY:
+            per_g = float(f"{length:.2g}")
+        return "g", [
+            'unit = "g"',
+            f"range = {largest / per_g:g}   # ? {bits}",
+            f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
+        ]
+    if quantity == "angular_rate":
+        known = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
+        return "dps", [
+            'unit = "dps"',
+            "range = 250   # ?",
+            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {known}",
+        ]
+    return "gauss", [
+        'unit = "gauss"',
+        "range = 1.3   # ?",
+        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
+    ]
+
+
+def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[str]]:
+    """Return the unit of columns of physical values."""
+    if quantity == "angular_rate":
+        unit = "rad/s" if force_unit == "m/s2" else "dps"
+        return unit, [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
+    if quantity == "specific_force":
+        sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
+    else:
+        sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
+    unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
+    return unit, [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
+
+
+def _propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
+    """Propose a column of temperatures: in degrees, or as counts with unknown scale."""
+    known = values[np.isfinite(values)]
+    if len(known) == 0:
+        return
+    unit = proposal.units.get(name)
+    if not unit and known.min() > 200 and known.max() < 420 and (known != np.rint(known)).any():
+        unit = "K"
+    if unit or (known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any()):
+        number = sum(item[0] == "[[thermometer]]" for item in proposal.items)
+        called = f"Thermometer{number + 1 if number else ''}"
+        proposal.items.append(
+            [
+                "[[thermometer]]",
+                f'name = "{called}"',
+                f"column = {quoted(name)}",
+                f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values',
+            ]
+        )
+        return
+    span = f"{known.min():g} to {known.max():g}"
+    proposal.doubts.append(
+        f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
+        f" {quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
+    )
+
+
+def _propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
+    """Propose a column of air pressures, if they are such in some unit."""
+    known = values[np.isfinite(values)]
+    middle = float(np.median(known)) if len(known) else 0.0
+    near = next((unit for unit, sea_level in _PRESSURES.items() if 0.2 < middle / sea_level < 1.2), None)
+    unit = proposal.units.get(name, near)
+    if unit is None:
+        proposal.doubts.append(
+            f"column {name!r}: no air pressure in {', '.join(_PRESSURES)} has its size, {middle:.4g}"
+        )
+        return
+    number = sum(item[0] == "[[barometer]]" for item in proposal.items)
+    proposal.items.append(
+        [
+            "[[barometer]]",
+            f'name = "Barometer{number + 1 if number else ""}"',
+            f"column = {quoted(name)}",
+            f'unit = "{unit}"'
+            + ("" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"),
+        ]
+    )

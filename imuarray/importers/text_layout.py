@@ -1,0 +1,193 @@
+"""How a text of a recording is split into cells: delimiter, decimal mark, header, comments, kinds of rows, dates.
+
+Everything is inferred from the first rows of the text.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.errors import SourceError
+from imuarray.importers import decompress, open_source
+from imuarray.importers.cells import WINDOWS_1252
+from imuarray.importers.mapping import ISO
+
+LOOKED_AT_ROWS = 20_000
+"""Number of rows from which the columns are inferred."""
+_HEAD_BYTES = 1 << 18
+_DELIMITERS = (",", ";", "\t", "|", " ")
+_COMMENTS = ("#", "%", "//")
+_PLAIN = 0.95
+"""Share of rows of one width that begin with a number, from which on a text is one table."""
+
+
+@dataclass
+class TextLayout:
+    """The way in which a text is split into cells."""
+
+    delimiter: str = ","
+    decimal: str = "."
+    skip_rows: int = 0
+    comment: str = "#"
+    named: bool = True
+    kind_column: int | None = None
+
+    def lines(self) -> list[str]:
+        """Return the lines of `[file]`."""
+        said = []
+        if self.delimiter != ",":
+            said.append(f"delimiter = {quoted(self.delimiter)}")
+        if self.decimal != ".":
+            said.append('decimal = ","')
+        if self.skip_rows:
+            said.append(f"skip_rows = {self.skip_rows}")
+        if self.comment != "#":
+            said.append(f"comment = {quoted(self.comment)}")
+        if self.kind_column is not None:
+            said.append(f"kind_column = {self.kind_column}")
+        return ["[file]", *said, ""] if said else []
+
+
+def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
+    """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
+    with open_source(path, path.with_suffix(".guess")) as file:
+        data = decompress(file).read(_HEAD_BYTES)
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    whole = data.decode(encoding, WINDOWS_1252).split("\n")
+    whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
+    lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
+    lines = [(number, line) for number, line in lines if line and "\0" not in line]
+    comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
+    remarks = [(number, line.removeprefix(comment)) for number, line in lines if line.startswith(comment)]
+    lines = [(number, line) for number, line in lines if not line.startswith(comment)]
+    if not lines:
+        raise SourceError(f"{path}: contains no line of text that could be a row")
+    layout = TextLayout(comment=comment)
+    tail = [line for _, line in lines[len(lines) // 2 :]][:200]
+    layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
+    rows = [(number, cells_of(line, layout.delimiter)) for number, line in lines]
+    if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
+        layout.decimal = ","
+    numeric = [sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
+    if not any(numeric):
+        raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
+    first = _first_of_table(rows, numeric, layout)
+    is_plain = first is not None
+    first = numeric.index(True) if first is None else first
+    widths = {len(row) for _, row in rows[first:]}
+    starts = {row[0] for _, row in rows[first:] if row and not is_number(row[0], layout)}
+    heads = [row[0] for _, row in rows[first:] if row]
+    worded = sum(head in starts for head in heads)
+    changes = sum(a != b for a, b in pairwise(heads))
+    alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
+    if not is_plain and (len(widths) > 1 or alternate) and 1 < len(starts) < 20:
+        layout.kind_column, layout.named = 0, False
+        return layout, [], [row for _, row in rows[first:]]
+    width = len(rows[first][1])
+    before = [(number, cells_of(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
+    commented = before[-1] if before and len(before[-1][1]) == width else None
+    header = rows[first - 1] if first else commented
+    layout.named = header is not None and abs(len(header[1]) - width) <= 1
+    begin = header[0] if header is not None and layout.named else rows[first][0]
+    layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
+    names = [name.strip() for name in header[1]] if header is not None and layout.named else []
+    body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
+    return layout, names, body[:LOOKED_AT_ROWS]
+
+
+def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[bool], layout: TextLayout) -> int | None:
+    """Return the first row of a table of numbers below a preamble of other widths; None if the rows below are of
+    several widths or begin with words, so that they may be of several kinds.
+    """
+    tail = [row for _, row in rows[len(rows) // 2 :]]
+    widths = [len(row) for row in tail]
+    usual = max(set(widths), key=widths.count)
+    if widths.count(usual) < _PLAIN * len(tail):
+        return None
+    if sum(is_number(row[0], layout) for row in tail if row) < _PLAIN * len(tail):
+        return None
+    return next((at for at, (_, row) in enumerate(rows) if numeric[at] and len(row) == usual), None)
+
+
+def _fitness(lines: Sequence[str], delimiter: str) -> float:
+    """Rate how well a delimiter splits the lines into equal numbers of numeric cells."""
+    rows = [cells_of(line, delimiter) for line in lines]
+    widths = [len(row) for row in rows]
+    usual = max(set(widths), key=widths.count)
+    layout = TextLayout(delimiter, "," if delimiter != "," else ".")
+    good = sum(is_number(cell, layout) or is_number(cell, TextLayout(delimiter)) for row in rows for cell in row)
+    return (widths.count(usual) / len(rows)) * (usual > 1) * good / max(1, sum(widths)) * min(usual, 20)
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; [] of one that is no text."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def is_number(cell: str, layout: TextLayout) -> bool:
+    """Return whether a cell holds a number or nothing."""
+    text = cell.strip().replace(",", ".") if layout.decimal == "," else cell.strip()
+    try:
+        float(text)
+    except ValueError:
+        return not text
+    return True
+
+
+def columns_of(rows: Sequence[Sequence[str]], layout: TextLayout) -> list[Floats]:
+    """Return the numbers of each column, nan for other cells."""
+    width = min(len(row) for row in rows)
+    columns = []
+    for index in range(width):
+        texts = (row[index].strip() for row in rows)
+        texts = (text.replace(",", ".") for text in texts) if layout.decimal == "," else texts
+        columns.append(np.array([float(text) if is_number(text, TextLayout()) and text else np.nan for text in texts]))
+    return columns
+
+
+_DATES: Sequence[tuple[str, str]] = (
+    (r"\d{4}-\d\d-\d\d[T ]\d\d:", ISO),
+    (r"\d{1,2}\.\d{1,2}\.\d{4} \d\d?:\d\d:\d\d", "%d.%m.%Y %H:%M:%S.%f"),
+    (r"\d{4}/\d\d?/\d\d? \d\d?:\d\d:\d\d", "%Y/%m/%d %H:%M:%S.%f"),
+    (r"(1[3-9]|2\d|3[01])/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%d/%m/%Y %H:%M:%S.%f"),
+    (r"\d\d?/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%m/%d/%Y %H:%M:%S.%f"),
+    (r"\d{8}T\d{6}", "%Y%m%dT%H%M%S.%f"),
+    (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
+)
+"""How dates and times are written, and the unit that a map states for them."""
+
+
+def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
+    """Return the columns of dates and times, and the unit of each."""
+    dates = {}
+    for index, cell in enumerate(rows[0]):
+        text = cell.strip()
+        unit = next((unit for pattern, unit in _DATES if re.match(pattern, text)), None)
+        if unit is not None:
+            twelve = text[-2:].upper() in ("AM", "PM")
+            dates[index] = unit.replace("%H", "%I").replace(".%f", " %p") if twelve else unit
+    return dates
+
+
+def quoted(text: str) -> str:
+    """Return a text as a string of TOML."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t") + '"'
+
+
+def names_by_kind(path: Path) -> dict[str, list[str]]:
+    """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them."""
+    with open_source(path, path.with_suffix(".guess")) as file:
+        lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
+    rows = [cells_of(line, ",") for line in lines if line.startswith("FMT,")]
+    return {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
