@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from imuarray.acquire.fault_episode import FaultEpisodes
@@ -26,6 +26,8 @@ S = 1_000_000_000
 STALE, OVERRUN, LOST, RECONFIGURED = 1, 2, 8, 16
 
 
+@example(times=[3, 3], newest=None, latest=40)
+@example(times=[3, 4], newest=3, latest=4)
 @given(
     times=st.lists(st.integers(-5, 40), max_size=30),
     newest=st.one_of(st.none(), st.integers(-5, 40)),

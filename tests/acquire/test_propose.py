@@ -35,6 +35,22 @@ def test_a_bus_without_a_multiplexer() -> None:
     assert [(sensor.name, sensor.channel, sensor.address) for sensor in array.sensors] == [("ADXL1", None, 0x53)]
 
 
+@pytest.mark.parametrize(
+    ("chips", "names"),
+    [
+        ({0x77: "bmp180"}, ["BMP180"]),
+        ({0x76: "bmp280", 0x77: "bmp180"}, ["BMP280", "BMP180"]),
+        ({0x76: "bmp280", 0x77: "bmp280"}, ["BMP1", "BMP2"]),
+    ],
+)
+def test_a_barometer_is_numbered_where_there_are_two_of_its_type(chips: dict[int, str], names: list[str]) -> None:
+    found = [
+        Detection(f"trunk address {address:#04x}", "", "", chip, True, "", None, address)
+        for address, chip in chips.items()
+    ]
+    assert [sensor.name for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == names
+
+
 def test_a_chip_that_nobody_knows_is_no_multiplexer() -> None:
     """A BME280 sits at 0x76, an address of the multiplexer too; it has an ADXL345 beside it."""
     bus = Chips({0x76: {0x00: 0x00, 0x05: 0x00, 0xD0: 0x60}, 0x53: {0x00: 0xE5}})

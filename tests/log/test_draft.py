@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -33,11 +34,36 @@ def test_rows_are_counted_and_their_room_is_settled_now_and_then(
     assert counted == [0, 0, 1, 1, 1, 2, 2]
 
 
-def test_a_closed_draft_takes_no_more_than_it_needs(tmp_path: Path) -> None:
-    """Room for all texts was asked for; the end of the file is that of its superblock, at byte 28 of version 3."""
-    log = Draft(tmp_path / "r.h5", Preamble((GYRO,), "i2c", EPOCH, "", "imuarray", "abc"), chunk=4)
+@pytest.mark.parametrize("durable", [False, True])
+def test_a_closed_draft_takes_no_more_than_it_needs(tmp_path: Path, durable: bool) -> None:
+    """Room for all texts was asked for, of a durable one allocated; the end of the file is that of its superblock, at
+    byte 28 of version 3.
+    """
+    preamble = Preamble((GYRO,), "i2c", EPOCH, "", "imuarray", "abc")
+    log = Draft(tmp_path / "r.h5", preamble, chunk=4, durable=durable)
     time, counts, status = np.arange(4) * 1000, np.zeros((4, 3), np.int16), np.zeros(4, np.uint16)
     log.append(0, {"time": time, "counts": counts, "status": status})
     log.close()
     content = log.part.read_bytes()
     assert len(content) == int.from_bytes(content[28:36], "little")
+
+
+def test_room_that_a_file_does_not_use_is_given_back(tmp_path: Path) -> None:
+    """HDF5 itself usually cuts a file that it closes; what stands behind the end in its superblock goes in any case. A
+    file without such a superblock stays as it is.
+    """
+    path, other = tmp_path / "a.h5", tmp_path / "b.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["x"] = np.arange(1000)
+    content = path.read_bytes()
+    for beyond in (0, 1, 100_000):
+        path.write_bytes(content + bytes(beyond))
+        room = Allowance(path, path)
+        room.trim()
+        room.close()
+        assert path.read_bytes() == content
+    other.write_bytes(b"no HDF5" * 100)
+    room = Allowance(other, other)
+    room.trim()
+    room.close()
+    assert other.stat().st_size == 700
