@@ -34,7 +34,7 @@ from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.mechanisms.query import checked, fitting_of, split
 from firmware_emulator.sessions import Course, Recorder, ReferenceWorld, Room, of_table, sessions
-from firmware_emulator.world import Phase, World
+from firmware_emulator.world import Phase, Stimulus, World
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.atomic import write_text
@@ -161,9 +161,11 @@ class Case:
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
         if isinstance(experiment.world, Course):
             bus.truth = ReferenceWorld(experiment.world)
+        begin = _WithBegin(bus.truth)
+        bus.truth = begin
         if not self.reference:
             del bus.truth  # nobody is told
-        summary = record(
+        record(
             self.array,
             cast(OpenBus, bus),
             path,
@@ -178,10 +180,23 @@ class Case:
         if self.reference:
             call_it_reference(path)
         if self.reference and experiment.reference_hz:
-            begun_ns = bus.clock.now_ns() - round(summary.seconds * 1e9)
-            read_reference(path, experiment, begun_ns)
+            read_reference(path, experiment, begin.at_ns)
         touched = {_NAMES[type(mechanism)]: sorted(sensors) for mechanism, sensors in boards[0].touched.items()}
         return {"log": path.name, "run": run, "notes": boards[0].notes, "touched": touched}
+
+
+class _WithBegin:
+    """A world that notes when it was first asked: at the beginning of a log, after the sensors were set up."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.at_ns = 0
+        self._is_asked = False
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        if not self._is_asked:
+            self.at_ns, self._is_asked = at_ns, True
+        return self._world(at_ns)
 
 
 def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:

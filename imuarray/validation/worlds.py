@@ -81,10 +81,7 @@ DRIFT_DEGC_PER_H = 2.0
 DRAUGHT_DEGC = (0.03, 0.4)
 """Temperature variation (rms) of the box in a draughty room."""
 VIBRATION_G = (2e-5, 5e-4)
-"""Peak vibration of a table by a fridge or a fan: from imperceptible to just perceptible by hand. @ =(BUSY_SHARE,
-BUSY_MS) Share of the transactions that wait on a busy board, and their mean wait. @ =(STALLS_PER_MIN, STALL_S) Rate and
-duration of the stalls of a recorder.
-"""
+"""Peak vibration of a table by a fridge or a fan: from imperceptible to just perceptible by hand."""
 VIBRATION_DPS_PER_G = 20.0
 BUSY_SHARE, BUSY_MS = (0.005, 0.03), (0.05, 0.4)
 """Share of the transactions that wait on a busy board, and their mean wait."""

@@ -118,3 +118,20 @@ def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys:
                 if sensor.chip != "bmp180" and not world.recorder["thermometers"]:
                     assert sensor.temperature_counts is None
     assert rows == pytest.approx(world.rows, rel=0.15)
+
+
+@pytest.mark.slow
+def test_the_reference_begins_with_the_log(tmp_path: Path) -> None:
+    """After the sensors have been set up, however long the last frame waits: the box begins to turn when the motion was
+    noted to begin.
+    """
+    table = draw_world(9_000_174).table()
+    recorder = {**table["recorder"], "reference": True}
+    paths, _ = record_in({**table, "recorder": recorder}, tmp_path, (), 9_000_174)
+    (path,) = (path for path in paths if path.stem == "motion")
+    with open_log(path) as log:
+        assert log.reference is not None
+        rates = np.abs(log.reference.angular_rate[:]).max(axis=1)
+        begin_ns = log.reference.time[:][np.flatnonzero(rates > 1e-9)[0]]
+        assert log.phases[1].name == "motion"
+        assert abs(begin_ns - log.phases[1].start_ns) < 0.05e9
