@@ -199,7 +199,7 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
     for name, probe in _OF_LOGS.items() if still[0] else ():
         if isinstance(probe, LogProbe):
             by_replicate = [probe.statistic(phases) for phases in still]
-            values.append(_ProbeValues(name, _rows(by_replicate), partial(float, probe.resolution)))
+            values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, still[0])))
         else:
             by_replicate = [probe.statistic(log, sensor) for log in replicates]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, replicates[0], sensor)))

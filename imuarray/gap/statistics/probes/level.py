@@ -17,8 +17,10 @@ LEAST_LEVEL = 2e-6
 _ERROR_SHARE = 0.5
 """Of the standard error of a mean: a fit that is told by several sensors, or by several faces, leaves more of it."""
 
-_LEAST, _MANY = 4, 16
-"""Fewer segments say nothing of a variance, of higher moments."""
+_LEAST, _MANY = 8, 16
+"""Fewer segments say nothing of a variance, of higher moments: the log of a variance of two degrees of freedom is below
+its mean by seven standard deviations as often as once in a thousand times.
+"""
 
 
 @once
@@ -41,6 +43,16 @@ def least_level(summary: Summary) -> float:
     has_rows = part.rows > 1
     variance = part.rows[has_rows] @ part.steady_variance[has_rows] / summary.rows if has_rows.any() else np.zeros(1)
     return max(LEAST_LEVEL, _ERROR_SHARE * math.sqrt(variance.min() / summary.rows) / summary.header.sensitivity)
+
+
+def least_mean_level(phases: Sequence[Summary]) -> float:
+    """The same of the mean over phases that are weighted alike."""
+    return math.sqrt(sum(least_level(phase) ** 2 for phase in phases)) / max(len(phases), 1)
+
+
+def least_return(phases: Sequence[Summary]) -> float:
+    """The same of the difference of two phases."""
+    return math.hypot(least_level(phases[0]), least_level(phases[-1]))
 
 
 def halves(summary: Summary) -> Floats:
@@ -129,7 +141,12 @@ UNEVEN = PhaseProbe(
     "level", "arsinh of the skewness of segments' means about a straight line", "", ("popcorn_noise",), uneven
 )
 RETURN = LogProbe(
-    "level", "mean of the last phase less that of the first on the same face", "{u}", ("random_walk",), returned
+    "level",
+    "mean of the last phase less that of the first on the same face",
+    "{u}",
+    ("random_walk",),
+    returned,
+    least_return,
 )
 LEVEL = LogProbe(
     "level",
@@ -137,5 +154,5 @@ LEVEL = LogProbe(
     "{u}",
     ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
     whole,
-    LEAST_LEVEL,
+    least_mean_level,
 )

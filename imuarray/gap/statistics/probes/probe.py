@@ -76,7 +76,7 @@ class LogProbe(Probe):
     """Probe of one sensor in all phases of a log in which the box is at rest; `resolution` as in `PhaseProbe`."""
 
     statistic: Callable[[Sequence[Summary]], Floats]
-    resolution: float = 0.0
+    resolution: Callable[[Sequence[Summary]], float] = lambda _: 0.0
 
 
 @dataclass(frozen=True)
