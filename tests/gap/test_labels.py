@@ -140,8 +140,20 @@ def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_single_accelerometer_says_nothing(tmp_path: Path) -> None:
-    assert not found_in(tumbled(tmp_path / "one.h5", {"x_up": "-X"}, sensors=1))
+def test_a_single_accelerometer_is_believed_if_its_mounting_is_determined(tmp_path: Path) -> None:
+    """It agrees with six of seven labels, along all axes. With faces along one axis only, or with most labels
+    contradicted, its axes may as well be exchanged.
+    """
+    (label,) = found_in(tumbled(tmp_path / "one.h5", {"x_up": "-X"}, sensors=1))
+    assert (label.phase.name, label.up, label.agree) == ("x_up", "+X", ("B1",))
+    parallel = ("z_up", "z_down", "x_up")
+    assert not found_in(tumbled(tmp_path / "parallel.h5", {"x_up": "-X"}, sensors=1, only=parallel))
+    most = {"x_up": "-X", "x_down": "+X", "y_up": "-Y", "y_down": "+Y"}
+    assert not found_in(tumbled(tmp_path / "most.h5", most, sensors=1))
+
+
+@pytest.mark.slow
+def test_two_accelerometers_decide_together(tmp_path: Path) -> None:
     (found,) = found_in(tumbled(tmp_path / "two.h5", {"x_up": "-X"}, sensors=2))
     assert found.agree == ("B1", "B2")
     assert not found_in(tumbled(tmp_path / "split.h5", {}, sensors=2, more={"B1": (AxisError("-X+Y+Z"),)}))

@@ -39,7 +39,9 @@ is then below 0.44.
 """
 
 LEAST = 2
-"""Fewest accelerometers: a single one that contradicts a label may itself be wrong."""
+"""Fewest accelerometers: a single one that contradicts a label may itself be wrong, unless other phases determine how
+it is mounted.
+"""
 
 _UPS = np.array([up_vector(up) for up in UP_AXES])
 
@@ -105,8 +107,9 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
     whole phases or of parts of them.
 
     A face is wrong if the median of the accelerometers' means by nominal axes and sensitivity is along another face,
-    and more than half of at least two accelerometers feel that face themselves. With fewer accelerometers nothing is
-    detected.
+    and more than half of at least two accelerometers feel that face themselves. A single accelerometer is believed
+    where it agrees with faces along two axes, which determine how it is mounted, and with more labels than it
+    contradicts.
 
     Sensors may also be mounted differently than configured, for example two with exchanged wires. Such a sensor is
     rotated equally in every phase, while another agrees with the notes. Or two of one kind are read in each other's
@@ -215,18 +218,38 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
     sensors, the wrong labels, and sensors that feel another face than the true one.
     """
     wrong, odd = [], set(turns)
+    mounted = _determined(noted)
     for log, name, phase, readings_g in noted:
         readings = {
             sensor: turns[sensor].T @ reading if sensor in turns else reading for sensor, reading in readings_g.items()
         }
         up = face_of(np.median(list(readings.values()), axis=0))
         agree = tuple(sensor for sensor, reading in readings.items() if up and face_of(reading) == up)
-        is_wrong = up not in ("", phase.up) and len(readings) >= LEAST and 2 * len(agree) > len(readings)
+        is_believed = len(readings) >= LEAST or mounted.issuperset(readings)
+        is_wrong = up not in ("", phase.up) and is_believed and 2 * len(agree) > len(readings)
         if is_wrong:
             wrong.append(WrongLabel(log, name, phase, up, readings, agree))
         true = up if is_wrong else phase.up
         odd |= {sensor for sensor, reading in readings.items() if face_of(reading) not in ("", true)}
     return _LabelCheck(tuple(wrong), len(wrong) + len(odd))
+
+
+def _determined(noted: Sequence[_LabelledPhase]) -> set[str]:
+    """The sensors that agree with noted faces along two axes and with more labels than they contradict."""
+    agreed: dict[str, list[str]] = {}
+    contradicted: dict[str, int] = {}
+    for item in noted:
+        for sensor, reading in item.readings_g.items():
+            face = face_of(reading)
+            if face == item.phase.up:
+                agreed.setdefault(sensor, []).append(face)
+            elif face:
+                contradicted[sensor] = contradicted.get(sensor, 0) + 1
+    return {
+        sensor
+        for sensor, faces in agreed.items()
+        if len({face[1:] for face in faces}) > 1 and len(faces) > contradicted.get(sensor, 0)
+    }
 
 
 def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> float:
