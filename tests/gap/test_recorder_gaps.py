@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,17 @@ SENSORS = (
 )
 
 
-def logged(path: Path, lost: Mapping[str, slice], message: str = "", late_s: float = 0.0) -> Recording:
+def logged(
+    path: Path,
+    lost: Mapping[str, slice],
+    message: str = "",
+    late_s: float = 0.0,
+    sensors: Sequence[SensorHeader] = SENSORS,
+) -> Recording:
     """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late."""
     rng = np.random.default_rng(1)
-    with LogWriter(path, SENSORS, source="imported", epoch="2024-01-01T00:00:00Z") as log:
-        for number, sensor in enumerate(SENSORS):
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for number, sensor in enumerate(sensors):
             level = (0, 0, 2048) if number == 0 else (0, 0, 0)
             time = np.arange(ROWS, dtype=np.int64) * SECOND // RATE_HZ + number * 300_000
             counts = np.rint(rng.normal(level, 5, (ROWS, 3))).astype(np.int16)
@@ -58,6 +65,15 @@ def test_rows_that_all_sensors_lack_are_not_due(tmp_path: Path, rows: slice) -> 
 def test_rows_that_one_sensor_lacks_were_lost(tmp_path: Path, rows: slice) -> None:
     recording = logged(tmp_path / "log.h5", {"Acc": rows})
     assert due(recording) == {"Acc": ROWS, "Gyro": ROWS}
+    assert not any("recorder" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("chip_hz", "lost"), [(25.0, 0), (40.0, 1), (50.0, 1), (0.0, 1)])
+def test_a_slow_chip_that_is_not_polled_once_lost_nothing(tmp_path: Path, chip_hz: float, lost: int) -> None:
+    """Polled 50 times a second: rows that are 40 ms apart skip none of 25 readings a second, but one of 40 or 50."""
+    slow = tuple(replace(sensor, rate_hz=chip_hz) for sensor in SENSORS)
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, sensors=slow)
+    assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
     assert not any("recorder" in note for note in recording.notes)
 
 

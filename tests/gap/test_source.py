@@ -14,7 +14,7 @@ from imuarray.gap.recording.source import RecordedSource, SimulatedSource, Sourc
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
 from imuarray.log import open_log
-from imuarray.log.format import STALE
+from imuarray.log.format import OVERRUN, STALE
 from imuarray.log.writer import Block
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -172,3 +172,24 @@ def test_a_flagged_row_that_differs_from_the_one_before_is_a_new_reading(tmp_pat
             times = np.concatenate([block.time for block in blocks])
             is_stale = np.concatenate([block.status for block in blocks]) & 1 != 0
             np.testing.assert_array_equal(times[is_stale], [log["A1"].time[6]])
+
+
+def test_no_reading_was_lost_beside_one_that_came_while_it_was_read(tmp_path: Path) -> None:
+    """Row 6 differs although it is flagged as no new reading: the rows beside it are flagged as overrun, and no reading
+    was lost. One was before row 20.
+    """
+    path = tmp_path / "log.h5"
+    write_log(simulation(Still(seconds=2), {}, seed=1), path)
+    with h5py.File(path, "r+") as file:
+        rows = file["sensors/A1"]
+        counts, status = rows["counts"][:], rows["status"][:]
+        counts[:30] = np.arange(30)[:, None]
+        status[:] = 0
+        status[6] = STALE
+        status[[5, 7, 20]] = OVERRUN
+        rows["counts"][:], rows["status"][:] = counts, status
+    with open_log(path) as log:
+        blocks = list(RecordedSource(log["A1"]).blocks(0, 2 * 10**9))
+        flags = np.concatenate([block.status for block in blocks])
+    assert np.flatnonzero(flags).tolist() == [20]
+    assert flags[20] == OVERRUN

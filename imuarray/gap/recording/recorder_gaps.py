@@ -3,6 +3,7 @@
 A row that one sensor lacks while the others were read is lost, which the simulator may lack. If no sensor was read,
 nothing is known of the sensors: the recorder's timing is a nuisance quantity and becomes a note. A gap is the
 recorder's if every other sensor that was due is missing as well, or if an event of the logger reports missed frames.
+So is one within the period of a slow chip that is polled more often than it measures: no reading was lost.
 """
 
 from __future__ import annotations
@@ -27,6 +28,11 @@ MISSING = 1.5
 
 DUE = 0.6
 """Share of a gap: a sensor with a longer interval need not have been read in it."""
+
+PERIOD, SLOWER = 1.1, 0.9
+"""Longest gap of a slow chip, in periods of its readings, in which none is lost; and the longest usual interval of its
+rows, in the same periods, that shows that it is polled more often.
+"""
 
 CHANCE = 0.01
 """Probability with which sensors that lose rows independently have as many gaps in common."""
@@ -76,13 +82,14 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         losses = [_lost_share(*other, common_ns) for other in others if other[1] > 0]
         if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
             is_common[:] = False
-        is_own = ~(is_late | is_common)
-        of_recorder = [gap for gap, is_of_sensor in zip(gaps, is_own.tolist(), strict=True) if not is_of_sensor]
-        if not of_recorder:
+        is_idle = np.array([_is_idle(gap, usual_ns[name], log[name].rate_hz) for gap in gaps]) & ~(is_late | is_common)
+        is_own = ~(is_late | is_common | is_idle)
+        if is_own.all():
             continue
+        of_recorder = [gap for gap, of_sensor in zip(gaps, (is_own | is_idle).tolist(), strict=True) if not of_sensor]
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
         timelines[name] = lost if is_own.any() else line.recorded
-        ends_ns[name] = np.array([gap.end_ns for gap in of_recorder])
+        ends_ns[name] = np.array([gap.end_ns for gap in of_recorder], np.int64)
         most = max(most, of_recorder, key=len)
     return RecorderGaps(timelines, ends_ns, _sentence(most))
 
@@ -90,6 +97,14 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
     """True if the logger reports a delay during the gap."""
     return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
+
+
+def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
+    """True if a chip of that rate has no reading in the gap that is not read before or after it."""
+    if rate_hz <= 0:
+        return False
+    period_ns = 1e9 / rate_hz
+    return usual_ns < SLOWER * period_ns and gap.length_ns <= PERIOD * period_ns
 
 
 def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:

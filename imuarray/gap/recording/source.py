@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans
 from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
-from imuarray.log.format import STALE, SensorHeader
+from imuarray.log.format import OVERRUN, STALE, SensorHeader
 from imuarray.log.sensor_log import first_at, recorded_header
 from imuarray.log.writer import Block
 from imuarray.simulate.sensor import NO_READY_BIT, SimulatedSensor
@@ -144,8 +144,17 @@ class SimulatedSource:
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
-    """The flags (n,) of rows, without that of a repeated row where a row differs from the one before."""
-    return np.where(is_new, flags & ~np.uint16(STALE), flags)
+    """The flags (n,) of rows, without that of a repeated row where a row differs from the one before.
+
+    Such a row was measured while it was read, after the chip's ready bit was: neither was a reading lost beside it,
+    whatever the chip says of the rows before and after it.
+    """
+    is_doubtful = is_new & ((flags & STALE) != 0)
+    is_beside = is_doubtful.copy()
+    is_beside[1:] |= is_doubtful[:-1]
+    is_beside[:-1] |= is_doubtful[1:]
+    flags = np.where(is_doubtful, flags & ~np.uint16(STALE), flags)
+    return np.where(is_beside, flags & ~np.uint16(OVERRUN), flags)
 
 
 def flags_of_chip(chip: str) -> int:
