@@ -13,12 +13,14 @@ from types import MappingProxyType
 
 import numpy as np
 
+from imuarray.array import parse_array
 from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, located
 from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
+from imuarray.gap.model.populations import common_bias_sigma_g
 from imuarray.gap.model.replication import Models, ReplicateRequest
 from imuarray.gap.model.signal_delay import NO_DELAY, DelayTrial, can_fit_signal_delays, fit_signal_delays
 from imuarray.gap.model.vibration import fit_vibrations
@@ -44,7 +46,7 @@ given up in less than one of two hundred cases.
 
 
 QUEUED = 1.2
-"""Least rate of rows, in rates of the frames, of a sensor that is not read once a frame."""
+"""Least rate of rows, in rates of the frames, of a sensor that has a queue."""
 
 _DELAY_STEPS = 3
 """Steps of the fit of delays: the delay of readings that wait for a poll is not quite the sum of all delays."""
@@ -91,18 +93,32 @@ def prepared(
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
-    base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(train.campaign, base.headers))
+    base = replace(
+        base,
+        queued=_queued_in(recordings),
+        vibrations=fit_vibrations(train.campaign, base.headers),
+        common_bias_g=common_bias_sigma_g(base.headers.values()),
+    )
     campaign = _of_fitted(campaign, base)
     return _corrected(bench_of(campaign, split, experiments, base), campaign), campaign
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
-    """Sensors with more rows than frames, whose queue is drained."""
+    """Sensors whose rows come from a queue in the chip: the configuration says so, or they have more rows than there
+    are frames.
+    """
+    plans = [recording.experiment.plan for recording in recordings]
+    configured = {
+        sensor.name
+        for text in {plan.config for plan in plans if plan.config}
+        for sensor in parse_array(text).sensors
+        if sensor.fifo
+    }
     return frozenset(
         name
-        for recording in recordings
-        for name, (_, line) in recording.experiment.plan.sensors.items()
-        if 0 < QUEUED * recording.experiment.plan.frame_rate_hz < line.rows_per_s
+        for plan in plans
+        for name, (_, line) in plan.sensors.items()
+        if name in configured or 0 < QUEUED * plan.frame_rate_hz < line.rows_per_s
     )
 
 
@@ -185,17 +201,17 @@ def _corrected(bench: Bench, campaign: Campaign) -> Bench:
 
 
 def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:
-    """The bench with the delays of the signals fitted to the training part, by so many replicates for each step."""
-    train = bench.split.train(campaign).campaign
-    if not can_fit_signal_delays(train, bench.base.headers, bench.base.queued):
+    """The bench with the delays of the signals fitted to all motions of the campaign, by so many replicates for each
+    step: often the box moves much in one part only.
+    """
+    if not can_fit_signal_delays(campaign, bench.base.headers, bench.base.queued):
         return bench
     trials: list[DelayTrial] = []
     for _ in range(_DELAY_STEPS):
         base = bench.base
-        requests = [(bench.models(), number) for number in range(replicates)]
-        simulated = [bench.split.train(replicate).campaign for replicate in bench.campaigns(requests, held_out=False)]
+        simulated = bench.campaigns([(bench.models(), number) for number in range(replicates)])
         trials.append(({name: parameters.delay for name, parameters in base.fitted.items()}, simulated))
-        delays = fit_signal_delays(train, base.headers, base.queued, trials)
+        delays = fit_signal_delays(campaign, base.headers, base.queued, trials)
         fitted = {
             name: replace(parameters, delay=delays.get(name, NO_DELAY)) for name, parameters in base.fitted.items()
         }

@@ -43,10 +43,12 @@ from imuarray.gap.statistics.catalogue import (
     replicate_statistics,
     statistics,
 )
+from imuarray.gap.statistics.probes.level import halves
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, correlation
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.effects.size_effect import with_position
 from imuarray.simulate.effects.thermal_bias import ThermalBias
@@ -54,7 +56,7 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.streams import Streams
-from imuarray.units import STANDARD_GRAVITY
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual"]
 
@@ -74,6 +76,11 @@ _LAGS, _CUTOFFS = 3, 101
 _FORGOTTEN, _WANDERS, _FLAT = 0.1, 4.0, 0.9
 """The largest correlation that a filter leaves at the last lag if a wander is to show there, the least that does in
 standard deviations, and its least share of that at the lag before.
+"""
+
+_DRIFTS, _DRIFT_BY_CHANCE, _ENOUGH_ROWS = 0.35, 4.0, 500
+"""Drift over a phase, in standard deviations of the noise, that adds 0.01 to its correlations; the drift's standard
+error, times the root of the rows; the rows from which on the correlations of phases without a drift tell enough.
 """
 
 _MEMORY, _MOST_LAGS = 5.0, 200
@@ -96,6 +103,9 @@ _SLIPS = 4.0
 
 _SAME_CLOCK = 0.3
 """Relative difference of phases, beside chance, within which one clock error explains them all."""
+
+_UNEVEN = 1.5
+"""Readings of a phase that are missed or repeated at its ends: a poll begins or ends between the two."""
 
 _LEAST_JITTER, _MOST_FAST = 0.01, 4.0
 """Jitter, as a share of the repeats, below which polls are even; the fastest clock that repeats show, in jitters."""
@@ -120,7 +130,9 @@ class Base:
     `fitted` parameters of the sensors by name; `model` has the rest of their effects (None: the usual ones), of which
     populations are drawn with the `seed`. A sensor whose clock the model does not give has its own phase at each boot.
     The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `vibrations` of the room
-    are felt by all accelerometers, with another amplitude in each replicate.
+    are felt by all accelerometers, with another amplitude in each replicate. `common_bias_g`: standard deviation of the
+    bias that the accelerometers of a replicate have in common: where an attitude is estimated from their readings, the
+    fit takes a part of that bias for a tilt, as it does in the recording.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -129,6 +141,7 @@ class Base:
     seed: int = 0
     queued: frozenset[str] = frozenset()
     vibrations: tuple[Vibration, ...] = ()
+    common_bias_g: float = 0.0
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
@@ -158,6 +171,7 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if header.quantity == "specific_force":
             effects = (*with_position(effects, header.position_mm), *self._tones(header, units))
+            effects = (*effects, *self._common_bias(header, units))
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
         if header.name in self.queued:  # the row of a reading has the time at which the chip took it
@@ -173,6 +187,14 @@ class Base:
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
         slow = CLOCK_SIGMA * min(max(deviate, -TOLERANCE_SIGMAS), TOLERANCE_SIGMAS)
         return tuple(_with_rate_error(effect, slow) for effect in effects)
+
+    def _common_bias(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
+        """The share of the common bias along the axes of an accelerometer."""
+        if self.common_bias_g:
+            bias_box = self.common_bias_g * units.of_unit("", Bias.name, "common").standard_normal(3)
+            bias = bias_box @ np.array(header.orientation) * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]
+            x, y, z = bias.tolist()
+            yield Bias((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """The vibrations of the room as an accelerometer of this replicate feels them."""
@@ -357,12 +379,13 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
     samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
     are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
-    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`). Phases are weighted by their
-    rows. Correlations tell no filter if neither they nor their mean over the phases are larger than chance makes those
-    of white noise.
+    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`), and is left out if others
+    tell enough (`_level_phases`). Phases are weighted by their rows. Correlations tell no filter if neither they nor
+    their mean over the phases are larger than chance makes those of white noise.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    rests = _level_phases(rests, fitted.noise(header))
     if configured_hz <= 0 or not rests:
         return None
     reads = tuple(_reads(phase, header.rate_hz, _is_flagged(rests)) for phase in rests)
@@ -393,6 +416,18 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
+
+
+def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
+    """The phases whose level does not drift beside noise (3,), if these have enough rows; otherwise all.
+
+    A drift by d standard deviations of the noise over a phase adds d^2 / 12 to the correlations at all lags.
+    """
+    drifts = [float(np.median(np.abs(2 * halves(phase)) / noise)) for phase in phases]
+    chance = [2 * _DRIFT_BY_CHANCE / math.sqrt(max(phase.rows, 1)) for phase in phases]
+    is_level = [not drift > _DRIFTS + error for drift, error in zip(drifts, chance, strict=True)]
+    several = [phase for phase, level in zip(phases, is_level, strict=True) if level]
+    return several if sum(phase.rows for phase in several) >= _ENOUGH_ROWS else list(phases)
 
 
 def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:
@@ -487,7 +522,8 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     that the recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as
     overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
     none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate. Where no
-    missed reading is flagged, the share of repeats of polls with that jitter tells the rate (`_readings_a_row`).
+    missed reading is flagged, the share of repeats of polls with that jitter tells the rate (`_readings_a_row`). Where
+    as many readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate.
     """
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if header.rate_hz <= 0 or not rests:
@@ -519,6 +555,8 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     if not slips:
         return math.nan
     error = float(np.average(readings_per_s, weights=weight)) / header.rate_hz - 1
+    if is_flagged and flags_missed and abs(error) * sum(weight) <= _UNEVEN * len(weight):
+        return 0.0
     apart = np.abs(np.array(readings_per_s) / header.rate_hz - 1 - error)
     unsure = _SLIPS * np.sqrt(np.abs(error) / np.array(weight))
     is_one_clock = bool((apart <= np.maximum(_SAME_CLOCK * abs(error), unsure)).all())

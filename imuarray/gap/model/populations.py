@@ -41,6 +41,9 @@ its Table 11), other parts by several times as much.
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
 """The largest usual scatter by unit, for chips whose data sheet is not known."""
 
+_OFFSET_TOLERANCE_G = 0.15
+"""Bias of an accelerometer whose data sheet is not known (ADX-60)."""
+
 THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02, "gauss": 2e-3})
 """Change of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much); a
 magnetometer at rest shows that of its scale (0.3 % of half a gauss: HMC-57).
@@ -184,6 +187,13 @@ def offset_tolerance(header: SensorHeader) -> tuple[float, float, float]:
     """
     x, y, z = (_reach(header, "bias", f"offset_{header.unit}", math.nan, axis) for axis in range(3))
     return x, y, z
+
+
+def common_bias_sigma_g(headers: Iterable[SensorHeader]) -> float:
+    """Standard deviation of the mean bias of these accelerometers along an axis of the box."""
+    tolerances = [offset_tolerance(header) for header in headers if header.quantity == "specific_force"]
+    known = [np.nan_to_num(tolerance, nan=_OFFSET_TOLERANCE_G) for tolerance in tolerances]
+    return float(np.sqrt(np.mean(np.square(known)) / len(known))) / TOLERANCE_SIGMAS if known else 0.0
 
 
 def thermometer_tolerance_degc(header: SensorHeader) -> float:

@@ -1,0 +1,47 @@
+"""Random worlds in which nothing is wrong, and in which the diagnosis once reported a gap."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from imuarray.gap.diagnose import Reference, compare
+from imuarray.gap.model.workers import runner
+from imuarray.gap.recording.recordings import recordings_of
+from imuarray.log import open_log
+from imuarray.validation.generator import record_in
+from imuarray.validation.trial import REPLICATES, leave_reference_out
+from imuarray.validation.worlds import draw_world
+from tests.selection import some
+
+
+@pytest.mark.parametrize(
+    "seed",
+    some(
+        [
+            9_000_010,  # two poses that nobody noted, and accelerometers with a common bias of 0.17 g
+            1_050_003,  # a single accelerometer, whose level says nothing beside the attitude
+            9_000_023,  # short phases in which heat drifts, which are no filter
+            9_000_076,  # a queue that is slower than the frames
+            9_000_102,  # samples that come while they are read, which the chip calls an overrun
+            9_000_147,  # polls that are early and late by turns, of a chip at its nominal rate
+            9_000_093,  # a slow chip that is not polled in every frame
+            9_000_123,  # a clock beside that of the track, in the only motion
+        ],
+        0,
+        4,
+    ),
+)
+def test_a_world_without_a_mechanism_is_no_gap(tmp_path: Path, seed: int) -> None:
+    world = draw_world(seed).table()
+    recorder = {**world["recorder"], "reference": True}
+    logs, _ = record_in({**world, "recorder": recorder}, tmp_path, (), seed)
+    if not world["recorder"]["reference"]:
+        for path in logs:
+            leave_reference_out(path)
+    with ExitStack() as stack:
+        recordings = recordings_of([stack.enter_context(open_log(path)) for path in logs])
+        compared = compare(recordings, runner, Reference(None), replicates=REPLICATES)
+        assert compared.comparison.localisation.p > 0.05
