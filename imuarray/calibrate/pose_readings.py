@@ -171,7 +171,10 @@ def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
     """
     sensors = _rows_of(log, "specific_force", only)
     if not sensors:
-        raise CalibrationError(f"{log.path}: no accelerometer to detect when the box stood still")
+        raise CalibrationError(
+            f"{log.path}: no accelerometer to detect when the box stood still; mark the rest as a phase, for example"
+            " with --up of log or import"
+        )
     return poses_in(log, _windows(log, sensors, only))
 
 

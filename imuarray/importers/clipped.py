@@ -40,8 +40,8 @@ def _readings(rows: Sequence[int]) -> str:
     """Return how many readings of each sensor are at an end."""
     if len(rows) == 1:
         return counted(rows[0], "reading")
-    span = f"{min(rows)} to {max(rows)}" if min(rows) < max(rows) else f"{rows[0]}"
-    return f"{span} readings of each"
+    span = f"{min(rows)} to {max(rows)} readings" if min(rows) < max(rows) else counted(rows[0], "reading")
+    return f"{span} of each"
 
 
 def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:

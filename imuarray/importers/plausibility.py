@@ -96,6 +96,14 @@ MOST = MappingProxyType({"specific_force": 450.0, "angular_rate": 4500.0, "magne
 TURNED = 0.02
 """Rotation of gravity between windows (rad) from which on a gyroscope can be compared."""
 
+MISALIGNED = 0.9
+"""Cosine of the angle between two accelerometers' gravities below which one is not mounted as the map says: chips are
+soldered within a few degrees, and 26 degrees are more than any bias makes.
+"""
+
+FEWEST_RESTS = 8
+"""Windows at rest in which gravities are compared."""
+
 FEWEST_TURNS = 20
 TURN_PASSES = 3
 MOST_HALF_TURN = 1.0
@@ -211,7 +219,7 @@ def report_of(log: Log) -> Report:
                 levels.setdefault(level[0], {})[sensor.name] = level[1]
             for text in doubted:
                 doubts.add(sensor.name, text)
-    for name, text in [*_turns(log, windows), *_twins(log)]:
+    for name, text in [*_turns(log, windows), *_directions(log, windows), *_twins(log)]:
         doubts.add(name, text)
     forces = next((sensor.name for sensor in log.of("specific_force") if sensor.name in windows), None)
     if forces is not None and (knocks := windows[forces].knocks()):
@@ -457,6 +465,28 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
         return [], [f"{span}: is its scale wrong?"]
     step = usual_step(seen)
     return [f"{span}, in steps of {step} counts ({abs(step * scale[1]):.2g} degC)" if step > 1 else span], []
+
+
+def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
+    """Yield accelerometers in which gravity has another direction than in the first, while both are at rest."""
+    forces = [sensor.name for sensor in log.of("specific_force") if sensor.name in windows]
+    for name in forces[1:]:
+        first, other = windows[forces[0]], windows[name]
+        if first.width_ns != other.width_ns:
+            continue
+        numbers = np.intersect1d(first.number[first.still()], other.number[other.still()])
+        if len(numbers) < FEWEST_RESTS:
+            continue
+        a, b = (each.mean[np.searchsorted(each.number, numbers)] for each in (first, other))
+        lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+        cosine = float(np.median(np.sum(a * b, axis=1) / np.maximum(lengths, 1e-12)))
+        if cosine < MISALIGNED:
+            angle_deg = float(np.degrees(np.arccos(max(cosine, -1.0))))
+            yield (
+                name,
+                f"its gravity is {angle_deg:.0f} degrees from that of {forces[0]}: it is mounted in another direction,"
+                " which axes in the map states, or its columns are exchanged",
+            )
 
 
 def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:

@@ -481,3 +481,23 @@ def test_late_rows_are_not_called_missing(
 
 def test_there_are_twenty_at_least() -> None:
     assert len(CASES) >= 20
+
+
+@pytest.mark.parametrize(("axes", "doubted"), [("+X+Y+Z", True), ("+X-Y-Z", False)])
+def test_gravity_of_an_accelerometer_that_is_mounted_upside_down(
+    axes: str, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two accelerometers, the second turned by 180 degrees about X, where both read 100 counts: 177 degrees, which is
+    180 - 2 atan(100 / 4096), are between their gravities, unless the map says how it is mounted.
+    """
+    noise = np.rint(np.random.default_rng(5).normal(0, 8, (2000, 6))).astype(int)
+    codes = noise + np.array([100, 50, 4096, 100, -50, -4096])
+    (tmp_path / "data.csv").write_bytes(
+        joined(["t,ax,ay,az,bx,by,bz", *lines_of(np.arange(2000) * 0.01, codes, "{:d}")])
+    )
+    second = ACC.replace('"Acc"', '"Up"').replace('["ax", "ay", "az"]', '["bx", "by", "bz"]') + f'axes = "{axes}"\n'
+    (tmp_path / "map.toml").write_text(SECONDS + ACC + second)
+    files = ["--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", str(tmp_path / "data.csv"), *files]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert ("? Up: its gravity is 177 degrees from that of Acc" in text) == doubted
