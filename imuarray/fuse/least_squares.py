@@ -154,6 +154,10 @@ def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.
 
 def spans(normal: Floats) -> npt.NDArray[np.bool_]:
     """(...) whether axes with these normal matrices (..., 3, 3) tell all of a triad."""
+    if normal.ndim == 2:  # by its cofactors, several times faster than by a factorisation
+        (a, b, c), (d, e, f), (g, h, i) = normal.tolist()
+        determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+        return np.asarray(determinant > 1e-9 * max(a + e + i, 1e-300) ** 3)
     size = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-300)
     return np.asarray(np.linalg.det(normal) > 1e-9 * size**3)
 

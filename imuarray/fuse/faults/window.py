@@ -20,7 +20,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.least_squares import solve_frames, spans
+from imuarray.fuse.least_squares import frame_gains, spans
 
 
 def slope(time: Times, triad: Floats) -> Floats:
@@ -104,19 +104,42 @@ def parity(rows: Floats, weights: Floats) -> Parity | None:
     return Parity(np.asarray(gain), np.asarray(matrix), np.asarray(spread), np.asarray(observable & (weights > 0)))
 
 
+_KEPT = 1024
+"""Sets of valid axes of which the gains are kept."""
+
+
 class Spaces:
-    """Parity spaces of one set of axes; the last one is kept, for weights change only when somebody is left out."""
+    """Parity spaces of one set of axes, and the gains of frames that lack readings. What was made with the last weights
+    is kept, for weights change only when somebody is left out: sensors of different rates leave the same gaps in every
+    window.
+    """
 
     def __init__(self, rows: Floats) -> None:
         self._rows = rows
         self._key = b""
         self._last: Parity | None = None
+        self._gains: dict[bytes, tuple[Floats, bool]] = {}
 
     def __call__(self, weights: Floats) -> Parity | None:
         """Return `parity` of the rows with these weights; the last result is kept."""
         if (key := weights.tobytes()) != self._key:
-            self._key, self._last = key, parity(self._rows, weights)
+            self._key, self._last, self._gains = key, parity(self._rows, weights), {}
         return self._last
+
+    def gains(self, valid: Booleans, weights: Floats) -> tuple[Floats, Booleans]:
+        """(n, 3, m) the gains of frames of which these readings are `valid` (n, m), with `weights` (m,) for all, and
+        whether they tell a triad (n,).
+        """
+        self(weights)
+        keys = [row.tobytes() for row in valid]
+        unknown = [index for index, key in enumerate(keys) if key not in self._gains]
+        if unknown:
+            if len(self._gains) + len(unknown) > _KEPT:
+                self._gains, unknown = {}, list(range(len(keys)))
+            gains, tells = frame_gains(weights * valid[unknown], self._rows)
+            self._gains |= {keys[index]: (gains[at], bool(tells[at])) for at, index in enumerate(unknown)}
+        kept = [self._gains[key] for key in keys]
+        return np.array([gain for gain, _ in kept]), np.array([tells for _, tells in kept])
 
 
 @dataclass(frozen=True)
@@ -199,12 +222,15 @@ def window_residuals(
     if white is None:
         return None
     bias, valid = normal.state[:, 0], window.valid
-    triad, observable = _solve(window.values - bias, valid, white, weights, rows)
+    solved = _FrameSolution.of(valid, white, weights, spaces)
+    every = bool(valid.all())
+    values = window.values if every else np.where(valid, window.values, bias)
+    triad = solved(values - bias)
     regressors = normal.regressors(triad, slope(window.time, triad), rows)
     errors = window.values - normal.explains(regressors)
-    triad, _ = _solve(errors, valid, white, weights, rows)
+    triad = solved(errors if every else np.where(valid, errors, 0.0))
     residual = errors - triad @ rows.T
-    valid = valid & observable[:, None]
+    valid = valid & solved.observable[:, None]
     counts = np.maximum(valid.sum(axis=0), 1).astype(float)
     if not valid.all():
         residual = np.where(valid, residual, 0.0)
@@ -218,15 +244,30 @@ def window_residuals(
     return WindowResiduals(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
 
 
-def _solve(values: Floats, valid: Booleans, space: Parity, weights: Floats, rows: Floats) -> tuple[Floats, Booleans]:
-    """The triads (n, 3) that the valid readings of the weighted axes tell, and whether they do (n,); where they don't,
-    that of the frame before.
+@dataclass(frozen=True)
+class _FrameSolution:
+    """What makes the triads of a window of its values: `gains` (n, 3, m), or (3, m) where those of all frames are the
+    same, and whether each frame's readings tell a triad, `observable` (n,).
     """
-    if valid[:, weights > 0].all():
-        return np.asarray(values @ space.gain.T), np.ones(len(values), bool)
-    triad = solve_frames(np.where(valid, values, 0.0), weights * valid, rows)
-    observable = np.isfinite(triad[:, 0])
-    if observable.all() or not observable.any():
-        return np.nan_to_num(triad), observable
-    last = np.maximum.accumulate(np.where(observable, np.arange(len(triad)), -1))
-    return np.asarray(triad[np.where(last < 0, observable.argmax(), last)]), observable
+
+    gains: Floats
+    observable: Booleans
+
+    @classmethod
+    def of(cls, valid: Booleans, white: Parity, weights: Floats, spaces: Spaces) -> _FrameSolution:
+        """Return that of the `valid` (n, m) readings of the weighted axes."""
+        if valid[:, weights > 0].all():
+            return cls(white.gain, np.ones(len(valid), bool))
+        return cls(*spaces.gains(valid, weights))
+
+    def __call__(self, values: Floats) -> Floats:
+        """(n, 3) the triads of values (n, m), 0 where not valid; that of the frame before where there is none."""
+        if self.gains.ndim == 2:
+            return np.asarray(values @ self.gains.T)
+        triad: Floats = np.einsum("nim,nm->ni", self.gains, values)
+        if self.observable.all():
+            return triad
+        if not self.observable.any():
+            return np.zeros_like(triad)
+        last = np.maximum.accumulate(np.where(self.observable, np.arange(len(triad)), -1))
+        return np.asarray(triad[np.where(last < 0, self.observable.argmax(), last)])

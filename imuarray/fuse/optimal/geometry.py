@@ -119,9 +119,11 @@ def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | sli
     if (flags == flags[0]).all():
         return [(flags[0], slice(None))]
     packed = np.packbits(flags, axis=1)
-    keys = np.ascontiguousarray(packed).view(np.dtype((np.void, packed.shape[1])))[:, 0]
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    return [(flags[row], np.flatnonzero(which.reshape(-1) == index)) for index, row in enumerate(first)]
+    width, content = packed.shape[1], packed.tobytes()
+    first: dict[bytes, int] = {}
+    rows = (first.setdefault(content[width * row : width * (row + 1)], row) for row in range(len(flags)))
+    alike = np.fromiter(rows, np.intp, len(flags))  # a dictionary is faster than the sorting of `np.unique`
+    return [(flags[first[key]], np.flatnonzero(alike == first[key])) for key in sorted(first)]
 
 
 def held(triad: Floats) -> Floats:

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.arrays import Floats
-from imuarray.fuse.faults.window import Parity, parity, slope, slopes
+from imuarray.fuse.faults.window import Parity, Spaces, parity, slope, slopes
+from imuarray.fuse.least_squares import spans
 from tests.selection import examples
 
 
@@ -101,3 +102,29 @@ def test_slopes_are_central_and_one_sided_at_the_ends() -> None:
     assert slope(time, triads) == pytest.approx(wanted)
     both = slopes(np.stack([time, time]), np.stack([triads, 2 * triads]))
     assert both == pytest.approx(np.stack([wanted, 2 * wanted]))
+
+
+@settings(max_examples=examples(25), deadline=None)
+@given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
+def test_gains_of_frames_with_gaps_are_least_squares_of_the_valid_readings(seed: int, sensors: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows, weights, _ = drawn(seed, sensors)
+    spaces = Spaces(rows)
+    for each in (weights, weights, weights[::-1].copy()):  # the second time they are kept, the third they are others
+        valid = np.repeat(rng.random((12, sensors)) < 0.6, 3, axis=1)
+        gains, tells = spaces.gains(valid, each)
+        assert (tells == valid.any(axis=1)).all()
+        values = rng.normal(size=valid.shape)
+        for gain, of, value in zip(gains[tells], valid[tells], values[tells], strict=True):
+            root = np.sqrt(each[of])
+            expected = np.linalg.lstsq(root[:, None] * rows[of], root * value[of], rcond=None)[0]
+            np.testing.assert_allclose(gain @ np.where(of, value, 0.0), expected, rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=examples(25), deadline=None)
+@given(seed=st.integers(0, 10**6), axes=st.integers(0, 6))
+def test_axes_span_space_if_their_rank_is_three(seed: int, axes: int) -> None:
+    rows = np.random.default_rng(seed).integers(-1, 2, size=(axes, 3)).astype(float)
+    normal = rows.T @ rows
+    assert bool(spans(normal)) == (np.linalg.matrix_rank(rows) == 3 if axes else False)
+    assert bool(spans(normal)) == bool(spans(normal[None])[0])
