@@ -91,10 +91,12 @@ def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_A
     if len(floor.bins) == 0:
         return LineSearch((), frequency_hz, floor.density, floor.density, false_alarm)
     level = floor.level(false_alarm / len(floor.bins))
-    chance = floor.exceedance(spectrum.density[floor.bins, column]) * len(floor.bins)
     power = _mirrored(spectrum.density[:, column])
     peaks = [at for at in _peaks(power, floor.bins, level) if _is_narrow(power, floor, at, false_alarm)]
-    lines = tuple(_line(spectrum, floor, power, at, min(1.0, float(chance[at]))) for at in peaks)
+    chances = floor.exceedance(spectrum.density[:, column], peaks) * len(floor.bins)
+    lines = tuple(
+        _line(spectrum, floor, power, at, min(1.0, chance)) for at, chance in zip(peaks, chances.tolist(), strict=True)
+    )
     return LineSearch(lines, frequency_hz, floor.density, level, false_alarm)
 
 

@@ -11,6 +11,7 @@ The median of the gamma law that averaged periodograms follow lies below its mea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import NamedTuple
@@ -67,9 +68,11 @@ class NoiseFloor:
         pairs, which = np.unique(self.spectrum_freedom + 1j * self.freedom, return_inverse=True)
         return np.asarray(self.density * fdtri(pairs.real, pairs.imag, 1 - probability)[which.reshape(-1)])
 
-    def exceedance(self, density: Floats) -> Floats:
-        """Probability (b,) that noise exceeds `density` (b,) in a bin."""
-        return np.asarray(fdtrc(self.spectrum_freedom, self.freedom, density / self.density))
+    def exceedance(self, density: Floats, at: Sequence[int]) -> Floats:
+        """Probability (p,) that noise exceeds the `density` of a spectrum in the floor's bins number `at` (p,)."""
+        places = np.asarray(at, np.intp)
+        ratio = density[self.bins[places]] / self.density[places]
+        return np.asarray(fdtrc(self.spectrum_freedom[places], self.freedom[places], ratio))
 
 
 def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
