@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
 
@@ -63,6 +64,8 @@ def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) 
     `disagreement` is the variance of single readings (SI) by which the sensors of this window differ from each other
     beyond noise, 0 for none.
     """
+    if _is_quiet(seen):
+        return None
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
     if disagreement > 0:
@@ -78,6 +81,21 @@ def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) 
         return _by_energy(energy, limit)
     return _by_mean(axis, sensor, seen)
 
+
+def _is_quiet(seen: WindowResiduals) -> bool:
+    """Return whether a window shows no fault by bounds alone, which take a part of the time of the gains: no error of
+    an axis or a sensor gains more than the whole sum of squares of the means, and no energy exceeds that over the noise
+    alone.
+    """
+    if not float(seen.means @ seen.slow.matrix @ seen.means) < _CERTAINLY * AXIS_GAIN:
+        return False
+    precision = np.where(seen.white.observable, seen.white.matrix.diagonal(), 0.0)
+    most = float((seen.deleted_squares * precision).max())
+    return most < _CERTAINLY * least_energy_limit(len(seen.triad))
+
+
+_CERTAINLY = 1 - 1e-6
+"""Share of a limit below which rounding does not matter."""
 
 _FEWEST_SENSORS = 4
 """The number of sensors from which a common change can be distinguished from a change of a single sensor."""
@@ -134,6 +152,7 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     return np.asarray((1 - lasting) * by_noise + lasting * frames * AXIS_GAIN)
 
 
+@lru_cache(maxsize=64)
 def least_energy_limit(frames: int) -> float:
     """Return the lower bound of `energy_limit`: that of white noise, or of doubt alone if that is less."""
     return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))

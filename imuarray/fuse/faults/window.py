@@ -197,20 +197,25 @@ class WindowResiduals:
         others = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
         return np.asarray(self.doubt + others)
 
+    @cached_property
+    def deleted_squares(self) -> Floats:
+        """(m,) the sum of squares of each axis' deleted residual about its mean."""
+        centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
+        squares: Floats = (centred @ self.white.deleted.T) ** 2
+        return np.asarray(squares.sum(axis=0))
+
     def energies(self, normal: Normal) -> tuple[Floats, Floats]:
         """(m,) the sum of squares, in variances, of each included axis' deleted residual about its mean; and the share
         of that variance that is no noise but doubt about calibration, and so the same from reading to reading.
         """
-        centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
         deleted = self.white.deleted
-        result = (centred @ deleted.T) ** 2
         noise = np.where(
             self.white.observable, 1 / np.where(self.white.observable, self.white.matrix.diagonal(), 1.0), np.inf
         )
         known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
         lasting = deleted**2 @ normal.doubt_within(known)
         noise = noise + deleted**2 @ normal.jitter(self.regressors)
-        return result.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
+        return self.deleted_squares / (noise + lasting), lasting / (noise + lasting)
 
 
 def window_residuals(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Floats
+from imuarray.fuse.faults import hypotheses
 from imuarray.fuse.faults.hypotheses import disagreement, strongest
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
@@ -67,3 +68,26 @@ def test_one_reading_that_is_off_is_its_sensors_fault(sensor: int) -> None:
     assert disagreement(seen, normal) == 0
     suspect = strongest(seen, normal)
     assert suspect is not None and suspect.axes == (3 * sensor + 1,) and suspect.rivals == ()
+
+
+def test_the_bounds_hide_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readings that are off by more and more, of one axis after the other: with and without the bounds the verdict is
+    the same; small errors are within the bounds, large ones are not.
+    """
+    results = []
+    for bounded in (True, False):
+        if not bounded:
+            monkeypatch.setattr(hypotheses, "_is_quiet", lambda seen: False)
+        verdicts = []
+        for axis, size in enumerate(np.linspace(0.0, 40.0, 12)):
+            off = np.zeros(24)
+            off[2 * axis] = size
+            verdicts.append(strongest(*window_of(off)))
+        results.append(verdicts)
+    assert results[0] == results[1]
+    assert results[0][0] is None and results[0][-1] is not None
+
+
+def test_a_normal_window_is_quiet_by_the_bounds() -> None:
+    seen, _ = window_of(np.zeros(24))
+    assert hypotheses._is_quiet(seen)
