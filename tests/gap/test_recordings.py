@@ -427,15 +427,30 @@ def test_the_noise_of_a_reference_is_no_motion(tmp_path: Path, noise: float) -> 
     assert np.ptp(felt.force_box, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
+COURSES = {
+    "line": lambda share: share,
+    "warm-up": lambda share: 1 - np.exp(-4 * share),
+    "there and back": lambda share: np.sin(np.pi * share),
+    "step": lambda share: share > 0.43,
+}
+
+
 @pytest.mark.parametrize(
     ("drifting", "shape", "is_left_out"),
-    [(3, "line", True), (3, "warm-up", True), (3, "step", False), (1, "line", False), (0, "line", False)],
+    [
+        (3, "line", True),
+        (3, "warm-up", True),
+        (3, "there and back", True),
+        (3, "step", False),
+        (1, "line", False),
+        (0, "line", False),
+    ],
 )
 def test_a_heating_that_nobody_recorded_is_left_out(
     tmp_path: Path, drifting: int, shape: str, is_left_out: bool
 ) -> None:
-    """Most of three sensors drift by 60 counts in a minute beside a noise of 5, evenly or with a time constant of a
-    quarter of that; one alone may wander, and sensors that are exchanged step.
+    """Most of three sensors drift by 60 counts in a minute beside a noise of 5, evenly, with a time constant of a
+    quarter of that, or there and back; one alone may wander, and sensors that are exchanged step.
     """
     sensors = [replace(FOREIGN[0], name=name, has_temperature=False) for name in ("A", "B", "C")]
     plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], sensors)
@@ -445,14 +460,40 @@ def test_a_heating_that_nobody_recorded_is_left_out(
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:01:00Z") as log:
         for number, sensor in enumerate(sensors):
             share = np.linspace(0, 1, rows)
-            course = {"line": share, "warm-up": 1 - np.exp(-4 * share), "step": share > 0.43}[shape]
-            drift = 60 * (number < drifting) * course[:, None]
+            drift = 60 * (number < drifting) * COURSES[shape](share)[:, None]
             counts = np.rint(rng.normal([0, 0, 2048], 5, (rows, 3)) + drift).astype(np.int16)
             log.append(sensor.name, Block(time, counts, np.zeros(rows, np.uint16)))
         log.phase(phase(0, 60, "static", "+Z"))
     read = recordings_of([open_log(plain), open_log(path)])
     assert [recording.name for recording in read] == (["plain.h5"] if is_left_out else ["plain.h5", "warm.h5"])
     assert any("warm.h5 is left out" in note for note in read[0].notes) == is_left_out
+
+
+@pytest.mark.parametrize(
+    ("shapes", "is_left_out"),
+    [
+        (("line", "line", "line"), True),
+        (("there and back", "step", "there and back"), True),
+        (("line", "there and back", "warm-up"), False),
+        (("step", "step", "step"), False),
+    ],
+)
+def test_a_single_sensor_whose_axes_drift_along_one_course_is_heated(
+    tmp_path: Path, shapes: Sequence[str], is_left_out: bool
+) -> None:
+    """By -40, 60 and 80 counts: two axes are enough; three that wander each by itself are not heated."""
+    sensor = replace(FOREIGN[0], has_temperature=False)
+    plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], [sensor])
+    path, rows = tmp_path / "warm.h5", 3000
+    share = np.linspace(0, 1, rows)
+    drift = np.transpose([size * COURSES[shape](share) for size, shape in zip((-40, 60, 80), shapes, strict=True)])
+    counts = np.random.default_rng(1).normal([0, 0, 2048], 5, (rows, 3)) + drift
+    with LogWriter(path, [sensor], source="imported", epoch="2024-01-01T00:01:00Z") as log:
+        time = np.arange(rows, dtype=np.int64) * SECOND // 50
+        log.append(sensor.name, Block(time, np.rint(counts).astype(np.int16), np.zeros(rows, np.uint16)))
+        log.phase(phase(0, 60, "static", "+Z"))
+    read = recordings_of([open_log(plain), open_log(path)])
+    assert [recording.name for recording in read] == (["plain.h5"] if is_left_out else ["plain.h5", "warm.h5"])
 
 
 @pytest.mark.parametrize("warming", [0, 1])

@@ -28,6 +28,7 @@ from tests.selection import some
             9_000_102,  # samples that come while they are read, which the chip calls an overrun
             9_000_147,  # polls that are early and late by turns, of a chip at its nominal rate
             9_000_093,  # a slow chip that is not polled in every frame
+            9_000_128,  # a heating that nobody noted, with no thermometer
             9_000_123,  # a clock beside that of the track, in the only motion
         ],
         0,

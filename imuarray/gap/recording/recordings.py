@@ -46,10 +46,13 @@ Temperature = Callable[[Times], Reals]
 """Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
 
 
-_DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 12.0, 100_000, 16
-"""Standard errors by which a sensor drifts in a phase at rest; most rows of either end that are read, and fewest that
-say anything.
+_DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 8.0, 10_000, 16
+"""Standard errors of a difference by which the means of a drifting axis differ in sections of a phase at rest; most
+rows of a section that are read, and fewest that say anything.
 """
+
+_ONE_COURSE = 0.98
+"""Least correlation of the means of two axes that follow one temperature."""
 
 _SECTIONS, _STEP_SHARE = 12, 0.8
 """Sections of a phase, and the share of its change within two of them from which on it is a step and no drift: heat
@@ -177,41 +180,34 @@ def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recor
 
 
 def drifts_together(recording: Recording) -> bool:
-    """True if most sensors, and at least two, drift by many standard errors in the same phase at rest."""
+    """True if most sensors drift by many standard errors in the same phase at rest, or two axes of the only sensor do
+    along one course.
+    """
     sensors = [recording.log[name] for name in recording.experiment.plan.sensors]
-    for phase in recording.phases:
-        if is_at_rest(phase) and len(sensors) > 1:
-            drifting = [sensor for sensor in sensors if _drift_sigmas(sensor, phase) > _DRIFT_SIGMAS]
-            if len(drifting) > max(1, len(sensors) / 2):
+    for phase in filter(is_at_rest, recording.phases):
+        drifting = [means for sensor in sensors if (means := _drifting_axes(sensor, phase)).size]
+        if len(sensors) > 1 and len(drifting) > max(1, len(sensors) / 2):
+            return True
+        if len(sensors) == 1 and drifting and len(drifting[0]) > 1:
+            alike = np.abs(np.corrcoef(drifting[0]))
+            if np.triu(alike, 1).max() > _ONE_COURSE:
                 return True
     return False
 
 
-def _drift_sigmas(sensor: SensorLog, phase: Phase) -> float:
-    """Largest change of an axis from the first third of a phase to the last one, in its standard errors, by the scatter
-    of neighbouring readings; 0 for few rows.
-    """
-    third_ns = (phase.end_ns - phase.start_ns) // 3
-    ends = (phase.start_ns, phase.start_ns + third_ns), (phase.end_ns - third_ns, phase.end_ns)
-    begin, end = (np.asarray(sensor.counts[sensor.between(*end)][:_DRIFT_ROWS], float) for end in ends)
-    if min(len(begin), len(end)) < _LEAST_DRIFT_ROWS:
-        return 0.0
-    variance = sum(np.maximum(np.diff(part, axis=0).var(axis=0) / 2, 1 / 12) / len(part) for part in (begin, end))
-    change = end.mean(axis=0) - begin.mean(axis=0)
-    axis = int(np.argmax(np.abs(change) / np.sqrt(variance)))
-    return 0.0 if _is_step(sensor, phase, axis) else float(abs(change[axis]) / np.sqrt(variance[axis]))
-
-
-def _is_step(sensor: SensorLog, phase: Phase, axis: int) -> bool:
-    """True if nearly all of an axis's change lies between a section of the phase and the next but one, which a step
-    within the section between them does.
+def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
+    """Means (k, s) of the k axes that drift in s sections of a phase: these differ by many standard errors, by the
+    scatter of neighbouring readings, and not by a step. No axes if there are few rows.
     """
     edges_ns = np.linspace(phase.start_ns, phase.end_ns, _SECTIONS + 1).astype(np.int64).tolist()
-    sections = [sensor.counts[sensor.between(*ends)][:_DRIFT_ROWS, axis] for ends in pairwise(edges_ns)]
-    if not all(len(section) for section in sections):
-        return False
-    means = np.array([float(np.mean(section)) for section in sections])
-    return bool(np.abs(means[2:] - means[:-2]).max() > _STEP_SHARE * np.ptp(means))
+    sections = [np.asarray(sensor.counts[sensor.between(*ends)][:_DRIFT_ROWS], float) for ends in pairwise(edges_ns)]
+    if min(map(len, sections)) < _LEAST_DRIFT_ROWS:
+        return np.zeros((0, _SECTIONS))
+    means = np.array([section.mean(axis=0) for section in sections]).T
+    variances = [np.maximum(np.diff(section, axis=0).var(axis=0) / 2, 1 / 12) / len(section) for section in sections]
+    size = np.ptp(means, axis=1)
+    is_step = np.abs(means[:, 2:] - means[:, :-2]).max(axis=1) > _STEP_SHARE * size
+    return means[(size > _DRIFT_SIGMAS * np.sqrt(2 * np.mean(variances, axis=0))) & ~is_step]
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
