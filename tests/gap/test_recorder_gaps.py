@@ -29,8 +29,11 @@ def logged(
     message: str = "",
     late_s: float = 0.0,
     sensors: Sequence[SensorHeader] = SENSORS,
+    is_delayed: bool = False,
 ) -> Recording:
-    """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late."""
+    """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late. If it `is_delayed` within
+    a frame, the row after the lost ones comes 1 ms before the next one, which is flagged in its place.
+    """
     rng = np.random.default_rng(1)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, sensor in enumerate(sensors):
@@ -41,7 +44,10 @@ def logged(
             held = np.ones(ROWS, bool)
             if sensor.name in lost:
                 held[lost[sensor.name]] = False
-                status[lost[sensor.name].stop] = LOST_BEFORE
+                stop = lost[sensor.name].stop
+                status[stop + is_delayed] = LOST_BEFORE
+                if is_delayed:
+                    time[stop] = time[stop + 1] - 1_000_000
             log.append(sensor.name, Block(time[held], counts[held], status[held]))
         log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
         if message:
@@ -92,9 +98,11 @@ def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: 
     assert due(recording)["Acc"] == (ROWS - 40 if is_of_recorder else ROWS)
 
 
-def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_delayed", [False, True])
+def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
     rows = slice(300, 340)
-    bench, campaign = prepared([logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows})], None, 0)
+    recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows}, is_delayed=is_delayed)
+    bench, campaign = prepared([recording], None, 0)
     shown = bench.measured(campaign, bench.base.fitted)
     simulated = bench.measured(bench.simulated(bench.models(), 0), bench.base.fitted)
     timing = {

@@ -98,3 +98,13 @@ def test_a_score_far_beyond_the_largest_of_chance_stays_so() -> None:
     scores[0, 0] = 60.0
     normal = np.abs(normal_scores_by_others(scores, [*keys(3, "thermal_slope"), *keys(200, "noise")])).max(axis=1)
     assert p_value(float(normal[0]), normal[1:]) == pytest.approx(1 / REPLICATES)
+
+
+def test_a_statistic_that_hardly_ever_differs_has_no_short_tail() -> None:
+    """Most scores are 0, one in eight is 0.06: one of 0.6 is no deviation, and one of 6 is."""
+    several = keys(24, "stale")
+    chance = np.where(np.arange(40 * 24).reshape(40, 24) % 8 == 0, 0.06, 0.0)
+    scores = np.array([0.6, -6.0, *np.zeros(22)])
+    normal = tails_of(chance, several).normal(scores, several)
+    assert 0 < normal[0] < 1.5
+    assert normal[1] < -5.0

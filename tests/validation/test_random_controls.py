@@ -29,6 +29,9 @@ from tests.selection import some
             9_000_147,  # polls that are early and late by turns, of a chip at its nominal rate
             9_000_093,  # a slow chip that is not polled in every frame
             9_000_128,  # a heating that nobody noted, with no thermometer
+            9_000_461,  # the same of a single accelerometer, in a quick heat
+            9_000_460,  # flags that hardly ever occur
+            9_000_403,  # a recorder that is delayed within a frame
             9_000_123,  # a clock beside that of the track, in the only motion
         ],
         0,

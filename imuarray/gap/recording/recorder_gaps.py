@@ -34,6 +34,9 @@ PERIOD, SLOWER = 1.1, 0.9
 rows, in the same periods, that shows that it is polled more often.
 """
 
+EARLY = 0.9
+"""Share of the usual interval below which a row follows early: no reading was lost before it."""
+
 CHANCE = 0.01
 """Probability with which sensors that lose rows independently have as many gaps in common."""
 
@@ -67,7 +70,7 @@ class RecorderGaps:
 
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     """Detects the recorder's gaps among the rows of sensors with these timelines."""
-    usual_ns = {name: _usual_ns(sensor) for name, sensor in log.sensors.items()}
+    usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     delays = [_delay(event) for event in log.events if event.kind == "late" and not event.sensor]
     timelines, ends_ns = dict(lines), {}
     most: list[_Gap] = []
@@ -129,7 +132,7 @@ def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
     return max(1 - ((len(sensor) - 1) * usual_ns + gap_ns) / span_ns, 0.0)
 
 
-def _usual_ns(sensor: SensorLog) -> float:
+def usual_interval_ns(sensor: SensorLog) -> float:
     """The median of a sensor's first intervals, 0 without two rows."""
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
 

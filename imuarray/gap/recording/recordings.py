@@ -7,6 +7,7 @@ them static poses are detected and their attitudes estimated from the accelerome
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,7 +28,7 @@ from imuarray.gap.recording.phases import (
     phases_of,
     temperature_notes,
 )
-from imuarray.gap.recording.recorder_gaps import RecorderGaps, recorder_gaps
+from imuarray.gap.recording.recorder_gaps import EARLY, RecorderGaps, recorder_gaps, usual_interval_ns
 from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.gap.recording.source import Source, recorded_source
 from imuarray.log import Log, SensorLog
@@ -51,10 +52,12 @@ _DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 8.0, 10_000, 16
 rows of a section that are read, and fewest that say anything.
 """
 
-_ONE_COURSE = 0.98
-"""Least correlation of the means of two axes that follow one temperature."""
+_OTHER_COURSE = 0.2
+"""Largest deviation of two axes from a common course, as a share of the smaller drift, if they follow one temperature:
+thermal lags and curved slopes differ a little.
+"""
 
-_SECTIONS, _STEP_SHARE = 12, 0.8
+_SECTIONS, _STEP_SHARE = 24, 0.8
 """Sections of a phase, and the share of its change within two of them from which on it is a step and no drift: heat
 takes a time constant.
 """
@@ -188,16 +191,20 @@ def drifts_together(recording: Recording) -> bool:
         drifting = [means for sensor in sensors if (means := _drifting_axes(sensor, phase)).size]
         if len(sensors) > 1 and len(drifting) > max(1, len(sensors) / 2):
             return True
-        if len(sensors) == 1 and drifting and len(drifting[0]) > 1:
-            alike = np.abs(np.corrcoef(drifting[0]))
-            if np.triu(alike, 1).max() > _ONE_COURSE:
-                return True
+        if len(sensors) == 1 and drifting and len(drifting[0]) > 1 and _follows_one_course(drifting[0]):
+            return True
     return False
 
 
+def _follows_one_course(means: Floats) -> bool:
+    """True if means (k, s) of k axes in s sections, in standard errors, are multiples of one course, but for chance."""
+    _, second, *_ = np.linalg.svd(means - means.mean(axis=1, keepdims=True), compute_uv=False)
+    return bool(second < max(_OTHER_COURSE * np.ptp(means, axis=1).min(), math.sqrt(2 * means.shape[1])))
+
+
 def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
-    """Means (k, s) of the k axes that drift in s sections of a phase: these differ by many standard errors, by the
-    scatter of neighbouring readings, and not by a step. No axes if there are few rows.
+    """Means (k, s) of the k axes that drift in s sections of a phase, in their standard errors: these differ by many of
+    them, by the scatter of neighbouring readings, and not by a step. No axes if there are few rows.
     """
     edges_ns = np.linspace(phase.start_ns, phase.end_ns, _SECTIONS + 1).astype(np.int64).tolist()
     sections = [np.asarray(sensor.counts[sensor.between(*ends)][:_DRIFT_ROWS], float) for ends in pairwise(edges_ns)]
@@ -205,9 +212,10 @@ def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
         return np.zeros((0, _SECTIONS))
     means = np.array([section.mean(axis=0) for section in sections]).T
     variances = [np.maximum(np.diff(section, axis=0).var(axis=0) / 2, 1 / 12) / len(section) for section in sections]
+    means /= np.sqrt(np.mean(variances, axis=0))[:, None]
     size = np.ptp(means, axis=1)
     is_step = np.abs(means[:, 2:] - means[:, :-2]).max(axis=1) > _STEP_SHARE * size
-    return means[(size > _DRIFT_SIGMAS * np.sqrt(2 * np.mean(variances, axis=0))) & ~is_step]
+    return np.asarray(means[(size > _DRIFT_SIGMAS * math.sqrt(2)) & ~is_step])
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
@@ -258,7 +266,8 @@ def sources_of(recording: Recording) -> dict[str, Source]:
             loss_ends_ns = loss_ends_ns[:0]
         strange = source.header.has_temperature and not header.has_temperature
         if strange or len(gap_ends_ns) or len(loss_ends_ns):
-            source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns)
+            early_ns = EARLY * usual_interval_ns(recording.log[name])
+            source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns, early_ns)
         sources[name] = source
     return sources
 
@@ -273,24 +282,31 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
 
 class _Comparable:
     """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`. The flag of lost
-    rows is removed from the rows at `gap_ends_ns` (k,), and set in those at `loss_ends_ns` (l,).
+    rows is removed from the rows at `gap_ends_ns` (k,), and set in those at `loss_ends_ns` (l,). It is removed from
+    rows that follow the one before earlier than usual (`early_ns`), too: a recorder that was delayed within a frame
+    reports the frames that it missed with the next one.
     """
 
-    def __init__(self, source: Source, has_temperature: bool, gap_ends_ns: Times, loss_ends_ns: Times) -> None:
+    def __init__(
+        self, source: Source, has_temperature: bool, gap_ends_ns: Times, loss_ends_ns: Times, early_ns: float
+    ) -> None:
         self.header = replace(source.header, has_temperature=source.header.has_temperature and has_temperature)
         self.cache: dict[Hashable, Any] = {}
         self._source = source
-        self._gap_ends_ns, self._loss_ends_ns = gap_ends_ns, loss_ends_ns
+        self._gap_ends_ns, self._loss_ends_ns, self._early_ns = gap_ends_ns, loss_ends_ns, early_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         return self._source.rows(start_ns, end_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        last_ns = -1 << 62
         for block in self._source.blocks(start_ns, end_ns):
             temperature = block.temperature_counts if self.header.has_temperature else None
             status = block.status.copy()
-            status[np.isin(block.time, self._gap_ends_ns)] &= np.uint16(~LOST_BEFORE & 0xFFFF)
+            is_early = np.diff(block.time, prepend=last_ns) < self._early_ns
+            status[np.isin(block.time, self._gap_ends_ns) | is_early] &= np.uint16(~LOST_BEFORE & 0xFFFF)
             status[np.isin(block.time, self._loss_ends_ns)] |= np.uint16(LOST_BEFORE)
+            last_ns = int(block.time[-1])
             yield block._replace(temperature_counts=temperature, status=status)
 
 

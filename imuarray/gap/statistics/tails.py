@@ -37,6 +37,11 @@ _CONSTANT = gammaln((_FREEDOM + 1) / 2) - gammaln(_FREEDOM / 2) - np.log(_FREEDO
 _LEAST_SIZE = 0.05
 """Size at the quantile below which a statistic hardly ever has another value: there is no tail to be fitted."""
 
+_LEAST_SCALE = 0.5
+"""Least scale of a tail. A statistic that has one value in nearly all replicates (rows with a flag, absent codes), or
+differs by less than its resolution, has smaller scores, of which the usual largest says nothing.
+"""
+
 _LEAST_SHARE = 1e-300
 
 
@@ -119,7 +124,7 @@ def _fit(sizes: Floats) -> _Fit | None:
     size = float(np.quantile(sizes[is_known], QUANTILE))
     if size < _LEAST_SIZE:
         return None
-    scales = size / _AT_QUANTILE
+    scales = np.maximum(size / _AT_QUANTILE, _LEAST_SCALE)
     squares = np.where(is_known, sizes, 0.0) ** 2
     density = np.empty((len(FREEDOMS), len(sizes)))
     for at, (freedom, scale) in enumerate(zip(FREEDOMS, scales.tolist(), strict=True)):
