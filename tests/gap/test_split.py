@@ -88,6 +88,21 @@ def test_a_half_keeps_name_face_and_number() -> None:
     assert (both.campaign, both.logs) == (campaign, (0,))
 
 
+def test_both_parts_have_a_rest_where_any_log_has() -> None:
+    """A ride without a stop and a box that is turned by hand are both motions; the noise of both parts is that of the
+    rests of the second. With a third log that has rests, that one is held out.
+    """
+    ride = [Phase(0, 100, "motion", "")]
+    turned = [Phase(0, 40, "pose 1", ""), Phase(40, 50, "motion", ""), Phase(50, 100, "pose 2", "")]
+    split = split_of(["motion"] * 2, [ride, turned])
+    for held_out in (False, True):
+        names = [phase.name for phase in split.phases(held_out)[1]]
+        assert names == ["pose 1", "motion", "pose 2"]
+    split = split_of(["motion"] * 3, [ride, turned, turned])
+    assert [len(phases) for phases in split.phases(True)] == [1, 0, 3]
+    assert [len(phases) for phases in split.phases(False)] == [1, 3, 0]
+
+
 def test_what_was_summarised_in_one_part_alone_is_that_part() -> None:
     """As simulations are of which only the training part is needed."""
     phases = [Phase(0, 10, "run 1", "+Z"), Phase(20, 30, "run 2", "+Z")]

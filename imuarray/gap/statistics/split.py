@@ -1,7 +1,8 @@
 """The split of a campaign into a training part, to which parameters are fitted, and a held-out part.
 
 Of several logs of one kind every second one is held out; of a log that is the only one of its kind, the second half of
-every phase. Both parts thus have the same faces and phases, and the fit to one has not seen the other.
+every phase. Both parts thus have the same faces and phases, and the fit to one has not seen the other. Logs with and
+without a phase at rest are of two kinds: only the former determine noise and bias.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.log.format import Phase
 
@@ -73,11 +75,12 @@ class Split:
 
 def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
     """The split of a campaign whose logs are of these kinds and have these phases."""
-    many = {kind for kind, count in Counter(kinds).items() if count > 1}
+    several = [(kind, any(map(is_at_rest, log_phases))) for kind, log_phases in zip(kinds, phases, strict=True)]
+    many = {kind for kind, count in Counter(several).items() if count > 1}
     shares = []
-    for number, (kind, log_phases) in enumerate(zip(kinds, phases, strict=True)):
+    for number, (kind, log_phases) in enumerate(zip(several, phases, strict=True)):
         if kind in many:
-            out = kinds[:number].count(kind) % 2 == 1
+            out = several[:number].count(kind) % 2 == 1
             shares.append(Share(tuple(log_phases), tuple(range(len(log_phases))), (out,) * len(log_phases), False))
         else:
             shares.append(_halved(log_phases))
