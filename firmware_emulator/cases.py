@@ -161,7 +161,7 @@ class Case:
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
         if isinstance(experiment.world, Course):
             bus.truth = ReferenceWorld(experiment.world)
-        begin = _WithBegin(bus.truth)
+        begin = _LogBegin(bus.truth)
         bus.truth = begin
         if not self.reference:
             del bus.truth  # nobody is told
@@ -185,8 +185,8 @@ class Case:
         return {"log": path.name, "run": run, "notes": boards[0].notes, "touched": touched}
 
 
-class _WithBegin:
-    """A world that notes when it was first asked: at the beginning of a log, after the sensors were set up."""
+class _LogBegin:
+    """A world that keeps the time of the first query: the beginning of a log, after the sensors were set up."""
 
     def __init__(self, world: World) -> None:
         self._world = world
