@@ -317,8 +317,10 @@ def test_json_is_json_on_a_terminal_too(run: Run, monkeypatch: pytest.MonkeyPatc
     assert json.loads(out)["frames"] == 50
 
 
-def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.CompletedProcess[str], float]:
-    """A recording in real time that gets a signal once it runs; what it said, and how long it took to end."""
+def interrupted(here: Path, number: int, *more: str) -> subprocess.CompletedProcess[str]:
+    """A recording in real time without an end that gets a signal once it runs, and ends within a minute; what it
+    said.
+    """
     command = [
         sys.executable,
         "-m",
@@ -340,19 +342,17 @@ def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.Complet
     while not (here / "r.h5").exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.01)
     time.sleep(0.3)
-    asked = time.monotonic()
     process.send_signal(number)
-    out, err = process.communicate(timeout=20)
-    return subprocess.CompletedProcess(command, process.returncode, out, err), time.monotonic() - asked
+    out, err = process.communicate(timeout=60)
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 
 @pytest.mark.parametrize("number", some([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], 1))
 def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
-    done, took_s = interrupted(here, number, "--rate-hz", "50", "--json")
+    done = interrupted(here, number, "--rate-hz", "50", "--json")
     first, *events = done.stderr.splitlines()
     assert (done.returncode, first) == (0, NOTE)
     assert [line for line in events if " late: " not in line] == []  # that is of a machine that was busy
-    assert took_s < 5
     said = json.loads(done.stdout)
     with open_log(here / "r.h5") as log:
         assert len(log["A"]) == len(log["M"]) == said["frames"] > 3
@@ -391,9 +391,8 @@ def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
-    done, took_s = interrupted(here, signal.SIGINT, "--rate-hz", "0.05")  # a frame in 20 s
+    done = interrupted(here, signal.SIGINT, "--rate-hz", "0.01")  # a frame in 100 s
     assert done.returncode == 0
-    assert took_s < 10
 
 
 def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
