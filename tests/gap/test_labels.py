@@ -153,6 +153,17 @@ def test_a_single_accelerometer_is_believed_if_its_mounting_is_determined(tmp_pa
 
 
 @pytest.mark.slow
+def test_a_large_bias_hides_no_face(tmp_path: Path) -> None:
+    """With 0.45 g more, one of two accelerometers is 32 degrees from three of its faces, and a turn of it would fit the
+    others.
+    """
+    bias = {"B2": (Bias((0.45, -0.2, -0.2)),)}
+    wrong = {"y_down": "-Z", "z_down": "-Y"}
+    labels = found_in(tumbled(tmp_path / "log.h5", wrong, sensors=2, more=bias))
+    assert told(labels) == {name: (noted, FACES[name]) for name, noted in wrong.items()}
+
+
+@pytest.mark.slow
 def test_two_accelerometers_decide_together(tmp_path: Path) -> None:
     (found,) = found_in(tumbled(tmp_path / "two.h5", {"x_up": "-X"}, sensors=2))
     assert found.agree == ("B1", "B2")

@@ -43,6 +43,9 @@ LEAST = 2
 it is mounted.
 """
 
+_UP_AND_DOWN_G = 1.5
+"""Least difference of the readings of an axis in g that it has only if it pointed up once and down once."""
+
 _UPS = np.array([up_vector(up) for up in UP_AXES])
 
 
@@ -122,6 +125,7 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
         for phase in recording.phases
         if phase.up and (readings := _readings_g(log, phase))
     ]
+    noted = _without_biases(noted)
     plain, turned = _check_labels(noted, {}), _check_labels(noted, _rotations_of(noted))
     likelier = turned if turned.faults <= plain.faults else plain
     if likelier.wrong and _faults_of_exchange(noted, headers_in(campaign)) < likelier.faults:
@@ -204,6 +208,19 @@ class _LabelledPhase(NamedTuple):
     name: str
     phase: Phase
     readings_g: Mapping[str, Floats]
+
+
+def _without_biases(noted: Sequence[_LabelledPhase]) -> list[_LabelledPhase]:
+    """The phases with readings without a sensor's bias, along axes that pointed up and down, whatever was noted."""
+    biases: dict[str, Floats] = {}
+    for sensor in dict.fromkeys(name for item in noted for name in item.readings_g):
+        readings = np.array([item.readings_g[sensor] for item in noted if sensor in item.readings_g])
+        high, low = readings.max(axis=0), readings.min(axis=0)
+        biases[sensor] = np.where(high - low > _UP_AND_DOWN_G, (high + low) / 2, 0.0)
+    return [
+        item._replace(readings_g={sensor: reading - biases[sensor] for sensor, reading in item.readings_g.items()})
+        for item in noted
+    ]
 
 
 class _LabelCheck(NamedTuple):
