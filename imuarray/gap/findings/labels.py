@@ -235,14 +235,14 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
     sensors, the wrong labels, and sensors that feel another face than the true one.
     """
     wrong, odd = [], set(turns)
-    mounted = _determined(noted)
+    mountings = _known_mountings(noted)
     for log, name, phase, readings_g in noted:
         readings = {
             sensor: turns[sensor].T @ reading if sensor in turns else reading for sensor, reading in readings_g.items()
         }
         up = face_of(np.median(list(readings.values()), axis=0))
         agree = tuple(sensor for sensor, reading in readings.items() if up and face_of(reading) == up)
-        is_believed = len(readings) >= LEAST or mounted.issuperset(readings)
+        is_believed = len(readings) >= LEAST or mountings.issuperset(readings)
         is_wrong = up not in ("", phase.up) and is_believed and 2 * len(agree) > len(readings)
         if is_wrong:
             wrong.append(WrongLabel(log, name, phase, up, readings, agree))
@@ -251,8 +251,10 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
     return _LabelCheck(tuple(wrong), len(wrong) + len(odd))
 
 
-def _determined(noted: Sequence[_LabelledPhase]) -> set[str]:
-    """The sensors that agree with noted faces along two axes and with more labels than they contradict."""
+def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
+    """The sensors whose mounting is known: they agree with noted faces along two axes, and with more labels than they
+    contradict.
+    """
     agreed: dict[str, list[str]] = {}
     contradicted: dict[str, int] = {}
     for item in noted:

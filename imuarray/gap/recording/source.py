@@ -150,11 +150,11 @@ def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.ND
     whatever the chip says of the rows before and after it.
     """
     is_doubtful = is_new & ((flags & STALE) != 0)
-    is_beside = is_doubtful.copy()
-    is_beside[1:] |= is_doubtful[:-1]
-    is_beside[:-1] |= is_doubtful[1:]
+    is_adjacent = is_doubtful.copy()
+    is_adjacent[1:] |= is_doubtful[:-1]
+    is_adjacent[:-1] |= is_doubtful[1:]
     flags = np.where(is_doubtful, flags & ~np.uint16(STALE), flags)
-    return np.where(is_beside, flags & ~np.uint16(OVERRUN), flags)
+    return np.where(is_adjacent, flags & ~np.uint16(OVERRUN), flags)
 
 
 def flags_of_chip(chip: str) -> int:
