@@ -15,11 +15,13 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import binom
 
+from imuarray.array import parse_array
 from imuarray.gap.diagnose import REPLICATES
 from imuarray.gap.findings.deviations import StatisticReport, where_of
 from imuarray.gap.inference.comparison import (
     ENOUGH,
     Comparison,
+    _queued_in,
     _without_flags_never_set,
     compared_with_base,
     settled,
@@ -32,7 +34,7 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.synthetic_likelihood import likelihood_of
-from imuarray.simulate import parse_model
+from imuarray.simulate import parse_model, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.scale import Scale
@@ -285,3 +287,31 @@ def test_a_flag_that_no_row_has_is_missing() -> None:
         ([0.0, 0.0, 0.2, nan], [0.0, 0.0, 0.2, nan]),
     ):
         np.testing.assert_array_equal(_without_flags_never_set(keys, np.array(values)), known)
+
+
+def test_a_queue_is_known_by_the_configuration_or_by_its_rows() -> None:
+    """A queue may be slower than the frames, which its rows do not show; a log without a configuration has only
+    those.
+    """
+    text = """[array]
+name = "queue"
+bus = "i2c:/dev/i2c-1"
+[[sensor]]
+name = "Queue"
+chip = "adxl345"
+address = 0x53
+range = 2
+rate_hz = 100
+fifo = true
+[[sensor]]
+name = "Polled"
+chip = "adxl345"
+address = 0x1D
+range = 2
+rate_hz = 100
+"""
+    slow, fast = (plan_of(parse_array(text), frame_rate_hz, 10.0) for frame_rate_hz in (250.0, 25.0))
+    unknown = (replace(slow, config=""), replace(fast, config=""))
+    for plan, queued in zip((slow, fast, *unknown), ({"Queue"}, {"Queue"}, set(), {"Queue"}), strict=True):
+        recording = SimpleNamespace(experiment=SimpleNamespace(plan=plan))
+        assert _queued_in(cast(Any, [recording])) == queued
