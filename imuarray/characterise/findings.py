@@ -233,7 +233,7 @@ def _fit(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
 
 
 @dataclass(frozen=True)
-class _FoundLine:
+class _AxisLine:
     """A line of an axis, with its share of the axis's variance."""
 
     place: Place
@@ -243,7 +243,7 @@ class _FoundLine:
     resolution_hz: float
     line: Mapping[str, Any]
 
-    def matches(self, other: _FoundLine) -> bool:
+    def matches(self, other: _AxisLine) -> bool:
         """Return whether both can be the same disturbance: equal in unit and, within resolution and width, in
         frequency.
         """
@@ -256,7 +256,7 @@ class _FoundLine:
 
 def _lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Describe the strongest lines, one that several axes have once, and count the others."""
-    groups: list[list[_FoundLine]] = []
+    groups: list[list[_AxisLine]] = []
     for line in sorted(_all_lines(sensors), key=lambda line: -line.share):
         same = next((group for group in groups if group[0].matches(line) and not _has_place(group, line)), None)
         if same is None:
@@ -272,11 +272,11 @@ def _lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"weaker lines: {len(others)}, in {places}"
 
 
-def _has_place(group: Sequence[_FoundLine], line: _FoundLine) -> bool:
+def _has_place(group: Sequence[_AxisLine], line: _AxisLine) -> bool:
     return any(member.place == line.place for member in group)
 
 
-def _all_lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[_FoundLine]:
+def _all_lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[_AxisLine]:
     for sensor in sensors:
         unit = sensor["unit"] if sensor["unit_per_count"] is not None else "counts"
         for axis in sensor["axes"]:
@@ -285,10 +285,10 @@ def _all_lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[_FoundLine]:
                 share = line["amplitude"] ** 2 / 2 / variance if variance else 0.0
                 place = sensor["name"], axis["axis"]
                 resolution_hz = sensor["spectrum"]["resolution_hz"]
-                yield _FoundLine(place, unit, abs(axis["unit_per_count"] or 1.0), share, resolution_hz, line)
+                yield _AxisLine(place, unit, abs(axis["unit_per_count"] or 1.0), share, resolution_hz, line)
 
 
-def _line_in_words(group: Sequence[_FoundLine], places: str) -> str:
+def _line_in_words(group: Sequence[_AxisLine], places: str) -> str:
     """One line, of the strongest of the axes that have it; amplitudes of all."""
     strongest = group[0]
     line, scale = strongest.line, strongest.scale
@@ -303,8 +303,8 @@ def _line_in_words(group: Sequence[_FoundLine], places: str) -> str:
     )
     amplitude = f"{line['amplitude'] * scale:.3g} +- {line['amplitude_error'] * scale:.1g} {strongest.unit}"
     if len(group) > 1:
-        values = [(member.line["amplitude"] * member.scale,) * 2 for member in group]
-        amplitude = f"{_span([(value, f'{value:.3g}') for value, _ in values])} {strongest.unit}"
+        values = [member.line["amplitude"] * member.scale for member in group]
+        amplitude = f"{_span([(value, f'{value:.3g}') for value in values])} {strongest.unit}"
     shares = _span([(member.share, f"{100 * min(member.share, 1):.2g}") for member in group])
     return (
         f"{places}: a line {width}at {line['frequency_hz']:.4g} Hz{order}{aliases}, amplitude {amplitude},"

@@ -109,8 +109,8 @@ _KEPT = 1024
 
 
 class Spaces:
-    """Parity spaces of one set of axes, and the gains of frames that lack readings. What was made with the last weights
-    is kept, for weights change only when somebody is left out: sensors of different rates leave the same gaps in every
+    """Parity spaces of one set of axes, and the gains of frames that lack readings. The results for the last weights
+    are kept: weights change only when a sensor is left out, and sensors of different rates leave the same gaps in every
     window.
     """
 
@@ -127,8 +127,8 @@ class Spaces:
         return self._last
 
     def gains(self, valid: Booleans, weights: Floats) -> tuple[Floats, Booleans]:
-        """(n, 3, m) the gains of frames of which these readings are `valid` (n, m), with `weights` (m,) for all, and
-        whether they tell a triad (n,).
+        """Return the gains (n, 3, m) of frames whose readings are `valid` (n, m), with the same `weights` (m,), and
+        whether the readings determine a triad (n,).
         """
         self(weights)
         keys = [row.tobytes() for row in valid]
@@ -136,10 +136,10 @@ class Spaces:
         if unknown:
             if len(self._gains) + len(unknown) > _KEPT:
                 self._gains, unknown = {}, list(range(len(keys)))
-            gains, tells = frame_gains(weights * valid[unknown], self._rows)
-            self._gains |= {keys[index]: (gains[at], bool(tells[at])) for at, index in enumerate(unknown)}
-        kept = [self._gains[key] for key in keys]
-        return np.array([gain for gain, _ in kept]), np.array([tells for _, tells in kept])
+            gains, observable = frame_gains(weights * valid[unknown], self._rows)
+            self._gains |= {keys[index]: (gains[at], bool(observable[at])) for at, index in enumerate(unknown)}
+        frames = [self._gains[key] for key in keys]
+        return np.array([gain for gain, _ in frames]), np.array([is_observable for _, is_observable in frames])
 
 
 @dataclass(frozen=True)
@@ -228,12 +228,12 @@ def window_residuals(
         return None
     bias, valid = normal.state[:, 0], window.valid
     solved = _FrameSolution.of(valid, white, weights, spaces)
-    every = bool(valid.all())
-    values = window.values if every else np.where(valid, window.values, bias)
+    is_complete = bool(valid.all())
+    values = window.values if is_complete else np.where(valid, window.values, bias)
     triad = solved(values - bias)
     regressors = normal.regressors(triad, slope(window.time, triad), rows)
     errors = window.values - normal.explains(regressors)
-    triad = solved(errors if every else np.where(valid, errors, 0.0))
+    triad = solved(errors if is_complete else np.where(valid, errors, 0.0))
     residual = errors - triad @ rows.T
     valid = valid & solved.observable[:, None]
     counts = np.maximum(valid.sum(axis=0), 1).astype(float)
@@ -251,8 +251,8 @@ def window_residuals(
 
 @dataclass(frozen=True)
 class _FrameSolution:
-    """What makes the triads of a window of its values: `gains` (n, 3, m), or (3, m) where those of all frames are the
-    same, and whether each frame's readings tell a triad, `observable` (n,).
+    """Least-squares solution of the frames of a window: `gains` (n, 3, m), or (3, m) where all frames have the same,
+    and whether each frame's readings determine a triad, `observable` (n,).
     """
 
     gains: Floats
@@ -260,13 +260,15 @@ class _FrameSolution:
 
     @classmethod
     def of(cls, valid: Booleans, white: Parity, weights: Floats, spaces: Spaces) -> _FrameSolution:
-        """Return that of the `valid` (n, m) readings of the weighted axes."""
+        """Return the solution for the `valid` (n, m) readings of the weighted axes."""
         if valid[:, weights > 0].all():
             return cls(white.gain, np.ones(len(valid), bool))
         return cls(*spaces.gains(valid, weights))
 
     def __call__(self, values: Floats) -> Floats:
-        """(n, 3) the triads of values (n, m), 0 where not valid; that of the frame before where there is none."""
+        """Return the triads (n, 3) of values (n, m), which are 0 where not valid; a frame without a triad has that of
+        the frame before.
+        """
         if self.gains.ndim == 2:
             return np.asarray(values @ self.gains.T)
         triad: Floats = np.einsum("nim,nm->ni", self.gains, values)
