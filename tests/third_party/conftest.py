@@ -120,6 +120,7 @@ def busio(monkeypatch: pytest.MonkeyPatch) -> type[I2C]:
         "digitalio": {"DigitalInOut": Any},
         "micropython": {"const": lambda value: value},
         "circuitpython_typing": {"ReadableBuffer": Any, "WriteableBuffer": Any},
+        "circuitpython_typing.device_drivers": {"I2CDeviceDriver": Any},
     }
     for name, names in offered.items():
         module = ModuleType(name)
