@@ -23,9 +23,9 @@ from imuarray.log.format import SATURATED, STALE
 
 _SINGLE = 0b0001
 _PERIOD_NS = 9_500_000
-"""Shortest time from one measurement to the next: it takes 9 ms at the most (AKM-25), and a poll at 100 Hz may be
-early.
-"""
+"""Shortest time from one measurement to the next at 100 Hz: a poll may be early."""
+_LONGEST_NS = 20_000_000
+"""A measurement that is not over after so long never began: twice the longest that any source states (AKM-25)."""
 
 
 class Ak8975(Ak8963):
@@ -37,7 +37,8 @@ class Ak8975(Ak8963):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self._due_ns = 0
+        self._is_over = False
+        self._started_ns = 0
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
         """Measure once, and what stays as it was written: the mode does not (AKM-24)."""
@@ -51,19 +52,22 @@ class Ak8975(Ak8963):
     def steps(self) -> Iterator[float]:
         """Set the chip up as the AK8963, to the first measurement."""
         yield from super().steps()
-        self._due_ns = self.clock.now_ns()
+        self._is_over, self._started_ns = True, self.clock.now_ns() - _PERIOD_NS
 
     def start_measuring(self) -> None:
         """Start the first measurement; the chip is powered down again when it is over."""
         self.registers.poke(facts.CNTL, self.mode.value)
 
     def fetch(self) -> bytes:
-        """0x02 ... 0x09: ST1, x, y, z, ST2; then a new measurement, unless one may be in progress (AKM-23, AKM-25)."""
+        """0x02 ... 0x09: ST1, x, y, z, ST2; then a new measurement if that one is over: a mode that is written would
+        end it (AKM-23, DEC-235).
+        """
         block = self.registers.peek(facts.ST1, self.burst)
+        self._is_over |= bool(block[0] & facts.DATA_READY.mask)
         now_ns = self.clock.now_ns()
-        if now_ns >= self._due_ns:
+        if now_ns >= self._started_ns + (_PERIOD_NS if self._is_over else _LONGEST_NS):
             self.start_measuring()
-            self._due_ns = now_ns + _PERIOD_NS
+            self._is_over, self._started_ns = False, now_ns
         return block
 
     def measured(self) -> bytes:
