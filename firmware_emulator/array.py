@@ -21,8 +21,10 @@ from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
 from firmware_emulator.chips.mpu_queue import MpuFamily
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.description import ArrayLike, SensorLike
+from firmware_emulator.element import stream
 from firmware_emulator.six_axis import SixAxis
 from firmware_emulator.spi import DIALECTS, ChipSelect, Port
+from firmware_emulator.tolerances import typical
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
 from imuarray.facts import mpu6500
@@ -34,7 +36,10 @@ CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClo
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
 """The errors of Linux adapters when no chip acknowledges (LNX-40, LNX-41)."""
-SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
+SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators")
+OSCILLATORS = ("exact", "drawn")
+OSCILLATOR_ERROR = typical(0.01)
+"""By which share the oscillator of a six-axis chip is fast: its data sheets allow some percent over temperature."""
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
 BOARD = "board"
@@ -178,7 +183,9 @@ def on_spi(sensor: SensorLike) -> bool:
 
 def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switches = MappingProxyType({})) -> Chip:
     """The chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
-    given = {**board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
+    clock_hz = getattr(sensor, "external_clock_hz", None)
+    wired = {} if clock_hz is None else {"clock_input_hz": clock_hz}
+    given = {**wired, **board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
     chip = board.kind(sensor)
     element = board.element(sensor)
     if sensor.chip in BAROMETERS:
@@ -211,8 +218,26 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
         seed=whole_number(query, "seed", 0),
         bit_rate_hz=whole_number(query, "bit_rate", 400_000),
         nack_errno=nack_errno,
+        switches=oscillator_switches(query, array),
         board=board_kind(query, array),
     )
+
+
+def oscillator_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
+    """Rate errors of the six-axis chips, each drawn by seed and name of its first sensor, if the query asks for them;
+    ValueError for another word.
+    """
+    asked = query.get("oscillators", OSCILLATORS[0])
+    if asked not in OSCILLATORS:
+        raise ValueError(f"oscillators={asked}; allowed are {', '.join(OSCILLATORS)}")
+    seed = whole_number(query, "seed", 0)
+    firsts: dict[tuple[str | int | None, int], str] = {}
+    for sensor in array.sensors if asked == "drawn" else ():
+        if sensor.chip in HALVES:
+            firsts.setdefault((sensor.bus or sensor.channel, sensor.address), sensor.name)
+    return {
+        name: {"rate_error": OSCILLATOR_ERROR.draw(stream(seed, f"oscillator of {name}"))} for name in firsts.values()
+    }
 
 
 def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:

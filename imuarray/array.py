@@ -64,6 +64,8 @@ class SensorConfig(BaseModel):
     polled."""
     high_resolution: bool = False
     """Let the queue deliver counts of more bits, at the largest range."""
+    external_clock_hz: FiniteFloat | None = None
+    """Frequency of the clock on the chip's clock input, by which it then samples; None: by its own oscillator."""
     trigger: str | None = None
     """The trigger of each sample of a device that the kernel serves, where its driver has no trigger of its own."""
     axes: str = "+X+Y+Z"
@@ -91,6 +93,7 @@ class SensorConfig(BaseModel):
             self._check_range,
             self._check_rates,
             self._check_resolution,
+            self._check_clock,
             self._check_place,
         ):
             try:
@@ -192,6 +195,19 @@ class SensorConfig(BaseModel):
         if self.range in spec.sensitivity:
             _one_of("range", self.range, (spec.high_resolution.range,), "g", " with high_resolution")
 
+    def _check_clock(self) -> None:
+        if self.external_clock_hz is None:
+            return
+        spec = None if self.on_iio else CHIPS.get(self.chip)
+        if spec is None or spec.external_clock is None:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.external_clock is not None)
+            raise ValueError(f"external_clock_hz: the {self.chip} has no clock input that is used; allowed for {chips}")
+        lowest, highest = spec.external_clock.allowed_hz
+        if not lowest <= self.external_clock_hz <= highest:
+            raise ValueError(
+                f"external_clock_hz {self.external_clock_hz:g}: the {self.chip} supports {lowest:g} to {highest:g} Hz"
+            )
+
     def _check_place(self) -> None:
         if self.channel is not None and self.bus is not None:
             raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
@@ -228,16 +244,24 @@ class SensorConfig(BaseModel):
         return self.spec.count_bits
 
     @property
-    def chip_rate_hz(self) -> float:
-        """The chip's own update rate in Hz under this configuration."""
+    def nominal_rate_hz(self) -> float:
+        """The chip's update rate in Hz by its registers, its clock being at the nominal frequency."""
         return self.spec.rate_hz(self.rate_hz)
+
+    @property
+    def chip_rate_hz(self) -> float:
+        """The chip's own update rate in Hz under this configuration; it is proportional to an external clock."""
+        clock = self.spec.external_clock
+        if self.external_clock_hz is None or clock is None:
+            return self.nominal_rate_hz
+        return self.nominal_rate_hz * self.external_clock_hz / clock.nominal_hz
 
     @property
     def chip_bandwidth_hz(self) -> float:
         """-3 dB bandwidth in Hz; 0 where the data sheet names none that can be set, or the kernel sets it."""
         if self.on_iio:
             return self.bandwidth_hz or 0.0
-        allowed, default = self.spec.allowed_bandwidths_hz(self.chip_rate_hz), self.spec.default_bandwidth_hz
+        allowed, default = self.spec.allowed_bandwidths_hz(self.nominal_rate_hz), self.spec.default_bandwidth_hz
         return self.bandwidth_hz or (default if default in allowed else (*allowed, 0.0)[0])
 
     @property
@@ -408,6 +432,10 @@ def _choice(words: Iterable[str]) -> str:
     return ", ".join(words)
 
 
+_OF_DIE = ("axes", "position_mm", "fifo", "high_resolution", "external_clock_hz", "spi_clock_hz")
+"""Keys that both halves of a six-axis chip share."""
+
+
 def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) -> Iterator[_KeyMistake]:
     """Mistakes of two sensors in one place, unless they are the two halves of one chip, which share place, direction,
     data rate and filter; `here` lists the halves that are taken, and grows.
@@ -418,22 +446,18 @@ def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) ->
         return
     here.append(second.chip)
     die = die_of(first.chip)
-    different = [
-        key
-        for key in ("axes", "position_mm", "chip_rate_hz", "fifo", "high_resolution", "spi_clock_hz")
-        if getattr(first, key) != getattr(second, key)
-    ]
+    different = [key for key in (*_OF_DIE, "nominal_rate_hz") if getattr(first, key) != getattr(second, key)]
     for key in different:
-        own = key.removeprefix("chip_")
+        own = key.removeprefix("nominal_")
         yield own, f"{pair} are one {die}: {own} is the same for both"
-    if "chip_rate_hz" in different:
+    if "nominal_rate_hz" in different:
         return
     numbers = [
-        sensor.spec.allowed_bandwidths_hz(sensor.chip_rate_hz).index(sensor.chip_bandwidth_hz)
+        sensor.spec.allowed_bandwidths_hz(sensor.nominal_rate_hz).index(sensor.chip_bandwidth_hz)
         for sensor in (first, second)
     ]
     if numbers[0] != numbers[1]:
-        wanted = second.spec.allowed_bandwidths_hz(second.chip_rate_hz)[numbers[0]]
+        wanted = second.spec.allowed_bandwidths_hz(second.nominal_rate_hz)[numbers[0]]
         yield (
             "bandwidth_hz",
             f"{pair} are one {die} with one filter: bandwidth_hz {first.chip_bandwidth_hz:g} of the first requires"

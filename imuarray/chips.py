@@ -61,6 +61,16 @@ class HighResolution:
 
 
 @dataclass(frozen=True)
+class ExternalClock:
+    """Clock input of a chip: the frequencies (least, greatest) that it takes, and the one at which its data rates are
+    as its registers say.
+    """
+
+    allowed_hz: tuple[float, float]
+    nominal_hz: float
+
+
+@dataclass(frozen=True)
 class ChipSpec:
     """The settings of one chip that a configuration may name.
 
@@ -89,6 +99,8 @@ class ChipSpec:
     fifo_has_temperature: bool = False
     high_resolution: HighResolution | None = None
     """None: its queue has no packets of more bits."""
+    external_clock: ExternalClock | None = None
+    """None: it has no clock input that is used."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -149,6 +161,7 @@ _MPU6500_GYRO = replace(
 )
 _MPU9250_IDENTITY = replace(mpu6500.WHO_AM_I, reset=0x71)  # INV-70
 
+_ICM42688_CLOCK = ExternalClock((31_000.0, 50_000.0), 32_000.0)  # TDK-25
 _ICM42688_RATES_HZ = (12.5, 25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0)  # TDK-15
 _ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
     rate_hz: tuple(max(400.0, rate_hz) / share for share in (4, 5, 8, 10, 16, 20, 40)) for rate_hz in _ICM42688_RATES_HZ
@@ -266,6 +279,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             has_fifo=True,
             fifo_has_temperature=True,
             high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
+            external_clock=_ICM42688_CLOCK,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -294,6 +308,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             has_fifo=True,
             fifo_has_temperature=True,
             high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
+            external_clock=_ICM42688_CLOCK,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),

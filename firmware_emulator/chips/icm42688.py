@@ -1,4 +1,4 @@
-"""ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -64.
+"""ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -65.
 
 After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
 when it is switched on. Not modelled: interrupts, low-power modes, notch filter, the filters' delay.
@@ -34,6 +34,9 @@ TRIM_CODE = 120
 """Trim code of every axis by default (DEC-62): a deflection of 65 dps and of 0.52 g."""
 STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
 
+CLOCK_INPUT = 0b10  # TDK-24
+CLOCK_HZ = 32_000.0
+"""Frequency of an external clock at which rates are as their codes say: TDK-25."""
 FIFO_BYTES = 2048  # TDK-80
 EMPTY = 0xFF  # TDK-81
 STOP_ON_FULL = 0b10
@@ -58,7 +61,9 @@ class _Half:
 
 
 class Icm42688(SixAxis):
-    """The registers of three banks; `trim_code` is what the factory stored."""
+    """The registers of three banks; `trim_code` is what the factory stored, `clock_input_hz` the frequency at pin 9 (0:
+    no clock is connected).
+    """
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
@@ -66,9 +71,16 @@ class Icm42688(SixAxis):
     reset_ns: ClassVar[int] = RESET_NS
 
     def __init__(
-        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        trim_code: int = TRIM_CODE,
+        clock_input_hz: float = 0.0,
+        **switches: Any,
     ) -> None:
-        self._trim_code = trim_code
+        self._trim_code, self._clock_input_hz = trim_code, clock_input_hz
         super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
@@ -88,6 +100,21 @@ class Icm42688(SixAxis):
         self._clear_queue()
         self._rate_dps: Triple = (0.0, 0.0, 0.0)
         self._stalled_until_ns = 0
+
+    @property
+    def _speed(self) -> float:
+        """By how much faster than nominal it samples and counts: its oscillator, or the clock at pin 9, where both
+        registers say so (TDK-24, TDK-25). 0: that clock is not connected.
+        """
+        pin = facts.PIN_9.of(self.banks[1][facts.INTF_CONFIG5.address])
+        if pin == CLOCK_INPUT and facts.RTC_MODE.of(self.page[facts.INTF_CONFIG1.address]):
+            return self._clock_input_hz / CLOCK_HZ
+        return self._oscillator
+
+    def own_period_ns(self, period_ns: float) -> int:
+        """See `SixAxis.own_period_ns`; 0 without a clock."""
+        speed = self._speed
+        return round(period_ns / speed) if speed else 0
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
@@ -168,7 +195,7 @@ class Icm42688(SixAxis):
             timestamps = page[facts.TMST_CONFIG.address]
             header |= 0x08 if facts.TIMESTAMP_ON.of(timestamps) and facts.FIFO_TIMESTAMP.of(control) else 0
             unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(timestamps) else 1_000
-            stamp = int((at_ns - self.powered_on_ns) * self._oscillator / unit_ns) & 0xFFFF
+            stamp = int((at_ns - self.powered_on_ns) * self._speed / unit_ns) & 0xFFFF
             data += stamp.to_bytes(2, "big" if big else "little") if header & 0x08 else b"\x00\x00"
         if self._is_fine:
             header |= 0x10

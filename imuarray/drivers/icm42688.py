@@ -35,6 +35,7 @@ _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
 _I2C_OFF = 0b11  # else noise on the lines may pass for I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
+_CLOCK_INPUT = 0b10  # TDK-24
 _STREAM = 0b01  # TDK-80
 _INVALID = -32768  # TDK-13
 _SELF_TEST_SETTLE_S = 0.2  # TDK-42
@@ -58,17 +59,21 @@ class _Half(SixAxisHalf):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.nominal_rate_hz = sensor.nominal_rate_hz
+        has_clock = sensor.external_clock_hz is not None
         ranges = sorted(sensor.spec.sensitivity, reverse=True)  # code 0 is the largest: TDK-14
-        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
+        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.nominal_rate_hz).index(sensor.chip_bandwidth_hz)
         filters = facts.ACCEL_FILTER(filter_code) | facts.GYRO_FILTER(filter_code)
         delta, square, shift = _ANTI_ALIAS
         high, low = divmod(square, 256)
         self.power = facts.PWR_MGMT0[7:0]((facts.GYRO_MODE(_LOW_NOISE) | facts.ACCEL_MODE(_LOW_NOISE)).value)
-        self.range_setting = self._range_and_rate(ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.rate_hz])
+        self.range_setting = self._range_and_rate(
+            ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.nominal_rate_hz]
+        )
         interface = facts.SERIAL_INTERFACE(_I2C_OFF if self.on_spi else 0)
         self.settings = (
             facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1) | interface).value),
-            facts.ADAPTIVE_RANGE(_ADAPTIVE_RANGE_OFF),
+            facts.ADAPTIVE_RANGE(_ADAPTIVE_RANGE_OFF) | facts.RTC_MODE(int(has_clock)),
             facts.GYRO_FILTER_ORDER(_SECOND_ORDER),
             facts.GYRO_ACCEL_CONFIG0[7:0](filters.value),
             facts.ACCEL_FILTER_ORDER(_SECOND_ORDER),
@@ -79,6 +84,7 @@ class _Half(SixAxisHalf):
             facts.GYRO_CONFIG_STATIC3[7:0](delta),
             facts.GYRO_CONFIG_STATIC4[7:0](low),
             facts.GYRO_CONFIG_STATIC5[7:0]((facts.GYRO_ANTI_ALIAS_SHIFT(shift)).value | high),
+            *((facts.PIN_9(_CLOCK_INPUT),) if has_clock else ()),
             facts.ACCEL_CONFIG_STATIC2[7:0](facts.ACCEL_ANTI_ALIAS_DELTA(delta).value),
             facts.ACCEL_CONFIG_STATIC3[7:0](low),
             facts.ACCEL_CONFIG_STATIC4[7:0]((facts.ACCEL_ANTI_ALIAS_SHIFT(shift)).value | high),
@@ -214,7 +220,7 @@ class _QueuedHalf(QueuedHalf, _Half):
     burst: ClassVar[int] = 16
 
     def _new_queue(self) -> DieQueue:
-        return Icm42688Queue(self.registers, self.clock, self.rate_hz)
+        return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz))
 
     def _queue_settings(self) -> tuple[Setting, ...]:
         """Packets of the halves that are read, the oldest lost first (TDK-80), stamped in microseconds (TDK-83)."""
@@ -258,7 +264,7 @@ class _HighResolutionHalf(_QueuedHalf):
     bits: ClassVar[int]
 
     def _new_queue(self) -> DieQueue:
-        return Icm42688Queue(self.registers, self.clock, self.rate_hz, high_resolution=True)
+        return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz), high_resolution=True)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
         """Packets of both halves, whichever are read (TDK-88)."""

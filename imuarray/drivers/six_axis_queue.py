@@ -224,14 +224,20 @@ class Icm42688Queue(DieQueue):
 
     CAPACITY: ClassVar[int] = 2048
 
-    def __init__(self, registers: Registers, clock: Clock, rate_hz: float, *, high_resolution: bool = False) -> None:
+    def __init__(
+        self, registers: Registers, clock: Clock, rates_hz: tuple[float, float], *, high_resolution: bool = False
+    ) -> None:
+        """`rates_hz`: the data rate, and the one that the registers name: stamps count by the clock by which samples are
+        taken, so that a period has as many of their microseconds whatever the clock's frequency is (DEC-65).
+        """
+        rate_hz, nominal_rate_hz = rates_hz
         super().__init__(registers, clock, rate_hz)
         self.high_resolution = high_resolution
         self._stamp: int | None = None
         self._full = False
         self.ran_over = False
         self._accepted_ns, self._unread = -(1 << 62), 0
-        self._period_us = 1e6 / rate_hz
+        self._period_us = 1e6 / nominal_rate_hz
 
     @property
     def _has_stamp(self) -> bool:
