@@ -227,8 +227,8 @@ class Icm42688Queue(DieQueue):
     def __init__(
         self, registers: Registers, clock: Clock, rates_hz: tuple[float, float], *, high_resolution: bool = False
     ) -> None:
-        """`rates_hz`: the data rate, and the one that the registers name: stamps count by the clock by which samples are
-        taken, so that a period has as many of their microseconds whatever the clock's frequency is (DEC-65).
+        """`rates_hz`: the data rate, and the one that the registers name. Stamps count by the clock of the samples: a
+        period has as many of their microseconds whatever the clock's frequency is (DEC-65).
         """
         rate_hz, nominal_rate_hz = rates_hz
         super().__init__(registers, clock, rate_hz)
