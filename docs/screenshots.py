@@ -118,7 +118,7 @@ async def _monitor(folder: Path) -> None:
         await four_modes(address, GALLERY / "monitor.webp", wait_s=25.0)
     finally:
         process.terminate()
-        process.wait(20)
+        process.wait(60)
 
 
 async def figure(page: Path, alternative: str, target: Path) -> None:

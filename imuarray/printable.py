@@ -15,6 +15,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
+def percent(share: float, decimals: int = 0) -> str:
+    """`share` (1 is the whole) as `12 %`, with a space before the sign as the SI Brochure (section 5.4.7) has it."""
+    return f"{100 * share:.{decimals}f} %"
+
+
 def printable(text: str) -> str:
     """`text` with what would steer a terminal spelled out: control characters, marks that turn the direction."""
     if text.isprintable():

@@ -44,6 +44,10 @@ Described = SensorLog | SensorHeader
 
 FORMAT_VERSION = 1
 
+COLUMN_ERROR = 0.01
+"""Standard error of a column of a response, as a share of the scale factor, up to which turns have determined it: half
+of what the data sheet's tolerance is taken to be."""
+
 _LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\\n]*")),\n\s*\]')
 """A list of numbers or plain texts as tomli_w writes it, a line each. No text holds a line's end: TOML escapes it."""
 
@@ -152,6 +156,16 @@ class SensorCalibration:
         if self.response_covariance_lsb2_per_unit2 is not None:
             return self.response_covariance_lsb2_per_unit2
         return np.diag(np.repeat(self.response_sem_lsb_per_unit**2, 3))
+
+    def uncertain_axes(self) -> str:
+        """The box axes ("XZ") whose column of a measured response is not known to `COLUMN_ERROR` of the scale factors:
+        those about which a gyroscope was hardly turned.
+        """
+        covariance = self.response_covariance()
+        if covariance is None:
+            return ""
+        sem = np.sqrt(np.diag(covariance)).reshape(3, 3) / self.scale_lsb_per_unit[:, None]
+        return "".join(axis for axis, column in zip("XYZ", sem.T, strict=True) if column.max() > COLUMN_ERROR)
 
     def bias_in_units(self) -> Floats:
         """(3,) bias in the sensor's unit (g or dps), along its own axes."""

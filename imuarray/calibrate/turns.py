@@ -25,7 +25,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
-from imuarray.calibrate.model import SensorCalibration
+from imuarray.calibrate.model import COLUMN_ERROR, SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
@@ -39,10 +39,6 @@ LONGEST_S = 20.0
 
 _GAP = 3.0
 """A pause of this many usual intervals between readings is a hole in the integral."""
-
-_TOLD = 0.01
-"""A column of the response whose standard error is a larger share of the sensitivity than this was not told by turns,
-which are asked for: half of what the data sheet's tolerance is taken to be."""
 
 _FAR_DEG = 0.3
 """A turn that misses by less is not left out, however well the others fit."""
@@ -210,7 +206,7 @@ def _fit(
     change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
     covariance = change @ np.linalg.inv(information / excess + prior) @ change.T
     sem = np.sqrt(np.diag(covariance)).reshape(3, 3)
-    untold = "".join("XYZ"[axis] for axis in range(3) if sem[:, axis].max() > _TOLD * sensor.sensitivity)
+    untold = "".join("XYZ"[axis] for axis in range(3) if sem[:, axis].max() > COLUMN_ERROR * sensor.sensitivity)
     residual_deg = float(np.degrees(np.sqrt((missed**2).sum() / len(turns))))
     fit = TurnFit(response, sem, covariance, untold, len(turns), residual_deg, chi_squared, freedom, tuple(left_out))
     return fit, chances, off

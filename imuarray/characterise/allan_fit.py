@@ -28,6 +28,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_covariance import TERMS, Term, covariance, variances
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve, Runs
+from imuarray.printable import percent
 
 _NEEDED = 5.41
 """Least growth of the misfit when a term is removed. One that is not there does so with a chance of 1 %: with 1/2 it is
@@ -375,7 +376,7 @@ def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[
         return ""
     names = [item.term for item in coefficients]
     terms = " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-    share = f"{abs(ratio - 1):.1%} {'above' if ratio > 1 else 'below'}"
+    share = f"{percent(abs(ratio - 1), 1)} {'above' if ratio > 1 else 'below'}"
     return (
         f"no sum of {terms} fits this curve (p = {p_value:.1g}): a line spectrum, a drift or a filter; it lies up to "
         f"{share} the fit, at tau = {tau_s:.3g} s, and the intervals do not hold"

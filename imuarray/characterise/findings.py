@@ -16,7 +16,7 @@ from imuarray.printable import listed
 SURE = 1e-6
 """The probability below which a finding is significant, whatever the number of axes."""
 
-SHARED_S = 1e-7
+_SHARED_S = 1e-7
 """Interval below which rows were written with the same time: the importer separates these by 1 ns."""
 
 _CORRELATED = 0.05
@@ -104,7 +104,7 @@ def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     """Describe stalls and bursts of the whole log, else the gaps of the stretch."""
     place, timing = (sensor["name"], ""), sensor["timing"]
     pattern = timing["pattern"]
-    if pattern["kind"] == "bursts" and pattern["usual_s"] < SHARED_S:
+    if shares_times(pattern["kind"], pattern["usual_s"]):
         sentence = (
             "several rows have the same time, and the next time is {0} s later: the clock is coarse, and rows are"
             " assumed to have been read at the mean rate"
@@ -117,6 +117,13 @@ def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
         places = ", ".join(f"{gap['length_s']:.3g} s after {gap['after_ns'] * 1e-9:.3f} s" for gap in longest)
         count = "a gap" if timing["gaps"] == 1 else f"{timing['gaps']} gaps, {timing['gaps_s']:.3g} s in all"
         yield _Remark(place, f"has {count}: {places}")
+
+
+def shares_times(kind: str, usual_s: float) -> bool:
+    """Return whether rows that arrive in bursts, usually `usual_s` apart, were written with the same time: a coarse
+    clock and not a late host.
+    """
+    return kind == "bursts" and usual_s < _SHARED_S
 
 
 def _adaptive_range(sensor: Mapping[str, Any]) -> Iterator[_Remark]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from imuarray.printable import percent
 from imuarray.units import READABLE
 
 if TYPE_CHECKING:
@@ -77,4 +78,4 @@ def _print_states(row: dict[str, Any]) -> None:
         for state in row["states"]:
             bias = ", ".join(f"{value:.2f}" for value in state["bias_lsb"])
             runs = ", ".join(map(str, state["runs"]))
-            click.echo(f"  {state['share']:4.0%} of the runs: bias {bias} LSB; runs {runs}")
+            click.echo(f"  {percent(state['share']):>5} of the runs: bias {bias} LSB; runs {runs}")

@@ -35,11 +35,19 @@ _AVERAGE = 0.1
 """Share of the time that the average takes before an estimator of the whole array."""
 
 _NOTHING = {
-    "opposed": "nothing on this array: the axes of a design that point both ways are already balanced",
-    "planes": "nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
-    "ranges": "nothing on this array: all its sensors of a quantity have one measuring range",
+    "opposed": "changes nothing on this array: the axes of a design that point both ways are already balanced",
+    "planes": "changes nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
+    "ranges": "changes nothing on this array: all its sensors of a quantity have one measuring range",
 }
 """The remark on a technique whose result is the mean."""
+
+_EFFECTS = {
+    "opposed": "cancels the common bias of",
+    "planes": "weighs the axes of a design differently:",
+    "ranges": "relies on wider ranges near the end of the range of",
+}
+"""What a technique does, before the list of what it does it to."""
+
 _WORDS = {
     "rms": "rms error against the truth",
     "noise": "scatter from frame to frame",
@@ -369,7 +377,7 @@ def _print_results(report: dict[str, Any]) -> None:
         click.echo(f"  {fault['sentence']}")
     if technique not in ("mean", "optimal"):
         changes = ", ".join(report["changes"])
-        click.echo(f"  {technique} changes {changes or _NOTHING[technique]}")
+        click.echo(f"  {technique} {f'{_EFFECTS[technique]} {changes}' if changes else _NOTHING[technique]}")
     for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
         click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:

@@ -26,6 +26,7 @@ from imuarray.errors import ExportError, OutputExistsError
 from imuarray.export.formats import TOOLS, ExportRequest, ExportSummary, Progress
 from imuarray.fuse.fused_file import fused_columns, is_fused
 from imuarray.log import Log, open_log
+from imuarray.printable import percent
 from imuarray.spelling import guess
 from imuarray.units import INERTIAL, SI_PER_UNIT, UNITS_OF, Quantity
 
@@ -136,7 +137,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
             seconds, rows = max(seconds, count * interval_s), max(rows, count)
         progress(number / 3)
     if not triads and moving.any():
-        raise ExportError(f"{path}: moves in {float(moving.mean()):.0%} of its frames; noise is measured at rest")
+        raise ExportError(f"{path}: moves in {percent(float(moving.mean()))} of its frames; noise is measured at rest")
     if not triads:
         return [], {}
     imu = ImuNoise("fused", _FUSED_TOPIC, max(rates), seconds, attributes.get("software", "imuarray"), triads)

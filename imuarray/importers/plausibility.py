@@ -22,11 +22,11 @@ from imuarray.calibrate.knocks import find_knocks, knock_sentence
 from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
-from imuarray.characterise.findings import SHARED_S
+from imuarray.characterise.findings import shares_times
 from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
-from imuarray.printable import counted, listed
+from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 WINDOW_S = 0.5
@@ -198,7 +198,7 @@ def report_of(log: Log) -> Report:
         if not sensor.is_triad:
             continue
         timing = row_timing(sensor)
-        if timing.kind == "bursts" and timing.usual_s < SHARED_S:
+        if shares_times(timing.kind, timing.usual_s):
             quirks.add(sensor.name, _shared_times(timing))
         elif timing.sentence:
             hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
@@ -416,7 +416,7 @@ class _Codes:
         if step > 1:
             yield "only even codes" if step == 2 and on_zero else f"only every {step}th code"
         if self.repeats.new_share < 1 - STALE_SHARE:
-            yield f"{1 - self.repeats.new_share:.1%} of its rows repeat the previous row without new readings"
+            yield f"{percent(1 - self.repeats.new_share, 1)} of its rows repeat the previous row without new readings"
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
         """Yield what is impossible in the codes."""

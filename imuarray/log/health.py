@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from imuarray.log.format import Event
-from imuarray.printable import counted, printable
+from imuarray.printable import counted, percent, printable
 
 Level = Literal["green", "amber", "red"]
 
@@ -102,7 +102,7 @@ def _urgent(seen: Observations) -> Iterator[_Reason]:
         longest = max(seen.silent.values())
         yield _Reason(f"{_names(seen.silent)} silent for {_duration(longest)}", "check cable, power and address")
     if _share(seen) >= MANY_MISSED:
-        yield _Reason(f"{_share(seen):.0%} of the frames missed", _SLOWER)
+        yield _Reason(f"{percent(_share(seen))} of the frames missed", _SLOWER)
     if seen.room_s is not None and seen.room_s < NO_ROOM_S:
         yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
 
@@ -115,7 +115,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
     if seen.stalled:
         share = max(seen.stalled.values())
         yield _Reason(
-            f"no readings of {_names(seen.stalled)} in {share:.0%} of the time: the recorder stalled", _STALLS
+            f"no readings of {_names(seen.stalled)} in {percent(share)} of the time: the recorder stalled", _STALLS
         )
     if gaps := {name: count for name, count in seen.gaps.items() if count}:
         yield _Reason(f"{counted(sum(gaps.values()), 'gap')} in the readings of {_names(gaps)}", _EVENTS)

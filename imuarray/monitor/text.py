@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from imuarray.log.health import Health
 from imuarray.monitor.snapshot import SensorView, Snapshot
-from imuarray.printable import counted, printable
+from imuarray.printable import counted, percent, printable
 from imuarray.units import READABLE_SI
 
 COLUMNS = 80
@@ -57,7 +57,7 @@ def _head(snapshot: Snapshot) -> str:
 
 
 def _figures(snapshot: Snapshot, columns: int) -> list[str]:
-    part = "" if snapshot.counted == 1 else f" ({snapshot.counted:.0%} of the log counted)"
+    part = "" if snapshot.counted == 1 else f" ({percent(snapshot.counted)} of the log counted)"
     asked = f" of {snapshot.frame_rate_hz:g} Hz" if snapshot.frame_rate_hz else " Hz"
     frames = f"{counted(snapshot.missed, 'frame')} missed, {snapshot.delayed} delayed{part}"
     kinds = ", ".join(f"{printable(kind)} {count}" for kind, count in (snapshot.events or {}).items())
@@ -97,7 +97,7 @@ def _sensor(view: SensorView) -> str:
     if view.rows and view.silent_s is not None:
         means = f"silent {duration(view.silent_s)}"
     noise = f"{view.sd.max():7.4f}"[:7] if len(view.time) > 1 else ""
-    use = "" if view.use is None else f"{view.use.max():.0%}"
+    use = "" if view.use is None else percent(float(view.use.max()))
     warm = "" if view.temperature_degc is None else f"{view.temperature_degc:.1f}{'*' * view.relative}"
     return f"{view.rate_hz:6.1f} {means:26} {view.unit:5} {noise:>7} {use:>5} {warm:>6} {view.missed:6}"
 

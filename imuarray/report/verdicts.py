@@ -110,7 +110,7 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
             f"is incomplete: {_listed(unscaled)} without a measured scale, which a tumble gives; biases to {known}"
         )
     else:
-        sentence = f"is good: biases are known to {known}"
+        sentence = f"is good: biases are known to {known}{_turns_wanted(scaled)}"
     thermal = sum(sensor.thermal is not None for sensor in inertial)
     noisy = sum(sensor.noise_lsb is not None for sensor in inertial)
     of = f"of {len(inertial)} sensors"
@@ -120,11 +120,23 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
             for name, text in worst.items()
             if text
         ),
-        (f"{len(scaled)}", f"{of} with measured scale and axes"),
+        (f"{sum(not sensor.uncertain_axes() for sensor in scaled)}", f"{of} with measured scale and axes"),
         (f"{noisy}", f"{of} with measured noise"),
         (f"{thermal}", f"{of} with temperature slopes"),
     ]
     return Verdict(f"{path.name} {sentence}.", level, tuple(figures[:_FIGURES]))
+
+
+def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
+    """Name the sensors whose scale about some box axes is the data sheet's, and these axes; "" if there are none."""
+    about = {sensor.name: sensor.uncertain_axes() for sensor in scaled}
+    texts = []
+    for axes in sorted({axes for axes in about.values() if axes}):
+        names = [name for name, its in about.items() if its == axes]
+        texts.append(f"{_listed(names)} about box {', '.join(axes)}")
+    if not texts:
+        return ""
+    return f"; scale factors of {' and of '.join(texts)} are the data sheet's, add turns about that axis"
 
 
 def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:

@@ -84,7 +84,7 @@ def test_turn_on_prints_a_table(runs: list[str], tmp_path: Path, capsys: pytest.
     out = capsys.readouterr().out
     assert "BMA1: run 7: 8.00 times the usual reading: started at 2 g" in out
     assert "Gyro3: starts in one of 2 states" in out
-    assert "  58% of the runs: bias " in out
+    assert "  58 % of the runs: bias " in out
     assert [line.split()[:3] for line in out.splitlines() if line.startswith("Gyro3 ")] == [
         ["Gyro3", axis, "12"] for axis in "xyz"
     ]

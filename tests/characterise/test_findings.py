@@ -153,7 +153,7 @@ def line_of(frequency_hz: float, amplitude: float, width_hz: float = 0.0) -> dic
 
 def result_of(axes: dict[str, list[dict[str, Any]]], **known: Any) -> dict[str, Any]:
     steady = {
-        "pattern": {"kind": "steady", "sentence": ""}, "gaps": 0,
+        "pattern": {"kind": "steady", "usual_s": 0.01, "sentence": ""}, "gaps": 0,
         "repeats": {"new_share": 1.0, "update_rate_hz": 100.0, "longest": 1},
     }  # fmt: skip
     sensors = [

@@ -288,7 +288,7 @@ def test_a_fused_result_that_moves_has_no_noise(tmp_path: Path) -> None:
     swing = np.sin(time * 1e-9)[:, None] * np.ones(3)
     block = FusedBlock(time, {"angular_rate": swing}, {}, {})
     write_fused(tmp_path / "f.h5", [block], epoch=EPOCH, technique="mean", log="run.h5", sensors={})
-    with pytest.raises(ExportError, match="moves in 100% of its frames; noise is measured at rest"):
+    with pytest.raises(ExportError, match="moves in 100 % of its frames; noise is measured at rest"):
         export(tmp_path / "f.h5", tmp_path / "f.yaml")
 
 

@@ -151,6 +151,16 @@ def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
     assert quiet_noise([]) == {}
 
 
+@pytest.mark.parametrize("faster", [2, 5])
+def test_the_quiet_noise_of_a_quantity_that_is_slower_than_the_frames(faster: int) -> None:
+    """Frames of which one in two or in five has an accelerometer's reading: the scatter is that of the readings."""
+    frames = 40 * 256 * faster
+    triad = np.random.default_rng(5).normal(0, 2.0, (frames, 3))
+    triad[np.arange(frames) % faster != 0] = np.nan
+    noise = quiet_noise([FusedBlock(np.arange(frames) * 4_000_000, {"specific_force": triad})])["specific_force"]
+    assert np.all((noise > 0.92 * 2.0) & (noise < 2.0))
+
+
 @pytest.mark.parametrize(("rows", "block"), [(2, 333), (3, 1), (17, 5), (1000, 333), (ROWS, 1 << 15)])
 def test_figures_of_errors_on_the_disk_are_those_of_all_errors_at_once(
     write_run: WriteRun, rows: int, block: int, monkeypatch: pytest.MonkeyPatch

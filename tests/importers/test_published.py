@@ -91,7 +91,7 @@ def test_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Captu
         assert "in steps of 32 counts (0.094 degC)" in text
         assert "Acc: measures 1.037 g at rest" in text
     else:
-        assert "Mag: 2.7% of its rows repeat the previous row" in text
+        assert "Mag: 2.7 % of its rows repeat the previous row" in text
     assert "?" not in text
 
 

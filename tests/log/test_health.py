@@ -14,7 +14,7 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
         (Observations(1, 100), Health("green", "the sensor delivers, no frame was missed, no fault reported")),
         (Observations(4, 100), Health("green", "all 4 sensors deliver, no frame was missed, no fault reported")),
         (Observations(4, 999, missed=1), Health("amber", "1 frame missed")),
-        (Observations(4, 90, missed=10), Health("red", "10% of the frames missed")),
+        (Observations(4, 90, missed=10), Health("red", "10 % of the frames missed")),
         (Observations(4, 99, silent={"Gyro2": 12.0}), Health("red", "Gyro2 silent for 12 s")),
         (Observations(4, 99, lost={"A": 3, "B": 0}), Health("amber", "3 readings of A lost")),
         (Observations(4, 99, gaps={"A": 1}), Health("amber", "1 gap in the readings of A")),

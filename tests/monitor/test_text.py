@@ -61,8 +61,8 @@ def test_the_table(ended: Path) -> None:
     assert lines[4] == "  2 events: late 1, back 1"
     del lines[1]
     assert words(lines[5]) == "sensor Hz mean of the last second unit sd range degC missed"
-    assert words(lines[6]) == "Acc 99.5 0.250 -0.500 1.000 g 0.0005 25% 28.0 5"
-    assert words(lines[8]) == "Gyro 99.5 10.000 -5.000 2.500 dps 0.0100 4% -20.0* 5"
+    assert words(lines[6]) == "Acc 99.5 0.250 -0.500 1.000 g 0.0005 25 % 28.0 5"
+    assert words(lines[8]) == "Gyro 99.5 10.000 -5.000 2.500 dps 0.0100 4 % -20.0* 5"
     assert words(lines[7]) == "Baro 4.0 1002.500 hPa 0.0000 21.5 0"
     assert lines[10] == "  * only changes are meaningful; the level is unknown"
     assert lines[12] == "  fused (mean, data sheet's values), box frame, last second"

@@ -82,7 +82,7 @@ def test_a_recorder_that_stalls_is_no_healthy_recording(tmp_path: Path) -> None:
         verdict = recording_verdict(run)
     assert verdict.level == "doubtful"
     # 19 stalls of 0.51 s in 19.49 s
-    assert "no readings of Acc in 50% of the time: the recorder stalled" in verdict.sentence
+    assert "no readings of Acc in 50 % of the time: the recorder stalled" in verdict.sentence
     assert ("19", "gaps in the readings") in verdict.figures
 
 
@@ -125,6 +125,15 @@ def test_is_the_calibration_good() -> None:
     verdict = calibration_verdict(Path("cal.toml"), Calibration(good))
     assert (verdict.level, verdict.sentence) == ("good", "cal.toml is good: biases are known to 2 mg and 0.02 dps.")
     assert verdict.figures[0] == ("2 mg", "largest standard error of a bias, specific force")
+    unturned = np.diag([1e-4, 0.04, 1e-4] * 3) * 100  # row by row: the column of box Y is known to 2 %
+    partly = replace(sensor("G2", measured=True), response_covariance_lsb2_per_unit2=unturned)
+    assert partly.uncertain_axes() == "Y"
+    verdict = calibration_verdict(Path("cal.toml"), Calibration({**good, "G2": partly}))
+    assert verdict.sentence == (
+        "cal.toml is good: biases are known to 2 mg and 0.02 dps; scale factors of G2 about box Y are the data sheet's,"
+        " add turns about that axis."
+    )
+    assert ("1", "of 3 sensors with measured scale and axes") in verdict.figures
     verdict = calibration_verdict(Path("cal.toml"), Calibration({**good, "G2": sensor("G2", measured=False)}))
     assert verdict.level == "doubtful"
     assert "is incomplete: G2 without a measured bias" in verdict.sentence

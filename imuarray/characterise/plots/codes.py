@@ -20,6 +20,7 @@ from imuarray.characterise.plots.frame import (
     plain,
     set_height,
 )
+from imuarray.printable import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +98,7 @@ def marks(axis: Table, level: float) -> list[str]:
         elif _is_far(end, codes, level):
             remarks.append(f"outlier at {end['code']}")
     is_uneven = codes["even_p"] is not None and codes["even_p"] <= level
-    return remarks or ([f"{codes['even_share']:.1%} even codes"] if is_uneven else [])
+    return remarks or ([f"{percent(codes['even_share'], 1)} even codes"] if is_uneven else [])
 
 
 def step_of(axis: Table, level: float) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.model.use import Use
+from imuarray.printable import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -244,7 +245,7 @@ class Diagnosis:
         return text_of(self)
 
     def __repr__(self) -> str:
-        causes = ", ".join(f"{cause.effect} ({cause.probability:.0%})" for cause in self.causes)
+        causes = ", ".join(f"{cause.effect} ({percent(cause.probability)})" for cause in self.causes)
         return f"<Diagnosis: {self.verdict}; {f'causes {causes}' if causes else 'no cause'}>"
 
     def _repr_html_(self) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.figures import PALETTE, new_figure
+from imuarray.printable import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +51,7 @@ def _draw_causes(panel: Axes, diagnosis: Diagnosis) -> None:
         low, high = cause.closed_ci95 or (cause.closed, cause.closed)
         panel.plot([low, high], [row, row], color=PALETTE[0], linewidth=1.2)
         panel.plot(cause.closed, row, "o", color=PALETTE[1], markersize=5)
-    labels = [f"{cause.effect} ({cause.probability:.0%})" for cause in diagnosis.causes]
+    labels = [f"{cause.effect} ({percent(cause.probability)})" for cause in diagnosis.causes]
     panel.set_yticks(range(len(labels)), labels, fontsize=8)
     panel.set_ylim(max(len(labels), 1) - 0.5, -0.5)
     panel.set_xlim(-0.05, 1.05)

@@ -30,6 +30,7 @@ from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import Ratio, ratio_of, ten_second_means
 from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
+from imuarray.printable import percent
 from imuarray.simulate import Simulation, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
@@ -425,7 +426,9 @@ def _same(row: Row, other: Row) -> bool:
 def _vector_line(row: Row, drift: Row) -> str:
     factor, unit = READABLE_SI[row.quantity]
     over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
-    normal = "" if row.normalised is None else f"{row.normalised:.2f} ({row.consistent:.0%})"
+    normal = (
+        "" if row.normalised is None or row.consistent is None else f"{row.normalised:.2f} ({percent(row.consistent)})"
+    )
     value = f"{factor * row.value:8.3f} {unit:3}"
     return (
         f"  {row.technique:15} {value} {interval_text(row.over_mean):>22}"

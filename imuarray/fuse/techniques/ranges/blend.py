@@ -131,5 +131,5 @@ def _families(axes: Sequence[Axis]) -> list[list[int]]:
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """The designs of which it fades out a low range."""
-    return sorted({axis.chip for axis in axes if has_low_range(axis, axes)})
+    """Name the sensors whose low range it fades out."""
+    return list(dict.fromkeys(axis.sensor for axis in axes if has_low_range(axis, axes)))
