@@ -33,6 +33,7 @@ from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scores_by_others
+from imuarray.gap.statistics.pooled import pooled_scores
 from imuarray.gap.statistics.split import Split, split_of
 from imuarray.gap.statistics.tails import normal_scores_by_others
 from imuarray.log.format import Phase
@@ -257,7 +258,7 @@ def compared_with_base(
         chance = np.array([replicate.values for replicate in simulated])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
-        where = located(pairs.keys, bench.base.headers, normal[0], normal[1:])
+        where = located(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
         if where.p > limit:
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)

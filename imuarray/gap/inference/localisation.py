@@ -3,7 +3,8 @@
 The tree's levels are the array, its chips, their units, the axes, domains of statistics, and single statistics. A node
 is significant if its parent is and its largest score exceeds the largest among it and its siblings without a gap
 (Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008). Every step down thus pays for the choice
-it makes, and nothing is tested below a node that is not significant.
+it makes, and nothing is tested below a node that is not significant. The scores of a statistic that is pooled over its
+places (`imuarray.gap.statistics.pooled`) count where the recording deviates most among these.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pooled import PooledScores
 from imuarray.log.format import SensorHeader
 
 LEVEL = 0.05
@@ -55,7 +57,7 @@ class Node:
 @dataclass(frozen=True)
 class Localisation:
     """Where scores (m,) under `keys` are beyond chance: the tree, and the p of each significant statistic by its place,
-    the largest score first. `limit`: reached by chance in `level` of all campaigns.
+    the largest score first. `limit`: reached by chance by a single score in `level` of all campaigns.
     """
 
     root: Node
@@ -74,16 +76,27 @@ class Localisation:
 
 
 def located(
-    keys: Sequence[Key], headers: Mapping[str, SensorHeader], scores: Floats, chance: Floats, level: float = LEVEL
+    keys: Sequence[Key],
+    headers: Mapping[str, SensorHeader],
+    scores: Floats,
+    chance: Floats,
+    pooled: PooledScores | None = None,
+    level: float = LEVEL,
 ) -> Localisation:
-    """Localises the gap by scores (m,) of a recording and (b, m) of replicates without a gap.
+    """Localises the gap by scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled` scores
+    of the recording and these.
 
     `level` is the share of false alarms; ValueError if there are too few replicates for it.
     """
     if (least := 1 / (len(chance) + 1)) > level:
         raise ValueError(f"level: {level}; {len(chance)} scored replicates allow no level below {least:.3g}")
     paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
-    root = _Tree(paths, scores, chance, level).root()
+    if pooled is None:
+        root = _Tree(paths, scores, chance, level).root()
+    else:
+        every_path = [*paths, *(paths[at] for at in pooled.places.tolist())]
+        every_chance = np.hstack([chance, pooled.scores[1:]])
+        root = _Tree(every_path, np.concatenate([scores, pooled.scores[0]]), every_chance, level).root()
     significant = {int(node.path[-1]): node.p for node in root.found("statistic")}
     order = sorted(significant, key=lambda at: -abs(scores[at]))
     limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))

@@ -1,0 +1,72 @@
+"""Random worlds in which the diagnosis was once wrong: a gap without a mechanism, or a mechanism that was not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from imuarray.gap.diagnose import Reference, compare
+from imuarray.gap.model.workers import runner
+from imuarray.gap.recording.recordings import recordings_of
+from imuarray.log import Log, open_log
+from imuarray.validation.case import Put
+from imuarray.validation.generator import record_in
+from imuarray.validation.trial import REPLICATES, leave_reference_out
+from imuarray.validation.worlds import draw_world
+from tests.selection import some
+
+
+@contextmanager
+def recorded(folder: Path, seed: int, *puts: Put) -> Iterator[list[Log]]:
+    """The logs of the random world of a seed with these mechanisms, without a reference if the world has none."""
+    world = draw_world(seed).table()
+    recorder = {**world["recorder"], "reference": True}
+    logs, _ = record_in({**world, "recorder": recorder}, folder, puts, seed)
+    if not world["recorder"]["reference"]:
+        for path in logs:
+            leave_reference_out(path)
+    with ExitStack() as stack:
+        yield [stack.enter_context(open_log(path)) for path in logs]
+
+
+@pytest.mark.parametrize(
+    "seed",
+    some(
+        [
+            9_000_010,  # two poses that nobody noted, and accelerometers with a common bias of 0.17 g
+            1_050_003,  # a single accelerometer, whose level says nothing beside the attitude
+            9_000_023,  # short phases in which heat drifts, which are no filter
+            9_000_076,  # a queue that is slower than the frames
+            9_000_102,  # samples that come while they are read, which the chip calls an overrun
+            9_000_147,  # polls that are early and late by turns, of a chip at its nominal rate
+            9_000_093,  # a slow chip that is not polled in every frame
+            9_000_128,  # a heating that nobody noted, with no thermometer
+            9_000_461,  # the same of a single accelerometer, in a quick heat
+            9_000_460,  # flags that hardly ever occur
+            9_000_403,  # a recorder that is delayed within a frame
+            9_000_123,  # a clock beside that of the track, in the only motion
+        ],
+        0,
+        4,
+    ),
+)
+def test_a_world_without_a_mechanism_is_no_gap(tmp_path: Path, seed: int) -> None:
+    with recorded(tmp_path, seed) as logs:
+        compared = compare(recordings_of(logs), runner, Reference(None), replicates=REPLICATES)
+        assert compared.comparison.localisation.p > 0.05
+
+
+@pytest.mark.slow
+def test_a_dead_bit_is_seen_in_every_phase_together(tmp_path: Path) -> None:
+    """Bit 4 of a gyroscope with a noise of 18 counts is never set: half of the codes are missing, in seven phases."""
+    with recorded(tmp_path, 1_060_059, Put("stuck_bit", 3.66, 5.0, ("Gyro3",))) as logs:
+        compared = compare(recordings_of(logs), runner, Reference(None), replicates=REPLICATES)
+        found = compared.comparison.localisation
+        assert found.is_gap
+        (sensor,) = found.root.found("sensor")
+        assert sensor.path[1] == "Gyro3"
+        (first, *_) = found.p_by_place
+        assert compared.comparison.pairs.keys[first].probe == "absent_codes"
