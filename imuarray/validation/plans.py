@@ -52,6 +52,11 @@ NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
 """The experiments that unnamed mechanisms need."""
 
 
+NUISANCES = frozenset({"white_noise", "jitter"})
+"""Effects that are nuisance quantities in a random world, whatever their size: the noise of a part, which is fitted,
+and how late a busy recorder reads. Mechanisms with no other effect are not recorded there.
+"""
+
 MANY_FACES = 4
 """Number of faces that show what a tumble does; with two or more nothing is hidden for sure."""
 
@@ -61,10 +66,13 @@ def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[s
     need.
     """
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
+    accelerometers = sum(other != "l3g4200d" for other in world.inertial.values())
+    is_level_known = accelerometers > 1 or world.strata["labels"] != "missing"
     turns = world.faces >= (2 if for_sure else MANY_FACES)
     needs: Mapping[tuple[str, ...], bool] = {
         AT_ONE_TEMPERATURE: "heating" in world.kinds,
         tuple(set(IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
+        ("misalignment",): chip == "l3g4200d" or is_level_known,
         ("g_sensitivity",): moves or turns,
         AT_REST: moves,
         IN_ONE_BOOT: len(world.sessions) > (1 if for_sure else 3),
@@ -185,7 +193,9 @@ def _all(size: Size) -> Iterator[_DrawnCase]:
     facts = {
         name: fact
         for name, fact in mechanisms().items()
-        if (not size.mechanisms or name in size.mechanisms) and not set(CHIPS.values()).isdisjoint(fact["touches"])
+        if (not size.mechanisms or name in size.mechanisms)
+        and not set(CHIPS.values()).isdisjoint(fact["touches"])
+        and not (size.worlds and fact["resembles"] and NUISANCES.issuperset(fact["resembles"]))
     }
     named = [name for name, fact in facts.items() if fact["resembles"]]
     for plan in (RANDOM,) if size.worlds else size.plans:

@@ -6,11 +6,15 @@ commanded motion, tails, codes, repeated rows, times. `matched_statistic` is the
 
     T = sqrt(d' (C + A A')^-1 d)
 
-d the differences of one summary, C their noise covariance in this case, A what a fit or a part's tolerance explains
-(bias, its slope with temperature, response to force and rate): the signal-to-noise ratio of a detector that knows
-everything else (Neyman and Pearson), with T^2/2 the expected log-likelihood ratio. At T = `LIMIT` the effect is just
-detectable. If an effect shifts the random streams, part of the noise is drawn anew; its expected contribution, p for p
-summaries, is subtracted.
+d the differences of one summary, C their noise covariance in this case, A what the nuisance quantities of the case
+explain: the signal-to-noise ratio of a detector that knows everything else (Neyman and Pearson), with T^2/2 the
+expected log-likelihood ratio. At T = `LIMIT` the effect is just detectable. If an effect shifts the random streams,
+part of the noise is drawn anew; its expected contribution, p for p summaries, is subtracted.
+
+Nuisance quantities are those that data sheets leave to the part, with the tolerances that the diagnosis has for them
+(`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the lag of the
+element's temperature, the response to force and rate, the noise, the cutoff of the filter and the delay of the signal.
+So is the attitude of the box, if no log says which axis was up and no other accelerometer shows it.
 """
 
 from __future__ import annotations
@@ -18,12 +22,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, nan, sqrt
+from math import inf, nan, radians, sin, sqrt
 
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
+from imuarray.gap.model.element_temperature import LONGEST_LAG_S
+from imuarray.gap.model.populations import (
+    ANGLE_SIGMA_DEG,
+    CUTOFF_TOLERANCE,
+    TOLERANCE_SIGMAS,
+    response_tolerance,
+    scale_tolerance,
+    slope_tolerance,
+    turn_on_rms,
+)
 from imuarray.log import Log, SensorLog
+from imuarray.log.format import SensorHeader
+from imuarray.log.sensor_log import recorded_header
+from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
+from imuarray.simulate.model import noise_bandwidth_hz
 from imuarray.units import SI_PER_UNIT
 
 LIMIT = 4.0
@@ -43,11 +61,8 @@ _QUIET = 3.0
 _FAR = 6.0
 _FREE = 1e3
 """Prior of a fitted parameter: practically unbounded."""
-_SCALE, _CROSS, _G_SENSITIVITY_DPS, _TURN_ON = 0.03, 0.03, 0.02, 0.003
-"""Tolerances of a part (one sigma): scale, and sine of an angle; dps per g; scatter of the bias between logs, as a
-share of 0.1 g or 10 dps.
-"""
-_BIAS = {"g": 0.1, "dps": 10.0}
+_TILT_DEG = 1.0
+"""Angle (one sigma) between the axis that is noted as up and the vertical."""
 
 
 @dataclass(frozen=True)
@@ -111,28 +126,52 @@ class _LogPair:
 
     def __init__(self, plain: Log, changed: Log, name: str) -> None:
         self.sensor: SensorLog = plain[name]
+        self.header = recorded_header(self.sensor)
+        self.tilt = _unknown_tilt(plain, self.sensor)
         self.time, self.counts = _columns(plain, name)
         self.new_time, self.new_counts = _columns(changed, name)
         rows = min(len(self.time), len(self.new_time))
         self.rows = rows
         self.quiet = _quiet(self.counts[:rows])
-        self.noise = _density(self.counts[:rows], self.quiet)
+        self.noise = _density(self.counts[:rows], self.quiet) * _louder(self.counts, self.new_counts)
         self.anew = _share_drawn_anew(self.counts[:rows], self.new_counts[:rows], self.quiet)
         self.track = _track(plain)
 
-    def commanded(self, at_ns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the commanded motion at these times: force (n, 3) and rate (n, 3) in the sensor's axes, in its unit or
-        its companion's, and temperature (n,).
+    def motion(self) -> tuple[Floats, Floats, Floats]:
+        """Return the motion at the rows: force (n, 3) and rate (n, 3) in the sensor's axes, in its unit or its
+        companion's, and temperature (n,). What the sensor measures is taken from its own readings without the effect,
+        since an error of scale multiplies delays and vibrations too; the rest is as commanded.
         """
-        turned = np.asarray(self.sensor.orientation)
-        if self.track is None:
-            return np.zeros((len(at_ns), 3)), np.zeros((len(at_ns), 3)), np.zeros(len(at_ns))
-        times, force, rate, degc = self.track
-        columns = []
-        for values, unit in ((force, "g"), (rate, "dps")):
-            rows = [np.interp(at_ns, times, axis) for axis in values.T]
-            columns.append(np.stack(rows, axis=1) @ turned / SI_PER_UNIT[unit])
-        return columns[0], columns[1], np.interp(at_ns, times, degc)
+        own = self.counts / self.sensor.sensitivity
+        force, rate, degc = np.zeros_like(own), np.zeros_like(own), np.zeros(len(own))
+        if self.track is not None:
+            times, force_box, rate_box, degc = self.track
+            turned = np.asarray(self.sensor.orientation)
+            force, rate = (
+                np.stack([np.interp(self.time, times, axis) for axis in values.T], axis=1) @ turned / SI_PER_UNIT[unit]
+                for values, unit in ((force_box, "g"), (rate_box, "dps"))
+            )
+            degc = np.interp(self.time, times, degc)
+        return (own, rate, degc) if self.sensor.unit == "g" else (force, own, degc)
+
+    def lagging_degc(self, degc: Floats) -> Floats:
+        """Return the temperature (n,) of an element that follows `degc` by half of the longest usual time constant."""
+        share = -np.expm1(-np.diff(self.time, prepend=self.time[:1]) * 1e-9 / (LONGEST_LAG_S / 2))
+        lagging, element = np.empty(len(degc)), degc[0] if len(degc) else 0.0
+        for at, (own, part) in enumerate(zip(degc.tolist(), share.tolist(), strict=True)):
+            element += part * (own - element)
+            lagging[at] = element
+        return lagging
+
+
+def _unknown_tilt(log: Log, sensor: SensorLog) -> float:
+    """Return one sigma of the angle of the box in rad, as far as it changes the readings of a sensor: none where other
+    accelerometers show the attitude too, any if no phase says which axis was up.
+    """
+    forces = [other for other in log.sensors.values() if other.quantity == "specific_force"]
+    if sensor.quantity != "specific_force" or len(forces) > 1:
+        return 0.0
+    return radians(_TILT_DEG) if any(phase.up for phase in log.phases) else _FREE
 
 
 def _track(log: Log) -> tuple[Floats, Floats, Floats, Floats] | None:
@@ -184,6 +223,18 @@ def _density(counts: Floats, quiet: Booleans) -> Floats:
     return np.maximum(low, 1 / 12)
 
 
+def _louder(counts: Floats, new_counts: Floats) -> Floats:
+    """Return (3,) the variance of white noise with the effect over that without it, at least 1."""
+    before, after = (_leap(values) for values in (counts, new_counts))
+    return np.asarray(np.maximum(after / before, 1.0) ** 2)
+
+
+def _leap(counts: Floats) -> Floats:
+    """Return (3,) the typical second difference of the readings; that of rounding at least."""
+    leaps = np.abs(np.diff(counts, 2, axis=0))
+    return np.maximum(np.median(leaps, axis=0) / 0.6745, 0.5) if len(leaps) else np.full(3, 0.5)
+
+
 def _spectra(counts: Floats, quiet: Booleans) -> Floats:
     """Return (m, k, 3) periodograms of the quiet windows; white noise of variance 1 gives 1."""
     windows = _windows(counts)[: len(quiet)]
@@ -226,11 +277,11 @@ def _score(difference: Floats, variance: Floats, explained: Floats, anew: float)
 
 def _levels(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
     """Yield the statistic of block means over all logs, less bias, its slope with temperature and a part's response."""
-    unit = _SENSED[pairs[0].sensor.quantity]
-    rows, columns = list[tuple[Floats, Floats]](), list[Floats]()
+    rows, columns, tilts = list[tuple[Floats, Floats]](), list[Floats](), list[tuple[Floats, float, int]]()
     for number, pair in enumerate(pairs):
         edges = np.linspace(pair.time[0], pair.time[-1] + 1, _BLOCKS + 1)
-        force, rate, degc = pair.commanded(pair.time)
+        force, rate, degc = pair.motion()
+        warming = pair.lagging_degc(degc) - degc
         for begin, end in pairwise(edges):
             own, new = (pair.time >= begin) & (pair.time < end), (pair.new_time >= begin) & (pair.new_time < end)
             if own.sum() < 2 or new.sum() < 2:
@@ -238,53 +289,86 @@ def _levels(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
             difference = pair.new_counts[new].mean(axis=0) - pair.counts[own].mean(axis=0)
             rows.append((difference, pair.noise / own.sum()))
             log = np.eye(len(pairs))[number]
-            columns.append(
-                np.array([1.0, degc[own].mean() - 25.0, *force[own].mean(axis=0), *rate[own].mean(axis=0), *log])
-            )
+            responses = (*force[own].mean(axis=0), *rate[own].mean(axis=0))
+            columns.append(np.array([1.0, degc[own].mean() - 25.0, warming[own].mean(), *responses, *log]))
+            tilts.append((force[own].mean(axis=0), pair.tilt, number))
     if not rows:
         return
-    size = pairs[0].sensor.sensitivity
+    header = pairs[0].header
     table = np.array(columns)
+    slopes = np.nan_to_num(slope_tolerance(header), nan=0.0) / TOLERANCE_SIGMAS
     for axis in range(3):
-        reach = np.array([_FREE, _FREE, *_responses(unit, axis), *[_TURN_ON * _BIAS[unit]] * len(pairs)]) * size
+        one_sigma = [_FREE, _FREE, slopes[axis], *_responses(header, axis), *[turn_on_rms(header)] * len(pairs)]
+        explained = np.hstack([table * np.array(one_sigma), _leans(tilts, axis)]) * header.sensitivity
         difference, variance = (np.array([row[part][axis] for row in rows]) for part in (0, 1))
-        yield _score(difference, variance, table * reach, anew)
+        yield _score(difference, variance, explained, anew)
 
 
-def _responses(unit: str, axis: int) -> list[float]:
+def _leans(tilts: Sequence[tuple[Floats, float, int]], axis: int) -> Floats:
+    """Return (p, k) what an unknown attitude changes in the readings of an axis, one sigma each, in g: the force (3,)
+    of a block along the two other axes times the angle, common to the blocks of a log in one attitude.
+    """
+    poses = [(number, *np.round(force, 1).tolist()) for force, _, number in tilts]
+    names = list(dict.fromkeys(poses))
+    table = np.zeros((len(tilts), 2 * len(names)))
+    for row, (pose, (force, tilt, _)) in enumerate(zip(poses, tilts, strict=True)):
+        place = 2 * names.index(pose)
+        table[row, place : place + 2] = tilt * np.delete(force, axis)
+    return table
+
+
+def _responses(header: SensorHeader, axis: int) -> list[float]:
     """Return one sigma of the response to force and to rate along each axis, in the sensor's unit."""
-    own = [_SCALE if place == axis else _CROSS for place in range(3)]
-    return [*own, 0.0, 0.0, 0.0] if unit == "g" else [*[_G_SENSITIVITY_DPS] * 3, *own]
+    to_force = (response_tolerance(header)[axis] / TOLERANCE_SIGMAS).tolist()
+    if header.unit == "g":
+        return [*to_force, 0.0, 0.0, 0.0]
+    to_rate = np.full(3, sin(radians(ANGLE_SIGMA_DEG)))
+    to_rate[axis] = scale_tolerance(header) / TOLERANCE_SIGMAS
+    return [*to_force, *to_rate.tolist()]
 
 
 def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the log spectrum at rest in each log, less the total noise power."""
-    changes: list[tuple[Floats, float]] = []
+    """Yield the statistic of the log spectrum at rest in each log, less the noise power and another cutoff."""
+    changes, filters = list[tuple[Floats, float]](), list[Floats]()
     for pair in pairs:
         before, after = (_spectra(counts[: pair.rows], pair.quiet) for counts in (pair.counts, pair.new_counts))
         if len(before) and len(before) == len(after):
             change = np.log(after.mean(axis=0)[1:] + 0.01) - np.log(before.mean(axis=0)[1:] + 0.01)
             changes.append((change, 1.0 / len(before)))
+            filters.append(_cutoff_slope(pair, len(change)))
     if not changes:
         return
     bins = len(changes[0][0])
     variance = np.repeat([item for _, item in changes], bins)
     for axis in range(3):
         change = np.concatenate([item[:, axis] for item, _ in changes])
-        yield _score(change, variance, np.full((len(change), 1), _FREE), anew)
+        explained = np.stack([np.full(len(change), _FREE), CUTOFF_TOLERANCE * np.concatenate(filters)], axis=1)
+        yield _score(change, variance, explained, anew)
+
+
+def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
+    """Return (bins,) the change of the log spectrum by a relative change of the cutoff of one pole, from the first
+    frequency above zero to half the rate of the rows.
+    """
+    cutoff_hz = noise_bandwidth_hz(pair.header)
+    if cutoff_hz <= 0:
+        return np.zeros(bins)
+    nyquist_hz = 0.5e9 / float(np.median(np.diff(pair.time)))
+    square = (nyquist_hz * np.arange(1, bins + 1) / bins / cutoff_hz) ** 2
+    return np.asarray(2 * square / (1 + square))
 
 
 def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
     """Yield the statistic of the difference's response to the commanded force, rate, their derivatives, squares and
     products.
     """
-    unit = _SENSED[pairs[0].sensor.quantity]
+    header = pairs[0].header
     parts = [pair for pair in pairs if pair.track is not None and not pair.quiet.all()]
     if not parts:
         return
     designs, differences, weights = list[Floats](), list[Floats](), list[Floats]()
     for pair in parts:
-        force, rate, _ = pair.commanded(pair.time)
+        force, rate, _ = pair.motion()
         spin = np.radians(rate)
         changes = [np.gradient(values, pair.time * 1e-9, axis=0) for values in (force, spin)]
         products = [spin[:, [a]] * spin[:, [b]] for a in range(3) for b in range(a, 3)]
@@ -300,20 +384,29 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
     scaled = design[:, used] / spread[used]
     for axis in range(3):
         reach = np.zeros(design.shape[1])
-        reach[:7] = [_FREE, *_responses(unit, axis)]
+        reach[:7] = [_FREE, *_responses(header, axis)]
+        reach[1:4] = np.where(np.arange(3) == axis, reach[1:4], np.hypot(reach[1:4], max(pair.tilt for pair in parts)))
+        reach[7 + axis if header.unit == "g" else 10 + axis] = _delay_s(header) / SI_PER_UNIT[header.unit]
         basis, values, tolerance = np.linalg.svd(scaled / np.sqrt(variance[:, [axis]]), full_matrices=False)
         kept = values > 1e-6 * values[0]
         coefficient = basis[:, kept].T @ (difference[:, axis] / np.sqrt(variance[:, axis]))
-        explained = (values[kept, None] * tolerance[kept]) * (spread * reach)[used] * pairs[0].sensor.sensitivity
+        explained = (values[kept, None] * tolerance[kept]) * (spread * reach)[used] * header.sensitivity
         yield _score(coefficient, np.ones(int(kept.sum())), explained[:, reach[used] > 0], anew)
+
+
+def _delay_s(header: SensorHeader) -> float:
+    """Return one sigma of the delay of a sensor's signal in s: that of its filter, by the tolerance of its cutoff, and
+    a sample of the chip.
+    """
+    cutoff_hz = noise_bandwidth_hz(header)
+    filter_s = CUTOFF_TOLERANCE * two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
+    return filter_s + (1 / header.rate_hz if header.rate_hz > 0 else 0.0)
 
 
 def _events(pair: _LogPair, anew: float) -> Iterator[float]:
     """Yield the statistics of event counts: outliers, missing codes, repeated rows, late or lost rows."""
     before, after = pair.counts, pair.new_counts
-    limit = _FAR * np.maximum(np.median(np.abs(np.diff(before, 2, axis=0)), axis=0) / 0.6745, 0.5)
-    far = [int((np.abs(np.diff(counts, 2, axis=0)) > limit).any(axis=1).sum()) for counts in (before, after)]
-    yield _count_statistic(far[0], far[1], anew)
+    yield _count_statistic(_far(before), _far(after), anew)
     repeated = [int((np.diff(counts, axis=0) == 0).all(axis=1).sum()) for counts in (before, after)]
     yield _count_statistic(repeated[0], repeated[1], anew)
     period = np.median(np.diff(pair.time))
@@ -328,6 +421,11 @@ def _events(pair: _LogPair, anew: float) -> Iterator[float]:
         change = np.abs(np.array(shares[1]) - np.array(shares[0]))
         if min(_spread(before)) > 0.3 * step:
             yield float(change.max() * sqrt(len(before) * step / 2))  # any effect moves each row to another code
+
+
+def _far(counts: Floats) -> int:
+    """Return the number of rows that leap by more than `_FAR` standard deviations of their own noise."""
+    return int((np.abs(np.diff(counts, 2, axis=0)) > _FAR * _leap(counts)).any(axis=1).sum())
 
 
 def _count_statistic(before: int, after: int, anew: float) -> float:

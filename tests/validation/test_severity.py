@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,11 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from imuarray.errors import ConfigError
 from imuarray.log import Block, Log, LogWriter, open_log
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import Phase, SensorHeader
 from imuarray.validation import generator, severity
 from imuarray.validation.case import Put
 from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
@@ -28,15 +30,16 @@ HEADER = SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0)
 
 
 @contextmanager
-def logs(folder: Path, *counts: Floats) -> Iterator[list[Log]]:
-    """Logs at 100 Hz of these (n, 3)."""
+def logs(folder: Path, *counts: Floats, header: SensorHeader = HEADER, up: str = "+Z") -> Iterator[list[Log]]:
+    """Logs at 100 Hz of these (n, 3); `up` is noted for all of it."""
     opened = []
     for number, values in enumerate(counts):
         path = folder / f"{len(list(folder.iterdir()))}-{number}.h5"
         time = np.arange(len(values), dtype=np.int64) * 10_000_000
-        with LogWriter(path, [HEADER], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z") as log:
             rounded = np.round(values).astype(np.int16)
             log.append("A", Block(time, rounded, np.zeros(len(values), np.uint16)))
+            log.phase(Phase(0, int(time[-1]) + 1, "static", up))
         opened.append(open_log(path))
     yield opened
     for log in opened:
@@ -67,6 +70,43 @@ def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
     with logs(tmp_path, noise(), noise() + 50.0, louder) as (plain, moved, loud):
         assert matched_statistic([plain], [moved]) < LIMIT
         assert matched_statistic([plain], [loud]) < LIMIT
+
+
+def test_what_the_part_may_have_is_no_effect(tmp_path: Path) -> None:
+    """A scale factor within 2.3 % (BMA-70), four times the noise, and a bias that scatters by half of what is usual
+    from one log to the next (0.3 mg, 0.6 counts); ten times as much of a scale or a scatter is one.
+    """
+    swing = noise() + on_x(2000 * np.sin(2 * np.pi * 0.02 * np.arange(ROWS) / 100 * 16))
+    with logs(tmp_path, swing, 1.01 * swing, 1.1 * swing, 4 * noise(3), noise(3)) as (plain, usual, off, loud, quiet):
+        assert matched_statistic([plain], [usual]) < LIMIT < matched_statistic([plain], [off])
+        assert matched_statistic([quiet], [loud]) < LIMIT
+    with logs(tmp_path, *(noise() + bias for bias in (0.0, 0.6, 12.0))) as (first, near, far):
+        assert matched_statistic([first, first], [first, near]) < LIMIT
+        assert matched_statistic([first, first], [first, far]) > LIMIT
+
+
+def test_another_cutoff_is_no_effect(tmp_path: Path) -> None:
+    """The filter of a part may be off by a half; one at a third of its cutoff is an effect."""
+    header = replace(HEADER, bandwidth_hz=20.0)
+
+    def filtered(cutoff_hz: float) -> Floats:
+        kept = math.exp(-2 * math.pi * cutoff_hz / 100)
+        return np.asarray(lfilter([1 - kept], [1, -kept], 3 * noise(), axis=0))
+
+    with logs(tmp_path, *map(filtered, (20.0, 24.0, 4.0)), header=header) as (plain, near, far):
+        assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
+
+
+def test_the_attitude_of_one_accelerometer_is_known_if_it_is_noted(tmp_path: Path) -> None:
+    """A tilt by 10 deg moves 0.17 g from z to x."""
+    level, tilted = (
+        noise() + 2048 * np.array([math.sin(angle), 0.0, math.cos(angle)]) for angle in (0.0, math.radians(10))
+    )
+    halves = np.where(np.arange(ROWS)[:, None] < ROWS / 2, level, tilted)
+    with logs(tmp_path, level, tilted, up="") as (plain, moved):
+        assert matched_statistic([plain], [moved]) < LIMIT
+    with logs(tmp_path, level, halves) as (plain, moved):
+        assert matched_statistic([plain], [moved]) > LIMIT
 
 
 @pytest.mark.slow
