@@ -12,6 +12,7 @@ import pytest
 
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
+from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays
 from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
@@ -117,3 +118,28 @@ def test_a_fast_motion_shows_more_of_a_delay_than_there_is() -> None:
     before = np.array([0.0, 0.001]), np.array([0.001, 0.002, 0.003])
     after = np.array([0.002, 0.002]), np.array([0.005, 0.003, 0.004])
     np.testing.assert_allclose(_slopes(design, before, after), [2.0, 1.0, 1.0])
+
+
+def test_the_noise_is_compared_with_the_data_sheet() -> None:
+    """150 ug/sqrt(Hz) (BMA-110) at 600 Hz are 3.67 mg; four times as much is 12.04 dB, the same within its rounding."""
+    campaign = campaign_of("static")
+    base = fit(campaign, [Still(seconds=60.0)], seed=0)
+    name = next(name for name, header in base.headers.items() if header.chip == "bma180")
+    header = replace(base.headers[name], bandwidth_hz=600.0)
+    printed = 150e-6 * math.sqrt(600.0)
+    fitted = replace(base.fitted[name], rms=(printed, 4 * printed, printed / 4))
+    estimates = nuisance_estimates(
+        campaign, replace(base, headers={name: header}, fitted={name: fitted}), has_reference=False
+    )
+    x, y, z = (estimate for estimate in estimates if estimate.quantity == "noise")
+    assert (x.axis, x.unit) == ("x", "dB")
+    assert (x.value, y.value, z.value) == pytest.approx((0.0, 12.04, -12.04), abs=0.1)
+    assert abs(y.pull) > 1 > abs(x.pull)
+
+
+def test_a_noise_that_no_data_sheet_prints_is_not_compared() -> None:
+    campaign = campaign_of("static")
+    base = fit(campaign, [Still(seconds=60.0)], seed=0)
+    unknown = {name: replace(header, bandwidth_hz=0.0, rate_hz=0.0) for name, header in base.headers.items()}
+    estimates = nuisance_estimates(campaign, replace(base, headers=unknown), has_reference=False)
+    assert "noise" not in {estimate.quantity for estimate in estimates}

@@ -15,13 +15,15 @@ import numpy as np
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
+    NOISE_TOLERANCE_DB,
     clock_tolerance,
     offset_tolerance,
+    printed_noise,
     response_tolerance,
     slope_tolerance,
     thermometer_tolerance_degc,
 )
-from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.model.rest import FittedParameters, rounding_lsb2
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.summary import Summary
@@ -73,6 +75,7 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
         unit = f"{header.unit}/degC"
         for axis, value, tolerance in zip(AXES, fitted.slope, slope_tolerance(header), strict=True):
             yield NuisanceEstimate("thermal slope of the bias", header.name, axis, value, unit, tolerance, _SHEET)
+    yield from _of_noise(header, fitted)
     if math.isfinite(fitted.cutoff_hz):
         off = fitted.cutoff_hz / noise_bandwidth_hz(header) - 1
         yield NuisanceEstimate("cutoff of the filter", header.name, "", off, "", CUTOFF_TOLERANCE, _USUAL)
@@ -84,6 +87,18 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
         for column, value in enumerate(values):
             if value:
                 yield _response(header, axis, AXES[column], value, float(tolerances[row, column]))
+
+
+def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[NuisanceEstimate]:
+    """The noise at rest over that of the data sheet, rounding included in both."""
+    printed = printed_noise(header)
+    if printed is None:
+        return
+    expected = np.hypot(printed, np.sqrt(rounding_lsb2(header)) / header.sensitivity)
+    for axis, ratio in zip(AXES, (fitted.noise(header) / expected).tolist(), strict=True):
+        if ratio > 0:
+            value_db = 20 * math.log10(ratio)
+            yield NuisanceEstimate("noise", header.name, axis, value_db, "dB", NOISE_TOLERANCE_DB, _USUAL)
 
 
 def _response(header: SensorHeader, axis: str, along: str, value: float, tolerance: float) -> NuisanceEstimate:
