@@ -27,6 +27,10 @@ _FIT_HEAD = f"{'sensor':12} {'axis':4} {'N':>17} {'B':>17} {'K':>17} {'p':>7} {'
 _ROWS_HEAD = (
     f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
 )
+_ALIGNMENT_HEAD = (
+    f"{'sensor':12} {'rate Hz':>10} {'ppm more':>9} {'rows off us':>11} {'std us':>9} {'a row more in s':>15}"
+    f" {'delay us':>16}"
+)
 _NOTES = (
     "error of the mean: its standard error, correlation allowed for. repeat: rows without a new reading, flagged as "
     "stale or equal to the row before beyond chance. N: density of the white noise, two-sided "
@@ -36,7 +40,9 @@ _NOTES = (
     " the curve / 0.664, "
     "'<' where it still falls at its end. Runs between gaps are pooled. "
     "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
-    "the calibration that was given, else by the data sheet's typical sensitivity."
+    "the calibration that was given, else by the data sheet's typical sensitivity. rows off: the time to the nearest"
+    " row, which varies where chips sample by their own clocks. delay: how much later a gyroscope shows the rotation,"
+    " beyond its known filter delay, with its 95 % interval."
 )
 
 
@@ -49,7 +55,34 @@ def render_text(result: Mapping[str, Any]) -> str:
     if sentences := findings(result):
         lines += ["", "what stands out", *(line for sentence in sentences for line in _indented(sentence))]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
+    if result["alignment"] is not None:
+        lines += ["", *_alignment(result["alignment"])]
     return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
+
+
+def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
+    """How well the sensors' rows agree in time, a line a sensor."""
+    motion = ""
+    if alignment["delays_from"]:
+        since = f"{alignment['motion_from_s']:.0f} s"
+        motion = f"; delays against {alignment['delays_from']}, by the rotation from {since} on"
+    yield from _wrapped(f"alignment in time, against {alignment['reference']}{motion}")
+    yield _ALIGNMENT_HEAD
+    for sensor in alignment["sensors"]:
+        apart = "-" if sensor["row_apart_s"] is None else f"{sensor['row_apart_s']:.3g}"
+        delay = "-"
+        if sensor["delay_s"] is not None:
+            delay = f"{1e6 * sensor['delay_s']:.1f}"
+            if sensor["delay_error_s"]:
+                delay += f" +-{1.96e6 * sensor['delay_error_s']:.1f}"
+        yield (
+            f"{_cut(sensor['name'], 12):12} {sensor['rate_hz']:>10.3f} {sensor['rate_ppm']:>9.0f} "
+            f"{_micro(sensor['offset_s']):>11} {_micro(sensor['spread_s']):>9} {apart:>15} {delay:>16}"
+        )
+
+
+def _micro(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{1e6 * seconds:.1f}"
 
 
 def _indented(text: str) -> list[str]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
@@ -66,6 +67,7 @@ def characterise_log(
             _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _nothing)
             for sensor in chosen
         ],
+        "alignment": _alignment(log),
     }
     return {name: json_ready(value) for name, value in result.items()}
 
@@ -85,6 +87,12 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return json_ready(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _alignment(log: Log) -> dict[str, Any] | None:
+    """The alignment of the inertial sensors in time over the whole log; None if all rows have the same times."""
+    alignment = find_alignment(log)
+    return None if alignment is None or alignment.is_simultaneous else asdict(alignment)
 
 
 def _stretch(stretch: Stretch) -> dict[str, Any]:

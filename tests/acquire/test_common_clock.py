@@ -10,6 +10,7 @@ import pytest
 from firmware_emulator.array import open_array, open_bus
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, parse_array
+from imuarray.characterise.alignment import find_alignment
 from imuarray.errors import ConfigError
 from imuarray.log import open_log
 
@@ -87,14 +88,24 @@ def test_a_clock_that_is_not_connected_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_emulated_array_draws_oscillators_if_asked(tmp_path: Path) -> None:
     array = array_of()
-    with open_bus({"oscillators": "drawn", "seed": "3"}, array) as bus:
+    query = {"oscillators": "drawn", "seed": "3", "world": "shaking", "still_s": "0.1", "motion_s": "10"}
+    with open_bus(query, array) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=4.0)
     periods = periods_ns(tmp_path / "run.h5")
     assert periods["A1"] == pytest.approx(periods["G1"], rel=2e-4)
     assert abs(periods["A1"] / periods["A2"] - 1) > 1e-3
     assert max(abs(period / 1e6 - 1) for period in periods.values()) < 0.0105
+    with open_log(tmp_path / "run.h5") as log:
+        found = find_alignment(log)
+    assert found is not None
+    sensors = {sensor.name: sensor for sensor in found.sensors}
+    assert sensors["G2"].rate_ppm == pytest.approx(1e6 * (periods["A1"] / periods["A2"] - 1), abs=200)
+    assert sensors["G2"].delay_s == pytest.approx(0.0, abs=50e-6)  # both are timed by their queues
+
+
+def test_other_words_for_oscillators_are_refused() -> None:
     with pytest.raises(ValueError, match="oscillators=wild; allowed are exact, drawn"):
-        open_bus({"oscillators": "wild"}, array)
+        open_bus({"oscillators": "wild"}, array_of())
 
 
 @pytest.mark.parametrize(

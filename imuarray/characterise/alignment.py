@@ -1,0 +1,226 @@
+"""Alignment of an array's sensors in time: the rates of their rows, how far apart their rows are, and the delays of
+gyroscopes that motion shows beyond their known filter delays.
+
+Rows are compared with those of a reference, the first inertial sensor of the log. A delay d of a gyroscope is estimated
+in the `WINDOW_S` with the most motion: its rate is a sum of the reference's rates, a bias, and -d times the derivative
+of the reference's rate along the same axis. All of these are fitted at once by least squares, so that neither scale
+factors nor misalignments pass for a delay; the times are then shifted by d, and the fit is repeated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.arrays import Floats, Integers
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SATURATED, STALE, SUSPECT
+from imuarray.units import INERTIAL
+
+WINDOW_S = 60.0
+ROWS = 4096
+"""Rows of the reference with which the rows of the others are compared, in the middle of the log."""
+LEAST_ROWS = 200
+LONGEST_ERROR_S = 1e-3
+"""A delay that is not known to this standard error is not told."""
+LEAST_MOTION = 100.0
+"""Least variance of the rate's derivative over that of its noise: noise makes delays appear smaller, here by 1 %."""
+_FITS = 3
+_SAME_PPM = 0.5
+"""Rates that differ by less are equal: rows are stamped to nanoseconds, over a second."""
+
+
+@dataclass(frozen=True)
+class SensorAlignment:
+    """Alignment of one sensor with the reference: rows per second, by how many parts per million these are more, mean
+    and standard deviation of the time from a row of the reference to the nearest row of this sensor (s).
+
+    `row_apart_s`: the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s` with its
+    standard error: how much later the sensor shows a rotation; None where no motion tells, and of other sensors than
+    gyroscopes.
+    """
+
+    name: str
+    rate_hz: float
+    rate_ppm: float
+    offset_s: float
+    spread_s: float
+    row_apart_s: float | None
+    delay_s: float | None = None
+    delay_error_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Alignment of all inertial sensors of a log with `reference`; delays are those of the rotation from
+    `motion_from_s` on (None: there is none that tells), relative to the gyroscope `delays_from`.
+    """
+
+    reference: str
+    sensors: tuple[SensorAlignment, ...]
+    delays_from: str = ""
+    motion_from_s: float | None = None
+
+    @property
+    def is_simultaneous(self) -> bool:
+        """True if all rows have the times of the reference and no delay is known: there is nothing to tell."""
+        return all(
+            sensor.offset_s == sensor.spread_s == 0.0 and sensor.row_apart_s is None and sensor.delay_s is None
+            for sensor in self.sensors
+        )
+
+
+def find_alignment(log: Log) -> Alignment | None:
+    """The alignment of a log's inertial sensors; None with fewer than two that have `LEAST_ROWS` rows. It reads a
+    bounded part of the log, and the first gyroscope's counts.
+    """
+    chosen = [sensor for quantity in INERTIAL for sensor in log.of(quantity) if len(sensor) >= LEAST_ROWS]
+    if len(chosen) < 2:
+        return None
+    reference = chosen[0]
+    gyroscopes = [sensor for sensor in chosen if sensor.quantity == "angular_rate" and sensor.sensitivity]
+    start_ns = _motion_from_ns(gyroscopes[0]) if len(gyroscopes) > 1 else None
+    delays = {} if start_ns is None else _delays(gyroscopes, start_ns)
+    rows = tuple(_against(reference, sensor, delays.get(sensor.name)) for sensor in chosen)
+    if not delays or start_ns is None:
+        return Alignment(reference.name, rows)
+    return Alignment(reference.name, rows, gyroscopes[0].name, start_ns * 1e-9)
+
+
+def _rate_hz(sensor: SensorLog) -> float:
+    """Rows per second: of the median of 64 equal pieces, because pieces with gaps have fewer rows."""
+    edges = np.linspace(0, len(sensor) - 1, min(64, len(sensor) // 16) + 1).astype(int)
+    times_ns = np.array([int(sensor.time[edge]) for edge in edges.tolist()], np.int64)
+    return float(np.median(np.diff(edges) / (np.diff(times_ns) * 1e-9)))
+
+
+def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float] | None) -> SensorAlignment:
+    """One sensor's rates and rows beside those of the reference."""
+    rate_hz, reference_hz = _rate_hz(sensor), _rate_hz(reference)
+    ppm = 1e6 * (rate_hz / reference_hz - 1)
+    beyond = abs(rate_hz - reference_hz)
+    is_own = abs(ppm) > _SAME_PPM
+    offsets_s = _offsets_s(reference, sensor)
+    return SensorAlignment(
+        sensor.name,
+        rate_hz,
+        ppm if is_own else 0.0,
+        float(offsets_s.mean()) if len(offsets_s) else math.nan,
+        float(offsets_s.std()) if len(offsets_s) else math.nan,
+        1 / beyond if is_own else None,
+        *(delay or (None, None)),
+    )
+
+
+def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:
+    """(m,) the time from rows of the reference in the middle of the log to the nearest row of the sensor."""
+    middle = len(reference) // 2
+    rows = slice(max(0, middle - ROWS // 2), middle + ROWS // 2)
+    at_ns = np.asarray(reference.time[rows], np.int64)
+    span_ns = int(at_ns[-1] - at_ns[0]) // len(at_ns) + 1
+    around = sensor.between(int(at_ns[0]) - 2 * span_ns, int(at_ns[-1]) + 2 * span_ns)
+    others_ns = np.asarray(sensor.time[around], np.int64)
+    if len(others_ns) < 2:
+        return np.zeros(0)
+    inside = at_ns[(at_ns >= others_ns[0]) & (at_ns <= others_ns[-1])]
+    after = np.clip(np.searchsorted(others_ns, inside), 1, len(others_ns) - 1)
+    later, earlier = others_ns[after] - inside, others_ns[after - 1] - inside
+    nearest: Integers = np.where(later <= -earlier, later, earlier)
+    return np.asarray(nearest * 1e-9, float)
+
+
+def _motion_from_ns(gyroscope: SensorLog) -> int | None:
+    """Where the `WINDOW_S` with the most motion begin: by the squares of the rates' changes, second by second."""
+    begun_ns = int(gyroscope.time[0])
+    seconds = int((int(gyroscope.time[-1]) - begun_ns) * 1e-9) + 1
+    squares = np.zeros(seconds)
+    for block in gyroscope.blocks():
+        at_s = ((np.asarray(gyroscope.time[block], np.int64) - begun_ns) * 1e-9).astype(int)
+        counts = np.asarray(gyroscope.counts[block], float)
+        changes = np.square(np.diff(counts, axis=0)).sum(axis=1)
+        squares += np.bincount(at_s[1:], weights=changes, minlength=seconds)[:seconds]
+    if not squares.any():
+        return None
+    length = min(int(WINDOW_S), seconds)
+    sums = np.convolve(squares, np.ones(length), "valid")
+    return begun_ns + int(sums.argmax()) * 1_000_000_000
+
+
+def _delays(gyroscopes: Sequence[SensorLog], start_ns: int) -> dict[str, tuple[float, float]]:
+    """Delay and standard error of each gyroscope against the first, by name; empty if the motion does not tell."""
+    end_ns = start_ns + round(WINDOW_S * 1e9)
+    reference_s, reference = _rates(gyroscopes[0], start_ns, end_ns)
+    if len(reference_s) < LEAST_ROWS or not _tells(reference_s, reference):
+        return {}
+    delays = {gyroscopes[0].name: (0.0, 0.0)}
+    for gyroscope in gyroscopes[1:]:
+        times_s, rates = _rates(gyroscope, start_ns, end_ns)
+        if len(times_s) >= LEAST_ROWS:
+            delay_s, error_s = _delay(reference_s, reference, times_s, rates)
+            if error_s <= LONGEST_ERROR_S:
+                delays[gyroscope.name] = delay_s, error_s
+    return delays if len(delays) > 1 else {}
+
+
+def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Floats]:
+    """Times (n,) in s after `start_ns`, without the known filter delay, and rates (n, 3) in the box frame and the
+    sensor's unit by its nominal sensitivity; nan where a row is flagged as saturated, stale or suspect.
+    """
+    rows = gyroscope.between(start_ns, end_ns)
+    times_s = (np.asarray(gyroscope.time[rows], np.int64) - start_ns - gyroscope.delay_ns) * 1e-9
+    rates = np.asarray(gyroscope.counts[rows], float) / gyroscope.sensitivity @ gyroscope.orientation.T
+    rates[(np.asarray(gyroscope.status[rows]) & (SATURATED | STALE | SUSPECT)) != 0] = np.nan
+    return np.asarray(times_s, float), rates
+
+
+def _tells(times_s: Floats, rates: Floats) -> bool:
+    """Return whether the motion is strong enough beside the noise, of which fourth differences are 70 times the
+    variance.
+    """
+    noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / 0.6745 / math.sqrt(70)
+    derivative = np.gradient(rates, times_s, axis=0)
+    step_s = float(np.median(np.diff(times_s)))
+    of_noise = noise**2 / (2 * step_s**2)
+    return bool((np.nanvar(derivative, axis=0) > LEAST_MOTION * of_noise).any())
+
+
+def _delay(reference_s: Floats, reference: Floats, times_s: Floats, rates: Floats) -> tuple[float, float]:
+    """Delay of `rates` (m, 3) at `times_s` (m,) after `reference` (n, 3) at `reference_s` (n,), and standard error."""
+    derivative = np.gradient(reference, reference_s, axis=0)
+    delay_s, error_s = 0.0, math.inf
+    for _ in range(_FITS):
+        at_s = times_s - delay_s
+        inside = (at_s >= reference_s[0]) & (at_s <= reference_s[-1])
+        known = np.stack([np.interp(at_s[inside], reference_s, column) for column in reference.T], axis=1)
+        slopes = np.stack([np.interp(at_s[inside], reference_s, column) for column in derivative.T], axis=1)
+        here = rates[inside]
+        good = np.isfinite(known).all(axis=1) & np.isfinite(slopes).all(axis=1) & np.isfinite(here).all(axis=1)
+        known, slopes, here = known[good], slopes[good], here[good]
+        if len(here) < LEAST_ROWS:
+            return delay_s, math.inf
+        steps, weights = np.zeros(3), np.zeros(3)
+        for axis in range(3):
+            table = np.column_stack([known, np.ones(len(known)), slopes[:, axis]])
+            steps[axis], weights[axis] = _step(table, here[:, axis], axis)
+        if not weights.sum():
+            return delay_s, math.inf
+        delay_s += float(steps @ weights / weights.sum())
+        error_s = float(1 / math.sqrt(weights.sum()))
+    return delay_s, error_s
+
+
+def _step(table: Floats, rate: Floats, axis: int) -> tuple[float, float]:
+    """The delay that one axis shows, and the inverse of its variance; residuals correlate, which widens the error."""
+    solution, _, rank, _ = np.linalg.lstsq(table, rate, rcond=None)
+    gain = solution[axis]
+    if rank < table.shape[1] or abs(gain) < 0.5:
+        return 0.0, 0.0
+    residual = rate - table @ solution
+    variance = residual @ residual / max(1, len(rate) - table.shape[1])
+    lag1 = float(residual[1:] @ residual[:-1] / (residual @ residual)) if residual.any() else 0.0
+    widened = (1 + max(lag1, 0.0)) / max(1 - max(lag1, 0.0), 1e-3)
+    spread = variance * widened * np.linalg.inv(table.T @ table)[-1, -1] / gain**2
+    return float(-solution[-1] / gain), float(1 / max(spread, 1e-18))
