@@ -112,7 +112,8 @@ class Table:
         self.header: list[str] = self._names() if named else []
         self.names: list[str] = [name.strip() for name in self.header]
         self.width = len(self.names)
-        self._blank_end = bool(self.names) and not self.names[-1]
+        self._blank_end = bool(self.names) and (not self.names[-1] or bool(_REMARKS.fullmatch(self.names[-1])))
+        self._has_begun = False
 
     def _lines(self) -> Iterator[str]:
         """Yield the lines with cells."""
@@ -190,6 +191,10 @@ class Table:
                     self.left_out["text"] += 1
                     continue
                 raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
+            if not self._has_begun and self.header and kinds is None and is_unit_row(row):
+                self.left_out["units"] += 1
+                continue
+            self._has_begun = True
             yield self.line, row
 
     def index(self, column: str | int) -> int:
@@ -231,10 +236,27 @@ class Table:
         said = {
             "nul": "{} with NUL bytes left out, as a power cut leaves them",
             "header": "{} that repeat the header left out",
+            "units": "{} of units below the header left out",
             "cut": "{} at the end of the file left out: it is cut off",
             "text": "{} of text without a number left out",
         }
         return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
+
+
+_REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(en)?", re.IGNORECASE)
+"""Name of a last column for remarks, whose cell programs leave out of rows without one."""
+
+
+_UNIT_CELL = re.compile(
+    r"[\[(].*[\])]|-|[mun\u00b5\u03bc]?(s|sec|g|G|T|gauss|V)|m/s[/^*]*(s|2|\u00b2)|m?(\u00b0|\u00ba|deg|rad)(/s(ec)?)?|m?dps"
+    r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|",
+    re.IGNORECASE,
+)
+
+
+def is_unit_row(cells: Sequence[str]) -> bool:
+    """Return whether the cells of a row hold units, as a second row below the names does."""
+    return any(cell.strip() for cell in cells) and all(_UNIT_CELL.fullmatch(cell.strip()) for cell in cells)
 
 
 def _is_binary(line: str) -> bool:

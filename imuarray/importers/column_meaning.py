@@ -49,7 +49,7 @@ _GRAVITIES = (1.0, STANDARD_GRAVITY, 1000.0, *(2.0**power for power in range(8, 
 """1 g in g, m/s2, mg, and in counts of the usual ranges."""
 _NEAR_GRAVITY = 0.15
 _NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
-_TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
+_TIME = re.compile(r"time|zeit|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
 _TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
 _PRESSURE = re.compile(r"press|baro|^p$", re.IGNORECASE)
 _PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
@@ -123,6 +123,26 @@ def _unit_in(name: str) -> str:
     return next((unit for unit in units if unit and not unit.isdigit()), "")
 
 
+def units_below_header(layout: TextLayout, names: Sequence[str]) -> dict[str, str]:
+    """Return the units of columns by name, as a row below the header has them."""
+    units = {
+        name: _unit_in(f"[{cell.strip().strip('[]()')}]") for name, cell in zip(names, layout.unit_cells, strict=False)
+    }
+    return {name: unit for name, unit in units.items() if unit}
+
+
+def kind_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int | None:
+    """Return the column whose words name the sensors that share the other columns; None without one."""
+    for index in range(min(len(names), len(rows[0]))):
+        words = [row[index].strip() for row in rows]
+        kinds = set(words)
+        if not 1 < len(kinds) <= _MOST_INSTANCES or not all(kind[:1].isalpha() for kind in kinds):
+            continue
+        if sum(any(spelt.search(kind) for _, spelt in _QUANTITIES) for kind in kinds) > 1:
+            return index
+    return None
+
+
 def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
     """Remove the rows of zeros at the end, which a program reserved and did not fill."""
     if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
@@ -146,7 +166,7 @@ def propose_columns(
     columns = _without_padding(columns)
     time = _time_index(names, columns, dates)
     taken = set() if time is None else {time}
-    triads = _with_quantity(list(_triads(names, columns, taken, stem)), names, proposal)
+    triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append("rate_hz = 100   # ? no column increases like time")
@@ -273,7 +293,15 @@ def time_lines(
         return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz", "wraps_at = 4294967296"]
     values = columns[index]
     steps = np.diff(values)
-    said = _unit_in(name)
+    said = proposal.units.get(name) or _unit_in(name)
+    if ticks := _TICKS.fullmatch(said):
+        tick_s = float(ticks[1]) * NS_PER_UNIT[_SPELLINGS.get(ticks[2], ticks[2])] * 1e-9
+        rate_hz = 1 / max(_unit_of_time("s", values)[1] * tick_s, 1e-12)
+        lines += [
+            f'unit = "{_SPELLINGS.get(ticks[2], ticks[2])}"   # {rate_hz:.4g} rows a second, if so',
+            f"ticks = {ticks[1]}",
+        ]
+        return lines + _restarts(values)
     if said not in NS_PER_UNIT and _INDEX.fullmatch(name.strip()) and (steps == 1).all():
         proposal.doubts.append(
             f"column {name!r} counts the rows and says nothing about time: 100 rows a second are assumed; enter the"
@@ -284,6 +312,16 @@ def time_lines(
     factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
     mark = "" if said == unit else "   # ?"
     lines.append(f'unit = "{unit}"{mark or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
+    return lines + _restarts(values)
+
+
+_TICKS = re.compile(r"(\d+\.?\d*) ?([mun\u00b5\u03bc]?s)")
+"""A unit of times that is so many of another: "39.0625us"."""
+
+
+def _restarts(values: Floats) -> list[str]:
+    """Return the lines of `[time]` for a counter that wraps, and for times that repeat."""
+    steps, lines = np.diff(values), []
     if (steps < 0).any() and (wraps_at := _wrap_of(values)):
         lines.append(f"wraps_at = {wraps_at:.0f}")
     if (steps == 0).any():
@@ -309,7 +347,11 @@ def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
 
 
 def _triads(
-    names: Sequence[str], columns: Sequence[Floats], taken: set[int], stem_of_file: str
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    taken: set[int],
+    stem_of_file: str,
+    units: Mapping[str, str],
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
     if not names:
@@ -337,7 +379,7 @@ def _triads(
                     continue
                 called = stem if stem.strip("*_.- []()") else stem_of_file
                 by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
-                yield _QUANTITY_OF_UNIT.get(_unit_in(name), by_name), indices
+                yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), by_name), indices
 
 
 def _with_quantity(

@@ -25,9 +25,11 @@ from imuarray.importers.column_meaning import (
     Proposal,
     increases,
     instance_column,
+    kind_column,
     propose_columns,
     propose_kind,
     time_lines,
+    units_below_header,
 )
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.plausibility import report_of, turns_of
@@ -256,9 +258,11 @@ class _Text(NamedTuple):
 def _propose_table(text: _Text) -> Proposal:
     """Propose a map of a text with one table, whose rows may be of several instances of a sensor."""
     columns, dates = columns_of(text.rows, text.layout), dates_of(text.rows)
-    instance = instance_column(text.names, columns)
+    units = units_below_header(text.layout, text.names)
+    words = kind_column(text.names, text.rows)
+    instance = instance_column(text.names, columns) if words is None else words
     if instance is None:
-        proposal = propose_columns(text.layout, text.names, columns, dates, text.stem)
+        proposal = propose_columns(text.layout, text.names, columns, dates, text.stem, units)
         date = next(iter(dates), None)
         if date is not None and len({row[date] for row in text.rows}) < len(text.rows):
             proposal.time.append("ties = true   # rows with equal times")
@@ -268,7 +272,9 @@ def _propose_table(text: _Text) -> Proposal:
     kinds = [row[instance].strip() for row in text.rows]
     for kind in sorted(set(kinds)):
         chosen = np.array([other == kind for other in kinds])
-        partial = propose_columns(text.layout, text.names, [column[chosen] for column in columns], dates, text.stem)
+        stem = text.stem if words is None else kind
+        of_kind = [column[chosen] for column in columns]
+        partial = propose_columns(text.layout, text.names, of_kind, dates, stem, units)
         _add_kind(proposal, kind, partial)
     return proposal
 
@@ -283,7 +289,8 @@ def _propose_folder(folder: Path) -> Proposal:
         except SourceError as error:
             doubts.append(f"left out: {error}")
             continue
-        partial = propose_columns(layout, names, columns_of(rows, layout), dates_of(rows), name)
+        units = units_below_header(layout, names)
+        partial = propose_columns(layout, names, columns_of(rows, layout), dates_of(rows), name, units)
         if not partial.items:
             doubts.append(f"left out: {path.name} has no triad, temperature or pressure that is known by its name")
             continue

@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
-from imuarray.importers.cells import WINDOWS_1252
+from imuarray.importers.cells import WINDOWS_1252, is_unit_row
 from imuarray.importers.mapping import ISO
 
 LOOKED_AT_ROWS = 20_000
@@ -39,6 +39,8 @@ class TextLayout:
     comment: str = "#"
     named: bool = True
     kind_column: int | None = None
+    unit_cells: tuple[str, ...] = ()
+    """Cells of a row of units below the header."""
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
@@ -95,6 +97,9 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     before = [(number, cells_of(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
     commented = before[-1] if before and len(before[-1][1]) == width else None
     header = rows[first - 1] if first else commented
+    if header is not None and first > 1 and len(rows[first - 2][1]) == len(header[1]) and is_unit_row(header[1]):
+        layout.unit_cells = tuple(header[1])
+        header = rows[first - 2]
     layout.named = header is not None and abs(len(header[1]) - width) <= 1
     begin = header[0] if header is not None and layout.named else rows[first][0]
     layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0

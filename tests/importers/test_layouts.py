@@ -265,3 +265,92 @@ def test_rows_that_share_their_time_are_said_to_do_so(tmp_path: Path) -> None:
         quirks = " ".join(report_of(log).quirks)
     assert "several rows have the same time, and the next time is 0.2 s later" in quirks
     assert "in bursts" not in quirks
+
+
+def quantities(path: Path) -> dict[str, tuple[str, int, np.ndarray]]:
+    """Quantity, number of rows and mean in g or dps of each triad."""
+    with open_log(path) as log:
+        return {
+            name: (sensor.quantity, len(sensor), np.asarray(sensor.counts[:]).mean(axis=0) / sensor.sensitivity)
+            for name, sensor in log.sensors.items()
+            if sensor.is_triad
+        }
+
+
+@pytest.mark.slow
+def test_rows_whose_sensor_is_a_word_in_a_column_are_told_apart(tmp_path: Path) -> None:
+    """One row a reading, as a phone's app writes all its sensors into one file; the columns are z, y, x."""
+    lines = ["time,seconds_elapsed,sensor,z,y,x"]
+    for row in range(0, ROWS, 2):
+        stamp = 1_730_000_000_000_000_000 + row * 10_000_000
+        for late_ns, name, values in (
+            (0, "Accelerometer", WALK.force_g[row] * G),
+            (1_200_000, "Gyroscope", np.radians(WALK.rate_dps[row])),
+        ):
+            cells = ",".join(f"{value:.6f}" for value in values[::-1])
+            lines.append(f"{stamp + late_ns},{row * 0.01:.3f},{name},{cells}")
+    text, path = imported(written(tmp_path, joined(lines)), tmp_path)
+    assert "kind_column = 2" in text and 'kind = "Gyroscope"' in text
+    triads = quantities(path)
+    assert {name: triad[:2] for name, triad in triads.items()} == {
+        "Acc": ("specific_force", ROWS // 2),
+        "Gyro": ("angular_rate", ROWS // 2),
+    }
+    assert triads["Acc"][2] == pytest.approx(WALK.force_g[::2].mean(axis=0), abs=1e-3)
+    assert triads["Gyro"][2] == pytest.approx(WALK.rate_dps[::2].mean(axis=0), abs=1e-2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("brackets", ["[]", "()", ""])
+def test_a_row_of_units_says_what_names_in_another_language_mean(brackets: str, tmp_path: Path) -> None:
+    """A data logger of a laboratory: a preamble, names, units below them, decimal commas."""
+    opening, closing = (brackets[:1], brackets[1:])
+    units = [f"{opening}{unit}{closing}" for unit in ("s", "m/s²", "m/s²", "m/s²", "°/s", "°/s", "°/s", "°C")]
+    lines = ["Messprotokoll", "Start:;28.11.2026 14:03:12", "Abtastrate:;100;Hz"]
+    lines += ["Zeit;Besch_X;Besch_Y;Besch_Z;Drehr_X;Drehr_Y;Drehr_Z;Temperatur", ";".join(units)]
+    for stamp, row in zip(WALK.time_s, BOTH * [G, G, G, 1, 1, 1], strict=True):
+        cells = [f"{stamp:.3f}", *(f"{value:.4f}" for value in row), "23.40"]
+        lines.append(";".join(cells).replace(".", ","))
+    text, path = imported(written(tmp_path, ("\r\n".join(lines) + "\r\n").encode("cp1252")), tmp_path)
+    assert '"degC"' in text
+    triads = quantities(path)
+    assert triads["Acc"][2] == pytest.approx(WALK.force_g.mean(axis=0), abs=1e-3)
+    assert triads["Gyro"][:2] == ("angular_rate", ROWS)
+    assert triads["Gyro"][2] == pytest.approx(WALK.rate_dps.mean(axis=0), abs=1e-2)
+
+
+@pytest.mark.slow
+def test_a_column_of_comments_that_has_no_cells(tmp_path: Path) -> None:
+    """As LabVIEW writes a measurement file: two heads, tabs, and a name "Comment" without a cell in any row; a header
+    that is longer than the rows for another reason is refused as before.
+    """
+    head = [
+        "LabVIEW Measurement\t",
+        "Separator\tTab",
+        "***End_of_Header***\t",
+        "Channels\t6\t",
+        "***End_of_Header***\t",
+    ]
+    names = ["X_Value", "Acc X", "Acc Y", "Acc Z", "Gyro X", "Gyro Y", "Gyro Z", "Comment"]
+    rows = [
+        "\t".join([f"{stamp:.6f}", *(f"{value:.6f}" for value in row)])
+        for stamp, row in zip(WALK.time_s, BOTH, strict=True)
+    ]
+    _, path = imported(written(tmp_path, joined([*head, "\t".join(names), *rows]), "run.lvm"), tmp_path)
+    assert quantities(path)["Gyro"][2] == pytest.approx(WALK.rate_dps.mean(axis=0), abs=1e-2)
+    odd = joined([*head, "\t".join([*names[:-1], "Force"]), *rows])
+    assert "7 cells, the first row has 8" in guess_map(written(tmp_path, odd, "odd.lvm"))
+
+
+@pytest.mark.slow
+def test_a_unit_of_time_with_a_factor(tmp_path: Path) -> None:
+    """The counter of a Bosch chip: ticks of 39.0625 us, 24 bits; without the factor the rate would be 3.9 kHz."""
+    ticks = (np.rint(WALK.time_s / 39.0625e-6).astype(int) + (1 << 24) - 200_000) % (1 << 24)
+    counts = counts_of(WALK)
+    head = "Acc-X[LSB], Acc-Y[LSB], Acc-Z[LSB], Gyr-X[LSB], Gyr-Y[LSB], Gyr-Z[LSB], Sensor Time[39.0625us]"
+    lines = [", ".join(map(str, [*row, tick])) for row, tick in zip(counts.tolist(), ticks.tolist(), strict=True)]
+    text, path = imported(written(tmp_path, joined(["Board: APP3.1", head, *lines])), tmp_path)
+    assert "ticks = 39.0625" in text and "wraps_at = 16777216" in text
+    with open_log(path) as log:
+        seconds = (int(log["Acc"].time[-1]) - int(log["Acc"].time[0])) * 1e-9
+    assert seconds == pytest.approx((ROWS - 1) / 100, abs=1e-4)
