@@ -17,6 +17,7 @@ from imuarray.fuse.element_temperature import (
 )
 from imuarray.fuse.fuse import NEEDS_NOISE
 from imuarray.log import Log, SensorLog
+from imuarray.printable import listed
 from imuarray.units import INERTIAL
 
 _NO_RANGES: Mapping[str, Mapping[float, float]] = MappingProxyType({})
@@ -87,6 +88,10 @@ def prepare_inputs(
                 " `imuarray calibrate noise` on that log and give the file as calibration, or choose a technique"
                 " that needs no noise (mean, opposed)"
             ) from None
+    partly = [sensor for sensor in sensors if calibration.or_nominal(sensor).uncertain_axes()]
+    if any(sensor.quantity == "angular_rate" for sensor in partly):
+        calibration, transferred = _with_transfer(log, calibration, chosen)
+        remarks += transferred
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,
@@ -97,6 +102,24 @@ def prepare_inputs(
         tuple(mismatch_sentences(calibration, mismatch)),
         tuple(remarks),
     )
+
+
+def _with_transfer(log: Log, calibration: Calibration, only: Sequence[str]) -> tuple[Calibration, list[str]]:
+    """Return the calibration with the columns that other gyroscopes of the log determine, and sentences about them."""
+    from imuarray.calibrate.response_transfer import transfer_response  # its weight is for those who lack a column
+
+    transfer = transfer_response(log, calibration, only)
+    remarks = [
+        f"response of {name} to rates about box {', '.join(axes)} determined in this log, from"
+        f" {listed(transfer.references)}"
+        for name, axes in transfer.axes.items()
+    ]
+    remarks += [
+        f"rates of {name} contradict its calibration and {listed(transfer.references)}; its response stays as"
+        " calibrated"
+        for name in transfer.refused
+    ]
+    return transfer.calibration, remarks
 
 
 def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:

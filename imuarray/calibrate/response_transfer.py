@@ -1,0 +1,217 @@
+"""Columns of a gyroscope's response that no turn determined, from other gyroscopes of the box.
+
+All gyroscopes of a rigid box measure one angular rate. After turns about two box axes the third column of a response is
+known as well as the data sheet promises (`imuarray.calibrate.turns`); where another gyroscope's response is known, its
+rates in any log in which the box turns about that axis determine the column::
+
+    counts = response @ (rate_box + delay * d rate_box / dt) + bias + noise
+
+for means over windows of `WINDOW_S`. The fit is linear least squares of response, bias and delay of each axis, with the
+calibration's response and covariance as prior (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
+2.3.3); bias and delay of this log are free. What noise does not explain of the residuals widens the covariance, and the
+errors of the reference's own response are added to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imuarray.arrays import Booleans, Floats
+from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SATURATED, SUSPECT
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
+
+WINDOW_S = 0.1
+"""Length of the windows whose means are compared: short against turns by hand, long against the times between the
+readings of different sensors."""
+
+_CHUNK = 4096
+"""Windows that are in memory at a time."""
+
+_FEWEST = 100
+"""Fewest windows that are a measurement."""
+
+_IMPOSSIBLE = 1e-6
+"""Chance of a change of the response below which calibration or gyroscope is wrong, and nothing is transferred."""
+
+_PARAMETERS = 15
+"""Nine entries of the response row by row, three biases, three delays."""
+
+
+Calibrated = tuple[SensorLog, SensorCalibration]
+"""A sensor and its calibration."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A calibration whose uncertain columns were determined: `axes` by sensor, from the rates of `references`;
+    `refused` names sensors whose rates contradict their calibration.
+    """
+
+    calibration: Calibration
+    axes: dict[str, str]
+    references: tuple[str, ...]
+    refused: tuple[str, ...]
+
+
+def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = ()) -> Transfer:
+    """Determine the uncertain columns of the gyroscopes of `log` (`only` these, if any are named) from the gyroscopes
+    whose response is known, as far as the box turned in `log`. Returns the same calibration if there is nothing to do.
+    """
+    gyroscopes = [sensor for sensor in log.of("angular_rate") if not only or sensor.name in only]
+    measured = _measured(gyroscopes, calibration)
+    accelerometers = _measured(
+        [sensor for sensor in log.of("specific_force") if not only or sensor.name in only], calibration
+    )
+    references = [(sensor, known) for sensor, known in measured if not known.uncertain_axes()]
+    sensors, axes, refused = dict(calibration.sensors), {}, []
+    for sensor, known in measured if references else ():
+        before = known.uncertain_axes()
+        updated = _updated(sensor, known, references, accelerometers) if before else known
+        if updated is None:
+            refused.append(sensor.name)
+            continue
+        sensors[sensor.name] = updated
+        if gained := "".join(axis for axis in before if axis not in updated.uncertain_axes()):
+            axes[sensor.name] = gained
+    return Transfer(
+        replace(calibration, sensors=sensors), axes, tuple(sensor.name for sensor, _ in references), tuple(refused)
+    )
+
+
+def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
+    """Return the sensors with rows whose response was measured."""
+    known = [(sensor, calibration.sensors[sensor.name]) for sensor in sensors if sensor.name in calibration.sensors]
+    return [(sensor, each) for sensor, each in known if each.response_sem_lsb_per_unit is not None and len(sensor)]
+
+
+def _updated(
+    sensor: SensorLog, known: SensorCalibration, references: Sequence[Calibrated], accelerometers: Sequence[Calibrated]
+) -> SensorCalibration | None:
+    """Return the calibration with the response that the rates of `references` leave of it, the same if they are too
+    few; None if the rates contradict it.
+    """
+    from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
+
+    prior = _covariance(known)
+    information, right, squares, windows = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS), 0.0, 0
+    response = known.response_lsb_per_unit
+    variance: Floats | None = None
+    for counts, rate_dps, slope_dps in _windows((sensor, known), references, accelerometers):
+        design = np.zeros((len(counts), 3, _PARAMETERS))
+        for axis in range(3):
+            design[:, axis, 3 * axis : 3 * axis + 3] = rate_dps
+            design[:, axis, 9 + axis] = 1.0
+            design[:, axis, 12 + axis] = slope_dps @ response[axis]
+        off = counts - rate_dps @ response.T  # from what the calibration predicts: the fit is of changes
+        if variance is None:
+            variance = _noise(off)
+        information += np.einsum("nip,i,niq->pq", design, 1 / variance, design)
+        right += np.einsum("nip,i,ni->p", design, 1 / variance, off)
+        squares += float((off**2 / variance).sum())
+        windows += len(counts)
+    if windows < _FEWEST:
+        return known
+    weights = np.zeros((_PARAMETERS, _PARAMETERS))
+    weights[:9, :9] = np.linalg.inv(prior)
+    change = np.linalg.solve(information + weights, right)
+    rest = squares - 2 * change @ right + change @ information @ change
+    excess = max(1.0, float(rest) / (3 * windows - _PARAMETERS))
+    covariance = np.linalg.inv(information / excess + weights)
+    change = covariance @ right / excess
+    moved = float(change[:9] @ np.linalg.solve(prior, change[:9]))
+    if gammaincc(4.5, moved / 2) < _IMPOSSIBLE:  # chi-squared of nine degrees of freedom
+        return None
+    own = covariance[:9, :9] + _of_references(response, references)
+    return replace(
+        known,
+        response_lsb_per_unit=response + change[:9].reshape(3, 3),
+        response_sem_lsb_per_unit=np.sqrt(np.diag(own)).reshape(3, 3).max(axis=1),
+        response_covariance_lsb2_per_unit2=own,
+    )
+
+
+def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats:
+    """(9, 9) covariance of a response by the errors of the references' responses, whose mean is the rate: rate_box is
+    wrong by E rate_box, with E the mean of their errors, and the response by response @ E.
+    """
+    errors = np.zeros((9, 9))
+    for _, known in references:
+        covariance = _covariance(known)
+        carried = np.kron(np.linalg.inv(known.response_lsb_per_unit), np.eye(3))
+        errors += carried @ covariance @ carried.T / len(references) ** 2
+    carried = np.kron(response, np.eye(3))
+    return np.asarray(carried @ errors @ carried.T)
+
+
+def _covariance(known: SensorCalibration) -> Floats:
+    """(9, 9) covariance of a measured response, row by row."""
+    covariance = known.response_covariance()
+    return np.zeros((9, 9)) if covariance is None else covariance
+
+
+def _noise(off: Floats) -> Floats:
+    """(3,) variance of a window's mean: a sixth of the mean square of second differences, without slow motion."""
+    bends = np.diff(off, 2, axis=0)
+    squares = np.median(bends**2, axis=0) / 0.4549  # the median of a chi-square with one degree of freedom
+    return np.asarray(np.maximum(squares / 6, 1e-6))
+
+
+def _windows(
+    gyroscope: Calibrated, references: Sequence[Calibrated], accelerometers: Sequence[Calibrated]
+) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Yield for windows that all of them have: mean counts (n, 3) of a gyroscope less its g-sensitivity, the mean rate
+    (n, 3) of the references in dps and its slope (n, 3) in dps/s, box frame.
+    """
+    every = [sensor for sensor, _ in (gyroscope, *references, *accelerometers)]
+    width_ns = round(WINDOW_S * 1e9)
+    begin_ns = max(int(each.time[0]) for each in every)
+    end_ns = min(int(each.time[-1]) for each in every)
+    for first_ns in range(begin_ns, end_ns, _CHUNK * width_ns):
+        count = min(_CHUNK, (end_ns - first_ns) // width_ns)
+        if count < 3:
+            continue
+        means = {sensor.name: _means(sensor, first_ns, width_ns, count) for sensor in every}
+        complete = np.all([has for _, has in means.values()], axis=0)
+        forces_g = [known.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY for sensor, known in accelerometers]
+
+        force_g = np.mean(forces_g, axis=0) if forces_g else None
+        counts, *others = [
+            _without_force(means[sensor.name][0], known, force_g) for sensor, known in (gyroscope, *references)
+        ]
+        rates = [
+            known.stimulus_box(other) / SI_PER_UNIT[known.unit]
+            for other, (_, known) in zip(others, references, strict=True)
+        ]
+        rate = np.mean(rates, axis=0)
+        slope = np.gradient(rate, WINDOW_S, axis=0)
+        usable = complete & np.isfinite(slope).all(axis=1)
+        if np.count_nonzero(usable) > 2:
+            yield counts[usable], rate[usable], slope[usable]
+
+
+def _without_force(counts: Floats, known: SensorCalibration, force_g: Floats | None) -> Floats:
+    """Return counts (n, 3) of a gyroscope less what the specific force (n, 3) in g adds, as far as both are known."""
+    if force_g is None or known.g_sensitivity_lsb_per_g is None:
+        return counts
+    return np.asarray(counts - force_g @ known.g_sensitivity_lsb_per_g.T)
+
+
+def _means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:
+    """Return the mean counts (count, 3) of consecutive windows, NaN without rows, and which have rows of which none is
+    flagged as clipped.
+    """
+    rows = sensor.between(first_ns, first_ns + count * width_ns)
+    place = (np.asarray(sensor.time[rows], np.int64) - first_ns) // width_ns
+    inside = (place >= 0) & (place < count)
+    flagged = np.asarray(sensor.status[rows]) & (SATURATED | SUSPECT) != 0
+    values = np.asarray(sensor.counts[rows], float)[inside]
+    place, flagged = place[inside], flagged[inside]
+    number = np.bincount(place, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.stack([np.bincount(place, values[:, axis], count) / number for axis in range(3)], axis=1)
+    return mean, (number > 0) & (np.bincount(place, flagged, count) == 0)
