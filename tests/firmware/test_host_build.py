@@ -24,7 +24,7 @@ from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import parse_array
 from imuarray.bus import serial_session
 from imuarray.bus.serial_bus import SerialBus, open_serial
-from imuarray.bus.serial_link import LinkError, PollList, Request
+from imuarray.bus.serial_link import FIRST_SELECT, OVERHEAD, LinkError, PollList, Request
 from imuarray.bus.serial_port import usual_port
 from imuarray.cli import main
 from imuarray.log import open_log
@@ -239,6 +239,53 @@ def test_it_is_unplugged_restarted_and_plugged_in_again(host_program: Path, tmp_
     (again,) = np.flatnonzero(status & RECONFIGURED)
     assert not (status[again:] & SUSPECT).any()
     assert 0 < again < len(numbers)
+
+
+class EightChips:
+    """Chip selects 0 to 7 of six-axis chips: a reading is how often the chip was read (4 bytes), then its number."""
+
+    def __init__(self) -> None:
+        self.reads = [0] * 8
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        chip = address - FIRST_SELECT
+        self.reads[chip] += 1
+        return self.reads[chip].to_bytes(4, "little") + bytes([chip]) * (read - 4)
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        """Any mode and clock."""
+
+
+def test_eight_six_axis_chips_at_1_khz(host_program: Path, tmp_path: Path, hasty: None) -> None:
+    """A frame has 144 bytes on the wire, as on paper: 15 of the link, the number of the list, and of each chip an age
+    and 14 bytes. Each row is what its chip answered in that frame; frames for which there was no time are missing whole
+    and counted.
+    """
+    asked = PollList(1, 0, tuple(Request(FIRST_SELECT + chip, b"\x9d", 14) for chip in range(8)))
+    assert OVERHEAD + asked.size == 144
+    chips: Any = EightChips()
+    with HostBuild(host_program, chips, tmp_path / "ttyACM0") as host, SerialBus(BadLine(host.path)) as bus:
+        bus.start([asked], 1000)
+        numbers, payloads = [], []
+        until_s = time.monotonic() + 20
+        while sum(map(len, numbers)) < 500 and time.monotonic() < until_s:
+            if (samples := bus.receive().get(0)) is not None:
+                numbers.append(samples.numbers)
+                payloads.append(samples.payload)
+        bus.stop()
+        counts: Any = bus.firmware_counts()
+    frames, payload = np.concatenate(numbers), np.concatenate(payloads)
+    assert len(frames) >= 500
+    assert payload.shape[1] == asked.size - 1  # without the number of the list
+    readings = payload.reshape(len(frames), 8, 16)[:, :, 2:]
+    reads = np.ascontiguousarray(readings[:, :, :4]).view("<u4")[:, :, 0].astype(np.int64)
+    assert (readings[:, :, 4:] == np.arange(8)[None, :, None]).all()
+    assert (reads == reads[:, :1]).all()  # all chips in every frame, once
+    assert (np.diff(frames) > 0).all()
+    assert (np.diff(reads[:, 0]) > 0).all()
+    assert (np.diff(reads[:, 0]) <= np.diff(frames)).all()
+    assert counts.failures == 0
+    assert counts.sent + counts.dropped == max(chips.reads)
 
 
 def test_it_ends_with_whoever_serves_its_bus(host_program: Path) -> None:
