@@ -73,6 +73,7 @@ def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[s
         AT_ONE_TEMPERATURE: "heating" in world.kinds,
         tuple(set(IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
         ("misalignment",): chip == "l3g4200d" or is_level_known,
+        ("axis_error", "channel_swap"): (moves or turns) if chip == "l3g4200d" else is_level_known,
         ("g_sensitivity",): moves or turns,
         AT_REST: moves,
         IN_ONE_BOOT: len(world.sessions) > (1 if for_sure else 3),

@@ -106,15 +106,16 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class World:
-    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges` and `rates` are their
-    settings and reading rates; `sessions` are the logs, `room` and `recorder` their conditions, all as tables of the
-    generator; `strata` names the properties by which figures are broken down.
+    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges`, `axes` and `rates` are
+    their settings, mountings and reading rates; `sessions` are the logs, `room` and `recorder` their conditions, all as
+    tables of the generator; `strata` names the properties by which figures are broken down.
     """
 
     seed: int
     array: str
     chips: Mapping[str, str]
     ranges: Mapping[str, float]
+    axes: Mapping[str, str]
     rates: Mapping[str, float]
     kinds: tuple[str, ...]
     sessions: tuple[Table, ...]
@@ -149,9 +150,15 @@ class World:
         return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
     def twins(self) -> list[tuple[str, str]]:
-        """Return the pairs of sensors of one chip and range."""
+        """Return the pairs of sensors of one chip and range that are mounted differently: others can be exchanged
+        without a trace.
+        """
         pairs = itertools.combinations(self.inertial, 2)
-        return [(a, b) for a, b in pairs if (self.chips[a], self.ranges[a]) == (self.chips[b], self.ranges[b])]
+        return [
+            (a, b)
+            for a, b in pairs
+            if (self.chips[a], self.ranges[a]) == (self.chips[b], self.ranges[b]) and self.axes[a] != self.axes[b]
+        ]
 
     def table(self) -> Table:
         """Return the world as a JSON table for the generator."""
@@ -205,6 +212,7 @@ def draw_world(seed: int) -> World:
         _toml(sensors),
         {sensor["name"]: sensor["chip"] for sensor in sensors},
         {sensor["name"]: sensor.get("range", 0.0) for sensor in sensors},
+        {sensor["name"]: sensor.get("axes", "") for sensor in sensors},
         rates,
         kinds,
         tuple(sessions),

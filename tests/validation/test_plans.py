@@ -148,3 +148,16 @@ def test_the_pages_know_how_many_cases_there_are(page: str) -> None:
         told = {name: f"`{name}` ({count}" for name, count in counts.items() if name != "none"}
     for name, said in told.items():
         assert said in text, name
+
+
+def test_what_leaves_no_trace_is_no_case() -> None:
+    """Twins that are mounted alike, and the orientation of a single accelerometer of which nobody noted the level."""
+    worlds = [draw_world(seed) for seed in range(1_000_000, 1_000_400)]
+    pairs = [(world, pair) for world in worlds for pair in world.twins()]
+    assert pairs
+    assert all(world.axes[first] != world.axes[second] for world, (first, second) in pairs)
+    for world in worlds:
+        alone = sum(chip != "l3g4200d" for chip in world.inertial.values()) == 1
+        for chip in {"adxl345", "bma180"} & set(world.inertial.values()):
+            is_level_known = not alone or world.strata["labels"] != "missing"
+            assert {"axis_error", "channel_swap"}.isdisjoint(hidden_in(world, chip)) == is_level_known
