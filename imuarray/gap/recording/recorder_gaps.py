@@ -71,7 +71,8 @@ class RecorderGaps:
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     """Detects the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
-    delays = [_delay(event) for event in log.events if event.kind == "late" and not event.sensor]
+    frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
+    delays = [_delay(event, frame_ns) for event in log.events if event.kind == "late" and not event.sensor]
     timelines, ends_ns = dict(lines), {}
     most: list[_Gap] = []
     for name, line in lines.items():
@@ -137,10 +138,13 @@ def usual_interval_ns(sensor: SensorLog) -> float:
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
 
 
-def _delay(event: Event) -> _Gap:
-    """The period in which the logger was late according to an event."""
-    span = _SPAN.search(event.message) if MISSED.match(event.message) else None
-    return _Gap(event.time_ns - round(float(span[1]) * 1e9) if span else event.time_ns, event.time_ns)
+def _delay(event: Event, frame_ns: float) -> _Gap:
+    """The period in which the logger was late according to an event, which it reports at the end: the missed frames, or
+    the seconds in which frames were missed. The rows of a queue that overflowed are missing from its beginning.
+    """
+    missed, span = MISSED.match(event.message), _SPAN.search(event.message)
+    length_ns = float(span[1]) * 1e9 if missed and span else int(missed[2]) * frame_ns if missed else 0.0
+    return _Gap(event.time_ns - round(length_ns), event.time_ns)
 
 
 def _sentence(gaps: Sequence[_Gap]) -> str:
