@@ -156,6 +156,22 @@ def test_gain_and_cross_axes_of_motion() -> None:
     np.testing.assert_allclose(value("motion_after", found, "A"), [0.0, 0.0, 0.0], atol=1e-4)
 
 
+def test_motion_about_one_axis_tells_the_scale_along_it() -> None:
+    """All axes of the box turn alike: the gain along each alone is that of the scale and of what crosses into it, and a
+    regression on all three cannot tell the axes apart. An axis along which the box does not turn says nothing.
+    """
+    sway = swaying(SECONDS)[:, :1] * [0.8, 0.6, 0.0]
+    response = np.diag([0.75, 0.75, 0.75])
+    response[0, 1] = 0.02
+    rng = np.random.default_rng(4)
+    counts = [np.rint(20_000 * sway @ matrix.T + rng.normal(0, 30, (ROWS, 3))) for matrix in (response, np.eye(3))]
+    found = crossed([header("A"), header("B")], counts, MOVING, window=50_000_000)
+    along = value("motion_along", found, "A")
+    np.testing.assert_allclose(along[:2], [0.75 + 0.02 * 0.6 / 0.8, 0.75], atol=2e-3)
+    assert np.isnan(along[2])
+    assert np.abs(value("motion_gain", found, "A")[:2] - 0.75).max() > 0.05
+
+
 @dataclass(frozen=True)
 class Swaying:
     """Motion of a box that sways along X and Y and not along Z, with the rates and forces of `swaying` in SI units."""

@@ -172,6 +172,7 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "force_after": level(),
         "force_square": level(),
         "motion_gain": response,
+        "motion_along": response,
         "motion_next": response,
         "motion_after": response,
         "motion_delay": response,

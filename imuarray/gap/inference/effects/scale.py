@@ -1,5 +1,5 @@
-"""`scale` is recognised by opposite faces that differ by more or less than they should, by a share of motion, or by a
-level that changes along the axes that feel gravity.
+"""`scale` is recognised by opposite faces that differ by more or less than they should, by a share of motion (about a
+single axis too), or by a level that changes along the axes that feel gravity.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.quantity == "specific_force":
         for step in level_steps(evidence):
             yield from _of_step(evidence, step)
+    yield from _of_rotation(evidence)
     score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
     if measured_response is None or not (score > ODD).any():
         return
@@ -45,6 +46,21 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if error.any():
         x, y, z = error.tolist()
         yield Hypothesis((Scale((x, y, z)),), ("error",))
+
+
+def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The share of motion that is lacking along each axis that strays, and along all axes alike: a rotation about a
+    single axis does not tell the axes apart.
+    """
+    score = size_of_score(evidence, "motion_along")
+    if not (score > ODD).any():
+        return
+    shift = evidence.shift("motion_along")
+    error = np.where((score > DOUBTFUL) & (np.abs(shift) < _LARGEST), shift, 0.0)
+    largest = float(error[score.argmax()])
+    for x, y, z in dict.fromkeys([(largest,) * 3, tuple(error.tolist())]):
+        if any((x, y, z)):
+            yield Hypothesis((Scale((x, y, z)),), ("error",))
 
 
 def _of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:

@@ -81,6 +81,7 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "force_after": force.AFTER,
         "force_square": force.SQUARE,
         "motion_gain": motion.GAIN,
+        "motion_along": motion.ALONG,
         "motion_next": motion.NEXT,
         "motion_after": motion.AFTER,
         "motion_delay": motion.DELAY,

@@ -41,6 +41,17 @@ def gain(cross: Cross, sensor: str) -> Floats:
     return np.asarray(_gains(cross, sensor)[AXES, AXES])
 
 
+def along(cross: Cross, sensor: str) -> Floats:
+    """The same by the motion along the axis alone, which the rotation about a single axis determines too: what the box
+    then feels along its axes is proportional, and nothing tells their shares apart.
+    """
+    joint = _joint_moments(cross, sensor)
+    if joint is None:
+        return NOTHING
+    motion, shares = np.diag(joint.moments)[AXES + 3], joint.moments[AXES, AXES + 3]
+    return np.asarray(np.divide(shares, motion, out=NOTHING.copy(), where=motion > _MOVES * motion.mean()))
+
+
 def next_axis(cross: Cross, sensor: str) -> Floats:
     """Response of each axis to motion along the next one."""
     return np.asarray(_gains(cross, sensor)[AXES, (AXES + 1) % 3])
@@ -231,6 +242,14 @@ def _residual_variance(joint: _JointMoments, by: np.ndarray) -> Floats:
 _CROSS = ("misalignment", "axis_error", "channel_swap")
 
 GAIN = CrossProbe("motion", "share of motion along the axis", "", ("scale", "axis_error", "range_reset"), gain, True)
+ALONG = CrossProbe(
+    "motion",
+    "share of motion along the axis, by that motion alone",
+    "",
+    ("scale", "axis_error", "range_reset"),
+    along,
+    True,
+)
 NEXT = CrossProbe("motion", "share of motion along the next axis", "", _CROSS, next_axis, True)
 AFTER = CrossProbe("motion", "share of motion along the axis after the next", "", _CROSS, axis_after, True)
 DELAY = CrossProbe(
