@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
@@ -43,11 +44,14 @@ def test_streamed_is_whole(cuts: list[int]) -> None:
     same(summary(rows, cuts=sorted(cuts)), summary(rows))
 
 
-def test_side_by_side_they_are_what_each_is_alone() -> None:
-    """Two replicates in two blocks each, and every probe that says to look at each column alone."""
+@pytest.mark.parametrize("longer", [1, 4])
+def test_side_by_side_they_are_what_each_is_alone(longer: int) -> None:
+    """Two replicates in two blocks each, and every probe that says to look at each column alone; also of a phase that
+    is so much longer than its rows, and has none in its second half.
+    """
     warm = (np.arange(3000) % 7).astype(np.int16)
     rows = [block(noise(seed=seed), temperature_counts=warm + seed) for seed in (1, 2)]
-    phase = Phase(0, int(rows[0].time[-1]) + 10_000_000, "static", "+Z")
+    phase = Phase(0, longer * (int(rows[0].time[-1]) + 10_000_000), "static", "+Z")
     tally = Tally(header(), phase, Grid.of(3000), 2)
     for part in (slice(1000), slice(1000, 3000)):
         tally.update(
@@ -59,11 +63,11 @@ def test_side_by_side_they_are_what_each_is_alone() -> None:
     both = tally.results(lambda time_ns: np.full(len(time_ns), 25.0))
     together = side_by_side(both)
     for at, (found, own) in enumerate(zip(both, rows, strict=True)):
-        alone = summary(own)
+        alone = summary(own, phase)
         same(found, alone)
         for name, probe in PROBES.items():
             if isinstance(probe, PhaseProbe) and probe.by_column:
-                told = probe.statistic(together).reshape(2, 3)[at]
+                told = np.broadcast_to(probe.statistic(together).reshape(-1, 3), (2, 3))[at]
                 np.testing.assert_allclose(told, probe.statistic(alone), rtol=1e-4, atol=1e-6, err_msg=name)
 
 

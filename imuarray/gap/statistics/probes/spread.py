@@ -72,11 +72,13 @@ def _pooled(summary: Summary) -> Floats:
 
 
 def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
-    """(3,) over the segments, weighted with their rows."""
+    """(k,) over the segments (s, k), weighted with their rows; nan if no segment has two rows."""
     places = (rows > 1).nonzero()[0]
     rows_of_places = rows[places]
     freedom = int(rows_of_places.sum()) - len(rows_of_places)
-    return np.asarray(rows_of_places @ variance.take(places, axis=0) / freedom) if freedom else NOTHING
+    if not freedom:
+        return np.full(variance.shape[1:], np.nan)
+    return np.asarray(rows_of_places @ variance.take(places, axis=0) / freedom)
 
 
 _SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")
