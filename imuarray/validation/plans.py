@@ -57,6 +57,9 @@ NUISANCES = frozenset({"white_noise", "jitter"})
 and how late a busy recorder reads. Mechanisms with no other effect are not recorded there.
 """
 
+NEED_COMMON_ADDRESSES = frozenset({"mux_hang"})
+"""Mechanisms by which one sensor answers for another, at the same address of another channel."""
+
 MANY_FACES = 4
 """Number of faces that show what a tumble does; with two or more nothing is hidden for sure."""
 
@@ -257,6 +260,8 @@ def _in_a_world(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
     choose = random.Random(seed)
     for attempt in range(MOST_WORLDS):
         world = draw_world(seed + attempt * STRIDE)
+        if NEED_COMMON_ADDRESSES.intersection(drawn.names) and not world.has_common_addresses:
+            continue
         sensors = _places(drawn, world.inertial, choose, partial(_shows, drawn, world), world.twins())
         extra = {**drawn.extra, "sensor": _first_of(world.inertial, drawn.extra["chip"])} if drawn.extra else {}
         if sensors is None or (drawn.extra and not extra["sensor"]):

@@ -75,10 +75,17 @@ class Answer:
         return self.verdict != NO_GAP
 
     @property
-    def causes(self) -> tuple[Cause, ...]:
+    def reported(self) -> tuple[Cause, ...]:
         """The reported causes, most probable first, without those that are reported for the control as well."""
         reported = self.outcome.diagnosis.get("causes") or ()
         return tuple(cause for cause in reported if not any(_is_same(cause, other) for other in self.known))
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The reported causes without those that are rightly reported of the world, which answer no question."""
+        active = frozenset().union(*(mechanism.resembles for mechanism in self.active))
+        of_world = self.world_effects - active
+        return tuple(cause for cause in self.reported if cause["effect"] not in of_world)
 
     @property
     def is_false_alarm(self) -> bool:
@@ -87,7 +94,7 @@ class Answer:
         """
         if not self.is_detected or self.verdict != "explained":
             return self.is_detected
-        effects = {str(cause["effect"]) for cause in self.causes}
+        effects = {str(cause["effect"]) for cause in self.reported}
         return not effects or not effects <= self.world_effects
 
     @property

@@ -106,9 +106,10 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class World:
-    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges`, `axes` and `rates` are
-    their settings, mountings and reading rates; `sessions` are the logs, `room` and `recorder` their conditions, all as
-    tables of the generator; `strata` names the properties by which figures are broken down.
+    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges`, `axes`, `addresses` and
+    `rates` are their settings, mountings, I2C addresses and reading rates; `sessions` are the logs, `room` and
+    `recorder` their conditions, all as tables of the generator; `strata` names the properties by which figures are
+    broken down.
     """
 
     seed: int
@@ -116,6 +117,7 @@ class World:
     chips: Mapping[str, str]
     ranges: Mapping[str, float]
     axes: Mapping[str, str]
+    addresses: Mapping[str, int]
     rates: Mapping[str, float]
     kinds: tuple[str, ...]
     sessions: tuple[Table, ...]
@@ -159,6 +161,12 @@ class World:
             for a, b in pairs
             if (self.chips[a], self.ranges[a]) == (self.chips[b], self.ranges[b]) and self.axes[a] != self.axes[b]
         ]
+
+    @property
+    def has_common_addresses(self) -> bool:
+        """Whether two inertial sensors of one chip share an address, on different channels of the multiplexer."""
+        places = [(chip, self.addresses[name]) for name, chip in self.inertial.items()]
+        return len(set(places)) < len(places)
 
     def table(self) -> Table:
         """Return the world as a JSON table for the generator."""
@@ -213,6 +221,7 @@ def draw_world(seed: int) -> World:
         {sensor["name"]: sensor["chip"] for sensor in sensors},
         {sensor["name"]: sensor.get("range", 0.0) for sensor in sensors},
         {sensor["name"]: sensor.get("axes", "") for sensor in sensors},
+        {sensor["name"]: sensor["address"] for sensor in sensors},
         rates,
         kinds,
         tuple(sessions),

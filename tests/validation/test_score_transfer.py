@@ -123,3 +123,17 @@ def test_what_a_world_has_by_itself_is_no_false_alarm(tmp_path: Path) -> None:
         made.both("none", diagnosis, plan="static", world="emulator", chips=CHIPS, strata=strata)
     row = score_folder(made.folder).row("false alarms")
     assert (row.value, row.cases) == (pytest.approx(2 / 5), 5)
+
+
+@pytest.mark.slow
+def test_what_a_world_has_by_itself_is_not_the_first_cause(tmp_path: Path) -> None:
+    """The mechanism is named behind wrong labels, and a line in a room that shakes may be that of the mechanism."""
+    made = Made(tmp_path)
+    for strata, diagnosis in (
+        ({"labels": "some wrong"}, said(cause("face_error"), cause("tone"))),
+        ({"vibration": "fan"}, said(cause("common_mode"), cause("tone"))),
+        ({}, said(cause("face_error"), cause("tone"))),
+    ):
+        made.both("single", diagnosis, put("mains_ripple"), plan="static", world="emulator", chips=CHIPS, strata=strata)
+    row = score_folder(made.folder).row("right cause first")
+    assert (row.value, row.cases) == (pytest.approx(2 / 3), 3)
