@@ -37,9 +37,34 @@ class Example:
 
 
 EXAMPLES: Mapping[str, Example] = {
+    "axis_error": Example(
+        {"axes": "+X-Y-Z"}, "Mounted upside down, on the six faces.", "BMA1", 2, "tumble", {"seconds": 70}
+    ),
     "bandwidth": Example(
         {"cutoff_hz": 1.0}, "A low pass of 1 Hz: neighbouring readings are alike.", conditions={"seconds": 8}
     ),
+    "bistable_bias": Example(
+        {"offset": (0.5, 0.5, 0.5), "probability": 1.0}, "A sensor that started in its second state, 0.5 dps away."
+    ),
+    "common_mode": Example(
+        {"rms": (0.2, 0.2, 0.2), "time_constant_s": 20.0},
+        "A bias of 0.2 dps that all sensors of a design share.",
+        conditions={"seconds": 120},
+    ),
+    "g_sensitivity": Example(
+        {"response": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 20.0)},
+        "A gyroscope that reads 20 dps for each g along its z axis, on the six faces.",
+        experiment="tumble", conditions={"seconds": 70},
+    ),
+    "misalignment": Example(
+        {"angles_deg": (20.0,) * 6}, "Axes that lean by 20 degrees, on the six faces.", "BMA1", 2, "tumble",
+        {"seconds": 70},
+    ),
+    "thermal_scale": Example(
+        {"slope": (0.005, 0.005, 0.005)}, "A scale factor that grows by 0.5 % per degree while the box is heated.",
+        "BMA1", 2, "heating", {"seconds": 300},
+    ),
+    "turn_on_bias": Example({"rms": (1.0, 1.0, 1.0)}, "A bias that differs at each switch-on, by 1 dps rms."),
     "bias": Example({"offset": (0.5, 0.5, 0.5)}, "A bias of 0.5 dps."),
     "bias_instability": Example(
         {"rms": (0.2, 0.2, 0.2), "time_constant_s": 20.0},

@@ -221,12 +221,19 @@ def _effects() -> Pages:
             _parameters(kind),
         ]
         if name in EXAMPLES:
-            text.append(f"![{name}: the readings of a sensor with and without it](../../images/effects/{name}.svg)\n")
-            text.append(f"{EXAMPLES[name].caption} Blue: with the effect; grey: without.\n")
+            text.append(_picture(name))
         if name in CANDIDATES:
             text.append(f"The diagnosis looks for it as a [cause](../causes/{name}.md).\n")
         made[f"reference/effects/{name}.md"] = "\n".join(text)
     return {"reference/effects/index.md": _index("Effects of the simulator", rows), **made}
+
+
+def _picture(effect: str) -> str:
+    """The picture of an effect of `EXAMPLES`, with its caption."""
+    return (
+        f"![{effect}: the readings of a sensor with and without it](../../images/effects/{effect}.svg)\n\n"
+        f"{EXAMPLES[effect].caption} Blue: with the effect; grey: without.\n"
+    )
 
 
 def _parameters(kind: Any) -> str:
@@ -263,6 +270,8 @@ def _causes() -> Pages:
             f"Model: the effect [`{name}`](../effects/{name}.md).\n",
             "Probes that were made to see it: " + (", ".join(seen) or "none of its own") + ".\n",
         ]
+        if name in EXAMPLES:
+            text.append(_picture(name))
         made[f"reference/causes/{name}.md"] = "\n".join(text)
     return {"reference/causes/index.md": _index("Causes that the diagnosis knows", rows), **made}
 

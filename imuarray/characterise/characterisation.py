@@ -36,8 +36,8 @@ _NOTES = (
     "stale or equal to the row before beyond chance. N: density of the white noise, two-sided "
     "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
     "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
-    "such a misfit if the model holds; '!' if it is too small to trust the figures. lowest: lowest point of"
-    " the curve / 0.664, "
+    "such a misfit if the model holds; '!' and B, K in brackets: too small, the noise is of another kind (a line, a "
+    "drift, a filter, a process with a time constant). lowest: lowest point of the curve / 0.664, "
     "'<' where it still falls at its end. Runs between gaps are pooled. "
     "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
     "the calibration that was given, else by the data sheet's typical sensitivity. rows off: the time to the nearest"
@@ -158,12 +158,16 @@ def _fit_line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
 
 
 def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
-    """A coefficient with half its interval in per cent, or what it is below."""
+    """A coefficient with half its interval in per cent, or what it is below; B and K in brackets, without an interval,
+    where the curve is not a sum of such noises: a process with a time constant is neither of them.
+    """
     term = fit["terms"].get(name) if fit else None
     if term is None or term["value"] is None:
         return "-"
     if not term["significant"] or term["low"] <= 0:
         return f"<{term['high'] * scale:.3g}"
+    if fit and fit["verdict"] and name != "white":
+        return f"({term['value'] * scale:.3g})"
     return f"{term['value'] * scale:.3g} +-{50 * (term['high'] - term['low']) / term['value']:.2g} %"
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imuarray.characterise import characterise_log
@@ -14,7 +15,8 @@ from imuarray.characterise.plots import COLOURS, allan_figure
 from imuarray.cli import main
 from imuarray.commands.characterise import json_text
 from imuarray.errors import MissingExtraError
-from imuarray.log import open_log
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
 
 
 def test_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,3 +153,25 @@ def test_a_curve_is_written_in_a_line() -> None:
     assert json.loads(text) == result
     assert '"tau_s": [0.1, 1e-07, null]' in text
     assert len(text.splitlines()) == 14
+
+
+@pytest.mark.slow
+def test_noise_with_a_time_constant_is_no_bias_instability(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """White noise of 0.05 dps and a first-order process of 0.01 dps and 2 s (the Allan deviation of which falls again
+    beyond 2 s): the figures B and K stand in brackets, without limits, and p is marked.
+    """
+    from scipy.signal import lfilter
+
+    rng, rows, decay = np.random.default_rng(4), 60_000, np.exp(-0.01 / 2.0)
+    process = lfilter([np.sqrt(1 - decay**2) * 0.01], [1, -decay], rng.normal(size=(rows, 3)), axis=0)
+    counts = np.rint((rng.normal(0, 0.05, (rows, 3)) + process) * 1000)
+    header = SensorHeader("Gyro", "any", "angular_rate", "dps", 30.0, 1000.0)
+    with LogWriter(tmp_path / "run.h5", [header], source="imported", epoch="2026-01-01T00:00:00Z") as log:
+        log.append("Gyro", Block(np.arange(rows) * 10_000_000, counts, np.zeros(rows, np.uint16)))
+    assert main(["characterise", str(tmp_path / "run.h5")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith("noise of the Allan deviation"))
+    for line in lines[start + 2 : start + 5]:
+        name, _axis, white, percent, sign, flicker, *_ = line.split()
+        assert (name, sign) == ("Gyro", "%") and percent.startswith("+-") and float(white) > 0
+        assert flicker.startswith("(") and "!" in line
