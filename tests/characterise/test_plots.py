@@ -256,7 +256,8 @@ def test_histogram_panels_bars_and_gaussian(result: dict[str, Any]) -> None:
 def test_no_text_of_a_histogram_figure_lies_over_another(result: dict[str, Any], rows: int) -> None:
     figure = FIGURES["histogram.png"](_of(result, *("missing", "steps", "white")[:rows]))
     figure.canvas.draw()
-    boxes = [part.get_tightbbox() for part in (*figure.get_axes(), *figure.texts)]
+    parts = (*figure.get_axes(), *figure.texts)
+    boxes = [box for part in parts if (box := part.get_tightbbox()) is not None]
     assert len(boxes) == 3 * rows + 2
     width, height = figure.bbox.size
     for box in boxes:
