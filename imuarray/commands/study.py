@@ -47,6 +47,12 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
     help="the experiments to run; motion is a drive, shaking is done by hand",
 )
 @click.option(
+    "--array",
+    type=click.Path(path_type=Path),
+    metavar="CONFIG",
+    help="determine what the number and the mounting of this array's gyroscopes gain, instead",
+)
+@click.option(
     "--quick", is_flag=True, help="two seeds of short logs: enough to see what it does, but not for conclusions"
 )
 @workers_option
@@ -62,6 +68,7 @@ def command(**options: Any) -> None:
 
     \b
     imuarray study --experiments static,heating -o study
+    imuarray study --array icm42688x8
     """
     _run(StudyOptions(**options))
 
@@ -73,6 +80,7 @@ class StudyOptions:
     output: Path | None
     seeds: int | None
     experiments: str
+    array: Path | None
     quick: bool
     workers: int
     force: bool
@@ -81,6 +89,9 @@ class StudyOptions:
 
 def _run(options: StudyOptions) -> None:
     """Run the study, and write and print the result."""
+    if options.array is not None:
+        _run_numbers(options)
+        return
     from imuarray.gap.model.workers import processes
     from imuarray.studies.fusion_gain import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
@@ -103,6 +114,24 @@ def _run(options: StudyOptions) -> None:
         print_json(result.as_json())
     else:
         click.echo(render_text(result), nl=False)
+
+
+def _run_numbers(options: StudyOptions) -> None:
+    """Study how many gyroscopes of an array there are and how they are mounted; print the result."""
+    from imuarray.array import load_array
+    from imuarray.shipped import find_config
+    from imuarray.studies.fusion_gain import QUICK_SEEDS, SEEDS
+    from imuarray.studies.fusion_gain.chip_number import render_numbers, study_numbers
+
+    if options.output is not None:
+        raise click.UsageError("--output: not with --array, whose result is printed; --json prints it as JSON")
+    count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    with progress(count, "study") as done:
+        result = study_numbers(load_array(find_config(options.array or Path())), count, done)
+    if options.as_json:
+        print_json(result.as_json())
+    else:
+        click.echo(render_numbers(result), nl=False)
 
 
 def _write(folder: Path, result: Study) -> None:
