@@ -12,7 +12,7 @@ import pytest
 from imuarray.gap.inference.comparison import prepared
 from imuarray.gap.recording.recordings import Recording, recording_of
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import LOST_BEFORE, Event, Phase, SensorHeader
+from imuarray.log.format import LOST_BEFORE, OVERRUN, Event, Phase, SensorHeader
 
 RATE_HZ = 50
 SECOND = 10**9
@@ -30,12 +30,14 @@ def logged(
     late_s: float = 0.0,
     sensors: Sequence[SensorHeader] = SENSORS,
     is_delayed: bool = False,
+    frame_rate_hz: float = 0.0,
+    flag: int = LOST_BEFORE,
 ) -> Recording:
     """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late. If it `is_delayed` within
     a frame, the row after the lost ones comes 1 ms before the next one, which is flagged in its place.
     """
     rng = np.random.default_rng(1)
-    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z", frame_rate_hz=frame_rate_hz) as log:
         for number, sensor in enumerate(sensors):
             level = (0, 0, 2048) if number == 0 else (0, 0, 0)
             time = np.arange(ROWS, dtype=np.int64) * SECOND // RATE_HZ + number * 300_000
@@ -45,7 +47,7 @@ def logged(
             if sensor.name in lost:
                 held[lost[sensor.name]] = False
                 stop = lost[sensor.name].stop
-                status[stop + is_delayed] = LOST_BEFORE
+                status[stop + is_delayed] = flag
                 if is_delayed:
                     time[stop] = time[stop + 1] - 1_000_000
             log.append(sensor.name, Block(time[held], counts[held], status[held]))
@@ -81,6 +83,15 @@ def test_a_slow_chip_that_is_not_polled_once_lost_nothing(tmp_path: Path, chip_h
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, sensors=slow)
     assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
     assert not any("recorder" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("frame_rate_hz", "flag", "lost"), [(20.0, 0, 0), (20.0, OVERRUN, 1), (20.0, LOST_BEFORE, 1), (50.0, 0, 1)]
+)
+def test_a_queue_that_did_not_overflow_lost_nothing(tmp_path: Path, frame_rate_hz: float, flag: int, lost: int) -> None:
+    """50 rows a second in 20 frames come from a queue; of a sensor that is polled once a frame a row is missing."""
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, frame_rate_hz=frame_rate_hz, flag=flag)
+    assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
 
 
 @pytest.mark.parametrize(

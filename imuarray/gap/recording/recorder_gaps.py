@@ -3,7 +3,9 @@
 A row that one sensor lacks while the others were read is lost, which the simulator may lack. If no sensor was read,
 nothing is known of the sensors: the recorder's timing is a nuisance quantity and becomes a note. A gap is the
 recorder's if every other sensor that was due is missing as well, or if an event of the logger reports missed frames.
-So is one within the period of a slow chip that is polled more often than it measures: no reading was lost.
+So is one within the period of a slow chip that is polled more often than it measures: no reading was lost. Neither was
+one of a queue that is not said to have overflowed: the recorder works its times out from those of the polls, and the
+first of these are not yet even.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from scipy.special import pdtrc
 
 from imuarray.arrays import Integers
 from imuarray.log import Log, SensorLog
-from imuarray.log.format import Event
+from imuarray.log.format import LOST_BEFORE, OVERRUN, Event
 from imuarray.log.missed_frames import MISSED
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
@@ -33,6 +35,9 @@ PERIOD, SLOWER = 1.1, 0.9
 """Longest gap of a slow chip, in periods of its readings, in which none is lost; and the longest usual interval of its
 rows, in the same periods, that shows that it is polled more often.
 """
+
+QUEUED = 0.9
+"""Usual interval of the rows, in frames, below which they come from a queue in the chip."""
 
 EARLY = 0.9
 """Share of the usual interval below which a row follows early: no reading was lost before it."""
@@ -86,7 +91,10 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         losses = [_lost_share(*other, common_ns) for other in others if other[1] > 0]
         if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
             is_common[:] = False
-        is_idle = np.array([_is_idle(gap, usual_ns[name], log[name].rate_hz) for gap in gaps]) & ~(is_late | is_common)
+        is_idle = np.array([_is_idle(gap, usual_ns[name], log[name].rate_hz) for gap in gaps])
+        if 0 < usual_ns[name] < QUEUED * frame_ns:
+            is_idle |= ~np.array([_overflowed(log[name], gap) for gap in gaps])
+        is_idle &= ~(is_late | is_common)
         is_own = ~(is_late | is_common | is_idle)
         if is_own.all():
             continue
@@ -109,6 +117,12 @@ def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
         return False
     period_ns = 1e9 / rate_hz
     return usual_ns < SLOWER * period_ns and gap.length_ns <= PERIOD * period_ns
+
+
+def _overflowed(sensor: SensorLog, gap: _Gap) -> bool:
+    """True if the row after the gap says that rows were lost before it."""
+    row = sensor.between(gap.end_ns, gap.end_ns + 1).start
+    return bool(row < len(sensor) and int(sensor.status[row]) & (OVERRUN | LOST_BEFORE))
 
 
 def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:
