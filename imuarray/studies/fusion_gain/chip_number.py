@@ -86,7 +86,7 @@ def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None
         progress(seed)
     means = np.sqrt(np.mean(squares, axis=0))
     rows = tuple(
-        NumberRow(count, *values, bus_us=sum(map(_bus_us, gyroscopes[:count])))
+        NumberRow(count, *values, sum(map(_bus_us, gyroscopes[:count])))
         for count, values in zip(counts, means.tolist(), strict=True)
     )
     return NumberStudy(array.name, seeds, rows)
