@@ -43,8 +43,8 @@ MOVING_STEPS = 20.0
 """Spread of another axis, in steps of its codes, from which on the box moves while readings pile up: noise alone seldom
 has so much, and a coarse sensor at rest has none."""
 
-_BLOCK_ROWS = 1 << 14
-"""Few enough that an import takes no more memory for them, and enough that calls cost little beside the rows."""
+_BLOCK_ROWS = 4096
+"""A chunk of a log: an import, which reads so much at once, takes no more memory for it."""
 
 
 @dataclass(frozen=True)

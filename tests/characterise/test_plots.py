@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
 from pathlib import Path
 from typing import Any
@@ -250,22 +249,6 @@ def test_histogram_panels_bars_and_gaussian(result: dict[str, Any]) -> None:
         assert top == pytest.approx(step / (sigma * np.sqrt(2 * np.pi)), rel=0.03)
     (mark,) = [line for line in panels[0].get_lines() if line.get_gid() == "marks"]
     assert mark.get_xdata() == [3.0]
-
-
-@pytest.mark.parametrize("rows", [1, 3])
-def test_no_text_of_a_histogram_figure_lies_over_another(result: dict[str, Any], rows: int) -> None:
-    figure = FIGURES["histogram.png"](_of(result, *("missing", "steps", "white")[:rows]))
-    figure.canvas.draw()
-    parts = (*figure.get_axes(), *figure.texts)
-    boxes = [box for part in parts if (box := part.get_tightbbox()) is not None]
-    assert len(boxes) == 3 * rows + 2
-    width, height = figure.bbox.size
-    for box in boxes:
-        assert min(box.x0, box.y0, width - box.x1, height - box.y1) >= 0
-    # the codes at the ends of neighbouring axes may touch, as wide as they are: rows of panels and the texts may not
-    levels = [(box.y0, box.y1) for box in (boxes[-1], *boxes[-3::-3], boxes[-2])]
-    for (_, below), (above, _) in itertools.pairwise(levels):
-        assert below <= above
 
 
 def test_wide_histograms_keep_their_area() -> None:

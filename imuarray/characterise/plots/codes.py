@@ -68,39 +68,7 @@ def histogram_figure(result: Table) -> Figure:
             _draw(panel, axis, level)
             panel.set_title(plain(f"{label(sensor)}, {axis['axis']}"), loc="left", fontsize=8)
     how_to_read(figure, _READING)
-    _place(figure, len(sensors), columns)
     return figure
-
-
-_SIDE_IN, _ABOVE_IN, _BELOW_IN = 0.15, 0.6, 0.75
-"""Margins of the figure in inches: at either side, for its title and that of the panels, for codes and explanation."""
-
-_EDGE_IN = 0.08
-"""Between the texts of the figure and its edge."""
-
-_GAP_IN = 0.45
-"""Between panels one above the other, for the codes of one and the title of the next."""
-
-
-def _place(figure: Figure, rows: int, columns: int) -> None:
-    """Place the panels by fixed margins: all have the same texts around them. The constrained layout measures each
-    text, which takes more time than drawing.
-    """
-    width, height = figure.get_size_inches()
-    panel_height = (height - _ABOVE_IN - _BELOW_IN - (rows - 1) * _GAP_IN) / rows
-    panel_width = (width - (columns + 1) * _SIDE_IN) / columns
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(
-        left=_SIDE_IN / width,
-        right=1 - _SIDE_IN / width,
-        top=1 - _ABOVE_IN / height,
-        bottom=_BELOW_IN / height,
-        hspace=_GAP_IN / panel_height,
-        wspace=_SIDE_IN / panel_width,
-    )
-    title, reading = figure.texts
-    title.set_y(1 - _EDGE_IN / height)
-    reading.set_y(_EDGE_IN / height)
 
 
 def _is_shown(axis: Table) -> bool:

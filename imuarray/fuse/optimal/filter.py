@@ -39,7 +39,6 @@ class Dynamics:
         self._back = max(1, round(OVER_S / period_s))
         self._time, self._triad = np.zeros(0, np.int64), np.zeros((0, 3))
         self._sum, self._frames, self._mean = 0.0, 0, 0.0
-        self._worst = float((geometry.timing / geometry.noise).max(initial=0.0))
 
     def recent(self) -> float:
         """Mean square of the change per second since this was asked before; then begins anew."""
@@ -50,7 +49,7 @@ class Dynamics:
 
     def __call__(self, view: SegmentView, readings: Readings, solution: Solution, frames: slice) -> Floats | None:
         """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
-        if not self._worst or not len(readings.time):
+        if not self._geometry.timing.any() or not len(readings.time):
             return None
         changes = self._changes(readings.time, solution.unknowns[frames, :3])
         self._sum, self._frames = self._sum + float(changes.sum()), self._frames + len(changes)
@@ -58,7 +57,8 @@ class Dynamics:
             usual = view.usual(valid)
             if usual is not None:
                 solution.covariance[frames][which] += changes[which][:, None, None] * usual.timing
-        return np.asarray(1 / (1 + self._worst**2 * changes))
+        worst = float((self._geometry.timing / self._geometry.noise).max())
+        return np.asarray(1 / (1 + worst**2 * changes))
 
     def _changes(self, time: Times, triad: Floats) -> Floats:
         """(n,) squares of the change per second; 0 where nothing is known yet."""
@@ -70,9 +70,7 @@ class Dynamics:
             then = np.maximum(now - self._back, 0)
         self._time, self._triad = times[-self._back :], triads[-self._back :]
         seconds = np.maximum((times[now] - times[then]) * 1e-9, 1e-9)
-        changes: Floats = ((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2
-        changes[np.isnan(changes)] = 0.0
-        return changes
+        return np.asarray(np.nan_to_num(((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2))
 
 
 _DOUBT = 3.0

@@ -56,20 +56,15 @@ class SegmentView:
         self._usual: dict[bytes, NominalGain | None] = {}
 
     def begin(self, readings: Readings, before: Floats, change: float) -> None:
-        """Make the stimulus of the first of the frames the usual one (`before` if that can't be told, or if no gain
-        depends on it), and `change`, the mean square of its change per second, what times in doubt are weighed by.
+        """Make the stimulus of the first of the frames the usual one (`before` if that can't be told), and `change`,
+        the mean square of its change per second, what times in doubt are weighed by.
         """
         self._variance = self.geometry.noise**2 + self.geometry.timing**2 * change
         valid, self.stimulus = readings.valid[0], before
-        if self._follows_stimulus and self.geometry.spans(valid):
+        if self.geometry.spans(valid):
             weighed = self.rows[valid] / self.geometry.noise[valid, None] ** 2
             normal, sums = weighed.T @ self.rows[valid], weighed.T @ (readings.values[0] - self.offset)[valid]
             self.stimulus = np.linalg.solve(normal, sums)[:3]
-
-    @property
-    def _follows_stimulus(self) -> bool:
-        """Return whether the best gain depends on the stimulus."""
-        return len(self.errors) > 1 and not self.final
 
     def terms(self, stimulus: Floats) -> Floats:
         """(n, terms) that go with the terms of an axis's error at (n, 3)."""
@@ -92,8 +87,7 @@ class SegmentView:
         if self.final:
             weighed: Floats = np.broadcast_to(rows / noise[:, None], (len(terms), *rows.shape))
         else:
-            slow = self.slow(terms) if valid.all() else self.slow(terms)[:, valid][:, :, valid]
-            weighed = np.asarray(np.linalg.solve(slow + np.diag(noise), rows))
+            weighed = np.asarray(np.linalg.solve(self.slow(terms)[:, valid][:, :, valid] + np.diag(noise), rows))
         return np.asarray(np.linalg.solve(rows.T @ weighed, np.swapaxes(weighed, -1, -2)))
 
     def spreads(self, valid: Booleans, gains: Floats, terms: Floats) -> Floats:
@@ -126,7 +120,7 @@ class SegmentView:
     @cached_property
     def reach(self) -> float:
         """Return how far the stimulus may be from the usual one for the usual gain to be as good as the best."""
-        if not self._follows_stimulus:
+        if len(self.errors) == 1 or self.final:
             return np.inf
         own = np.einsum("jkrr->rjk", self.errors)
         usual = self.terms(self.stimulus[None])[0]
@@ -250,9 +244,7 @@ def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) 
         solved = readings.values[which] @ usual.gain.T - usual.expected
         into.unknowns[which], into.used[which] = solved, valid[: view.geometry.axes]
         into.covariance[which] = view.usual_spreads(usual, solved[:, :3])
-        odd = np.zeros(len(solved), bool)
-        if view.reach < np.inf:
-            odd = np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
+        odd = np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
         telling = None
         if readings.bounds is not None:
             telling = _telling(view, readings.bounds, which, into)

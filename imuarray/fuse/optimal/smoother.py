@@ -8,7 +8,6 @@ The results are put on a second spool, the first segment on top.
 from __future__ import annotations
 
 import math
-import os
 import struct
 from collections.abc import Sequence
 from tempfile import TemporaryFile
@@ -29,7 +28,7 @@ class Spool:
     """Groups of arrays, last in, first out, in a temporary file that nobody else sees and that ends with the object."""
 
     def __init__(self) -> None:
-        self._file = TemporaryFile(buffering=0)  # noqa: SIM115, it lives as long as the spool
+        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
         self._end = 0
 
     def __bool__(self) -> bool:
@@ -41,17 +40,18 @@ class Spool:
         shapes = [array.shape for array in arrays]
         parts = [np.ascontiguousarray(array, np.float64).tobytes() for array in arrays]
         head = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
-        group = memoryview(b"".join((*parts, head, _PLACE.pack(len(head), self._end))))
-        while group:
-            written = os.pwrite(self._file.fileno(), group, self._end)
-            group, self._end = group[written:], self._end + written
+        self._file.seek(self._end)
+        self._file.write(b"".join((*parts, head, _PLACE.pack(len(head), self._end))))
+        self._end = self._file.tell()
 
     def pop(self) -> list[Floats]:
         """Take the topmost group; IndexError if there is none."""
         if not self:
             raise IndexError("nothing is on the spool")
-        head_bytes, start = _PLACE.unpack(self._read(self._end - _PLACE.size, self._end))
-        content = self._read(start, self._end - _PLACE.size)
+        self._file.seek(self._end - _PLACE.size)
+        head_bytes, start = _PLACE.unpack(self._file.read(_PLACE.size))
+        self._file.seek(start)
+        content = self._file.read(self._end - start - _PLACE.size)
         head = iter(np.frombuffer(content[len(content) - head_bytes :], np.int64).tolist())
         arrays, at = [], 0
         for dimensions in head:
@@ -61,9 +61,6 @@ class Spool:
             at += 8 * size
         self._end = start
         return arrays
-
-    def _read(self, start: int, stop: int) -> bytes:
-        return os.pread(self._file.fileno(), stop - start, start)
 
     def close(self) -> None:
         """Give the file back."""
