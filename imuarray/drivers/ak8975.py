@@ -37,8 +37,7 @@ class Ak8975(Ak8963):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self._is_over = False
-        self._started_ns = 0
+        self._is_over, self._started_ns = True, -_PERIOD_NS
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
         """Measure once, and what stays as it was written: the mode does not (AKM-24)."""
