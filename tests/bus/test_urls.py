@@ -51,8 +51,8 @@ def test_no_bus_at_all(url: str) -> None:
         ("colour", "colour: no such parameter"),
         (
             "?colour=red&world=still",
-            "colour: no such parameter; allowed are clock, world, seed, bit_rate, errno, oscillators, up, temperature_degc,"
-            " mechanism, severity, sensor, units, run, faults, board",
+            "colour: no such parameter; allowed are clock, world, seed, bit_rate, errno, oscillators, up,"
+            " temperature_degc, mechanism, severity, sensor, units, run, faults, board",
         ),
     ],
 )
