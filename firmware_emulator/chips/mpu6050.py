@@ -1,4 +1,4 @@
-"""MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4; INV-*, DEC-40 to -43.
+"""MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4; INV-*, DEC-250 to -43.
 
 Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
 detection, the low-power cycle, standby of single axes, and the settling of the zero-rate level.
@@ -23,12 +23,12 @@ CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40
 CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)  # INV-41
 RANGES_G = (2.0, 4.0, 8.0, 16.0)
 RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
-ACCEL_BANDWIDTHS_HZ = (260.0, 184.0, 94.0, 44.0, 21.0, 10.0, 5.0, 260.0)  # by DLPF_CFG: INV-12, DEC-42
+ACCEL_BANDWIDTHS_HZ = (260.0, 184.0, 94.0, 44.0, 21.0, 10.0, 5.0, 260.0)  # by DLPF_CFG: INV-12, DEC-252
 GYRO_BANDWIDTHS_HZ = (256.0, 188.0, 98.0, 42.0, 20.0, 10.0, 5.0, 256.0)
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 WORDS = Struct(">7h")
 TRIM_CODE = 17
-"""Trim code of every axis by default: the middle of the codes (DEC-43)."""
+"""Trim code of every axis by default: the middle of the codes (DEC-253)."""
 
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
@@ -99,7 +99,7 @@ class Mpu6050(MpuFamily):
         return sent
 
     def _restart(self, address: int, at_ns: int) -> None:
-        """The grid of samples begins anew with another rate, and when the die wakes (DEC-40)."""
+        """The grid of samples begins anew with another rate, and when the die wakes (DEC-250)."""
         if address not in (facts.PWR_MGMT_1.address, facts.SMPLRT_DIV.address, facts.CONFIG.address):
             return
         fast = facts.DLPF.of(self.page[facts.CONFIG.address]) in UNFILTERED

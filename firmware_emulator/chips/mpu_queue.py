@@ -212,7 +212,7 @@ class MpuFamily(SixAxis):
         if self.begin_reset(address, value, at_ns):
             return
         if address == FIFO:
-            return  # bytes written to the queue are not modelled: DEC-41
+            return  # bytes written to the queue are not modelled: DEC-251
         super().store(address, value, at_ns)
         if address == USER_CTRL:
             if value & RESET:
