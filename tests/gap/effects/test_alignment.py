@@ -41,6 +41,18 @@ def test_scale(kind: str, sensor: str, within: float) -> None:
     np.testing.assert_allclose(found.error, (0.05, -0.08, 0.06), atol=within)
 
 
+@pytest.mark.slow
+def test_scale_by_a_rotation_that_tells_no_axes_apart() -> None:
+    """The gain by three axes says nothing, as about a single one; that along each axis alone does."""
+    evidence = evidence_of("motion", "G1", {"G1": (Scale((0.06, 0.06, 0.06)),)})
+    blind = replace(evidence, scores={**evidence.scores, "motion_gain": 0 * evidence.scores["motion_gain"]})
+    common, each = scale.guesses(blind)
+    (effect,) = common.effects
+    assert effect.error == pytest.approx((0.06, 0.06, 0.06), abs=0.02)
+    assert len(set(effect.error)) == 1
+    assert isinstance(each.effects[0], Scale)
+
+
 def test_an_axis_within_the_population_has_no_part_in_it() -> None:
     (trial,) = scale.guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
     (found,) = trial.effects

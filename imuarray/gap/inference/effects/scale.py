@@ -49,11 +49,11 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The share of motion that is lacking along each axis that strays, and along all axes alike: a rotation about a
-    single axis does not tell the axes apart.
+    """The share of motion that is lacking along each axis that strays, and along all axes alike, where the axes cannot
+    be told apart: in a rotation about a single axis.
     """
     score = size_of_score(evidence, "motion_along")
-    if not (score > ODD).any():
+    if evidence.is_odd("motion_gain", beyond=ODD) or not (score > ODD).any():
         return
     shift = evidence.shift("motion_along")
     error = np.where((score > DOUBTFUL) & (np.abs(shift) < _LARGEST), shift, 0.0)
