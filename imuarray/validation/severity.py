@@ -80,29 +80,29 @@ def find_severity(
     `first` and follows a power law for at most `PROBES` recordings. limits is nan if the greatest severity does not
     reach them.
     """
-    diagnose_case: list[tuple[float, float]] = []
+    trials: list[tuple[float, float]] = []
     severity = first
     for _ in range(PROBES):
         reached = matched_statistic(plain, record(severity)) / LIMIT
-        diagnose_case.append((severity, reached))
+        trials.append((severity, reached))
         if 1 / NEAR < reached / wanted < NEAR:
             return SeverityFit(severity, reached)
-        severity = _next_severity(diagnose_case, wanted)
-        if severity == diagnose_case[-1][0]:
+        severity = _next_severity(trials, wanted)
+        if severity == trials[-1][0]:
             break
-    severity, reached = min(diagnose_case, key=lambda trial: abs(np.log(max(trial[1], 1e-3) / wanted)))
+    severity, reached = min(trials, key=lambda trial: abs(np.log(max(trial[1], 1e-3) / wanted)))
     is_near = 0.5 < reached / wanted < 2.0
-    return SeverityFit(severity, reached) if is_near else SeverityFit(max(trial for trial, _ in diagnose_case), nan)
+    return SeverityFit(severity, reached) if is_near else SeverityFit(max(trial for trial, _ in trials), nan)
 
 
-def _next_severity(diagnose_case: Sequence[tuple[float, float]], wanted: float) -> float:
+def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> float:
     """Return the next severity: by the power law of the last two, or in proportion; tenfold where nothing shows."""
-    severity, reached = diagnose_case[-1]
+    severity, reached = trials[-1]
     power = 1.0
     if reached < 0.05:
         return min(10 * severity, FURTHEST)
-    if len(diagnose_case) > 1 and diagnose_case[-2][1] > 0.05 and diagnose_case[-2][0] != severity:
-        slope = np.log(reached / diagnose_case[-2][1]) / np.log(severity / diagnose_case[-2][0])
+    if len(trials) > 1 and trials[-2][1] > 0.05 and trials[-2][0] != severity:
+        slope = np.log(reached / trials[-2][1]) / np.log(severity / trials[-2][0])
         power = float(np.clip(slope, 0.5, 3.0))
     return float(np.clip(severity * (wanted / reached) ** (1 / power), 1 / FURTHEST, FURTHEST))
 
