@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from imuarray.errors import MissingExtraError
 from imuarray.gap.findings.diagnosis import (
     CandidateEvaluation,
@@ -127,7 +129,9 @@ def unshown_table(unshown: Sequence[Unobservable]) -> Table:
 
 
 def pulls_table(pulls: Sequence[Pull]) -> Table:
-    """The first `MOST_ROWS` quantities by the size of their pull; pulls beyond a tolerance are marked."""
+    """The first `MOST_ROWS` quantities by the size of their pull, those without a tolerance last; pulls beyond a
+    tolerance are marked.
+    """
     rows = [
         [
             f"{pull.sensor} {pull.axis}".rstrip(),
@@ -135,14 +139,20 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
             number(pull.value),
             number(pull.tolerance),
             pull.unit,
-            marked(f"{pull.pull:+.2f}") if pull.is_out_of_specification else f"{pull.pull:+.2f}",
+            _pull(pull),
             pull.source,
         ]
-        for pull in sorted(pulls, key=lambda pull: -abs(pull.pull))[:MOST_ROWS]
+        for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]
     ]
     heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
     caption = "Worst first; the pull is the deviation from the nominal value in tolerances, marked beyond one."
     return Table(heading, rows, caption, (1, 4, 6))
+
+
+def _pull(pull: Pull) -> str:
+    if not np.isfinite(pull.pull):
+        return number(pull.pull)
+    return marked(f"{pull.pull:+.2f}") if pull.is_out_of_specification else f"{pull.pull:+.2f}"
 
 
 def missing_table(missing: Sequence[str]) -> Table:

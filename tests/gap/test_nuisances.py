@@ -134,7 +134,7 @@ def test_the_noise_is_compared_with_the_data_sheet() -> None:
     x, y, z = (estimate for estimate in estimates if estimate.quantity == "noise")
     assert (x.axis, x.unit) == ("x", "dB")
     assert (x.value, y.value, z.value) == pytest.approx((0.0, 12.04, -12.04), abs=0.1)
-    assert abs(y.pull) > 1 > abs(x.pull)
+    assert math.isnan(y.pull)  # a typical figure has no tolerance
 
 
 def test_a_noise_that_no_data_sheet_prints_is_not_compared() -> None:

@@ -15,17 +15,18 @@ from matplotlib.colors import FuncNorm
 from matplotlib.patches import Rectangle
 
 from imuarray.errors import OutputExistsError
-from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay
+from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Pull
 from imuarray.report import gap_page
 from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure, top_of
 from imuarray.report.gap_page import MOST_OVERLAYS, NO_FIGURES, curves_section, write_gap_page
-from imuarray.report.gap_tables import MOST_ROWS
+from imuarray.report.gap_tables import MOST_ROWS, pulls_table
 from imuarray.report.gap_words import MEANINGS
 from imuarray.simulate import EFFECTS
 from tests.report.made_diagnosis import (
     CAUSES,
     DOMAINS,
+    PULLS,
     SENSORS,
     USES,
     made,
@@ -406,3 +407,10 @@ def test_how_much_is_outside_and_where() -> None:
     assert outside(inside, band) == 0.0
     assert farthest(inside, band)[1] == 0.0
     assert np.isnan(outside(replace(curve, real=np.full(4, nan)), band))
+
+
+def test_a_quantity_without_a_tolerance_is_listed_last() -> None:
+    noise = Pull("noise", "BMA1", "y", 6.5, "dB", nan, nan, "data sheet")
+    table = pulls_table([noise, *PULLS])
+    assert [row[1] for row in table.rows] == ["data rate", "scale", "scale", "noise"]
+    assert table.rows[-1] == ["BMA1 y", "noise", "6.5", "–", "dB", "–", "data sheet"]

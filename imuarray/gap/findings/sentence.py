@@ -16,7 +16,6 @@ _EFFECT_OF = {
     "g-sensitivity": "g_sensitivity",
     "bias": "bias",
     "thermal slope of the bias": "thermal_bias",
-    "noise": "white_noise",
     "cutoff of the filter": "bandwidth",
     "rate of the data clock": "own_clock",
 }

@@ -15,7 +15,6 @@ import numpy as np
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
-    NOISE_TOLERANCE_DB,
     clock_tolerance,
     offset_tolerance,
     printed_noise,
@@ -90,7 +89,9 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
 
 
 def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[NuisanceEstimate]:
-    """The noise at rest over that of the data sheet, rounding included in both."""
+    """The noise at rest over that of the data sheet, rounding included in both. It has no tolerance: data sheets print
+    a typical figure, often for one range or mode only; that of a BMA180 grows with the range (PAP-05).
+    """
     printed = printed_noise(header)
     if printed is None:
         return
@@ -98,7 +99,7 @@ def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisan
     for axis, ratio in zip(AXES, (fitted.noise(header) / expected).tolist(), strict=True):
         if ratio > 0:
             value_db = 20 * math.log10(ratio)
-            yield NuisanceEstimate("noise", header.name, axis, value_db, "dB", NOISE_TOLERANCE_DB, _USUAL)
+            yield NuisanceEstimate("noise", header.name, axis, value_db, "dB", math.nan, _SHEET)
 
 
 def _response(header: SensorHeader, axis: str, along: str, value: float, tolerance: float) -> NuisanceEstimate:

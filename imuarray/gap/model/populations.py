@@ -62,11 +62,6 @@ CUTOFF_TOLERANCE = 0.5
 set to 35 Hz, have the correlation of a first-order filter of 51 Hz.
 """
 
-NOISE_TOLERANCE_DB = 12.0
-"""How far the noise of a part may be from the data sheet's: a factor of four. Data sheets print a typical figure, often
-for one range or mode only; that of a BMA180 grows with the range (PAP-05).
-"""
-
 LEAST_CORRELATION = 0.02
 """Least correlation of rows that shows a filter."""
 
