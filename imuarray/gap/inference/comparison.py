@@ -28,6 +28,7 @@ from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.recorder_gaps import QUEUED
 from imuarray.gap.recording.recordings import Recording, reference_of, sources_of
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
@@ -45,9 +46,6 @@ rise, and are so far above `LEVEL` that hardly a gap is missed: one that all rep
 given up in less than one of two hundred cases.
 """
 
-
-QUEUED = 1.2
-"""Least rate of rows, in rates of the frames, of a sensor that has a queue."""
 
 _DELAY_STEPS = 3
 """Steps of the fit of delays: the delay of readings that wait for a poll is not quite the sum of all delays."""

@@ -36,8 +36,8 @@ PERIOD, SLOWER = 1.1, 0.9
 rows, in the same periods, that shows that it is polled more often.
 """
 
-QUEUED = 0.9
-"""Usual interval of the rows, in frames, below which they come from a queue in the chip."""
+QUEUED = 1.2
+"""Least rate of rows, in rates of the frames, of a sensor that has a queue."""
 
 EARLY = 0.9
 """Share of the usual interval below which a row follows early: no reading was lost before it."""
@@ -92,7 +92,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
             is_common[:] = False
         is_idle = np.array([_is_idle(gap, usual_ns[name], log[name].rate_hz) for gap in gaps])
-        if 0 < usual_ns[name] < QUEUED * frame_ns:
+        if 0 < QUEUED * usual_ns[name] < frame_ns:
             is_idle |= ~np.array([_overflowed(log[name], gap) for gap in gaps])
         is_idle &= ~(is_late | is_common)
         is_own = ~(is_late | is_common | is_idle)
