@@ -1,4 +1,6 @@
-"""MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4; INV-*, DEC-250 to -43.
+"""MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4.
+
+Facts: INV-*, DEC-250 to -253.
 
 Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
 detection, the low-power cycle, standby of single axes, and the settling of the zero-rate level.

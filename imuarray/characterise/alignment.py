@@ -25,7 +25,7 @@ ROWS = 4096
 """Rows of the reference with which the rows of the others are compared, in the middle of the log."""
 LEAST_ROWS = 200
 LONGEST_ERROR_S = 1e-3
-"""A delay that is not known to this standard error is not told."""
+"""Greatest standard error of a delay that is reported."""
 LEAST_MOTION = 100.0
 """Least variance of the rate's derivative over that of its noise: noise makes delays appear smaller, here by 1 %."""
 _FITS = 3
@@ -39,8 +39,8 @@ class SensorAlignment:
     and standard deviation of the time from a row of the reference to the nearest row of this sensor (s).
 
     `row_apart_s`: the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s` with its
-    standard error: how much later the sensor shows a rotation; None where no motion tells, and of other sensors than
-    gyroscopes.
+    standard error: how much later the sensor shows a rotation; None where no motion determines it, and of other sensors
+    than gyroscopes.
     """
 
     name: str
@@ -56,7 +56,7 @@ class SensorAlignment:
 @dataclass(frozen=True)
 class Alignment:
     """Alignment of all inertial sensors of a log with `reference`; delays are those of the rotation from
-    `motion_from_s` on (None: there is none that tells), relative to the gyroscope `delays_from`.
+    `motion_from_s` on (None: no motion determines them), relative to the gyroscope `delays_from`.
     """
 
     reference: str
@@ -66,7 +66,7 @@ class Alignment:
 
     @property
     def is_simultaneous(self) -> bool:
-        """True if all rows have the times of the reference and no delay is known: there is nothing to tell."""
+        """True if all rows have the times of the reference and no delay is known: there is nothing to report."""
         return all(
             sensor.offset_s == sensor.spread_s == 0.0 and sensor.row_apart_s is None and sensor.delay_s is None
             for sensor in self.sensors
@@ -134,11 +134,11 @@ def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:
 
 def _motion_from_ns(gyroscope: SensorLog) -> int | None:
     """Where the `WINDOW_S` with the most motion begin: by the squares of the rates' changes, second by second."""
-    begun_ns = int(gyroscope.time[0])
-    seconds = int((int(gyroscope.time[-1]) - begun_ns) * 1e-9) + 1
+    start_ns = int(gyroscope.time[0])
+    seconds = int((int(gyroscope.time[-1]) - start_ns) * 1e-9) + 1
     squares = np.zeros(seconds)
     for block in gyroscope.blocks():
-        at_s = ((np.asarray(gyroscope.time[block], np.int64) - begun_ns) * 1e-9).astype(int)
+        at_s = ((np.asarray(gyroscope.time[block], np.int64) - start_ns) * 1e-9).astype(int)
         counts = np.asarray(gyroscope.counts[block], float)
         changes = np.square(np.diff(counts, axis=0)).sum(axis=1)
         squares += np.bincount(at_s[1:], weights=changes, minlength=seconds)[:seconds]
@@ -146,14 +146,14 @@ def _motion_from_ns(gyroscope: SensorLog) -> int | None:
         return None
     length = min(int(WINDOW_S), seconds)
     sums = np.convolve(squares, np.ones(length), "valid")
-    return begun_ns + int(sums.argmax()) * 1_000_000_000
+    return start_ns + int(sums.argmax()) * 1_000_000_000
 
 
 def _delays(gyroscopes: Sequence[SensorLog], start_ns: int) -> dict[str, tuple[float, float]]:
-    """Delay and standard error of each gyroscope against the first, by name; empty if the motion does not tell."""
+    """Delay and standard error of each gyroscope against the first, by name; empty if the motion is too weak."""
     end_ns = start_ns + round(WINDOW_S * 1e9)
     reference_s, reference = _rates(gyroscopes[0], start_ns, end_ns)
-    if len(reference_s) < LEAST_ROWS or not _tells(reference_s, reference):
+    if len(reference_s) < LEAST_ROWS or not _is_strong(reference_s, reference):
         return {}
     delays = {gyroscopes[0].name: (0.0, 0.0)}
     for gyroscope in gyroscopes[1:]:
@@ -176,7 +176,7 @@ def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Fl
     return np.asarray(times_s, float), rates
 
 
-def _tells(times_s: Floats, rates: Floats) -> bool:
+def _is_strong(times_s: Floats, rates: Floats) -> bool:
     """Return whether the motion is strong enough beside the noise, of which fourth differences are 70 times the
     variance.
     """

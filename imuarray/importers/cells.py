@@ -113,7 +113,7 @@ class Table:
         self.names: list[str] = [name.strip() for name in self.header]
         self.width = len(self.names)
         self._blank_end = bool(self.names) and (not self.names[-1] or bool(_REMARKS.fullmatch(self.names[-1])))
-        self._has_begun = False
+        self._has_data = False
 
     def _lines(self) -> Iterator[str]:
         """Yield the lines with cells."""
@@ -191,10 +191,10 @@ class Table:
                     self.left_out["text"] += 1
                     continue
                 raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
-            if not self._has_begun and self.header and kinds is None and is_unit_row(row):
+            if not self._has_data and self.header and kinds is None and is_unit_row(row):
                 self.left_out["units"] += 1
                 continue
-            self._has_begun = True
+            self._has_data = True
             yield self.line, row
 
     def index(self, column: str | int) -> int:

@@ -42,7 +42,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.log.sensor_log import recorded_header
 from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
 from imuarray.simulate.model import noise_bandwidth_hz
-from imuarray.units import SI_PER_UNIT
+from imuarray.units import INERTIAL, SI_PER_UNIT
 
 LIMIT = 4.0
 """The matched statistic at the detection limit: chance alone exceeds it once in 30000 (normal distribution, one side).
@@ -111,14 +111,11 @@ def matched_statistic(plain: Sequence[Log], changed: Sequence[Log]) -> float:
     """Return the largest matched statistic of any sensor's axis. `plain` logs have a reference if anything moved."""
     largest = 0.0
     for name in dict.fromkeys(
-        name for log in plain for name, sensor in log.sensors.items() if sensor.quantity in _SENSED
+        name for log in plain for name, sensor in log.sensors.items() if sensor.quantity in INERTIAL
     ):
         pairs = [_LogPair(log, other, name) for log, other in zip(plain, changed, strict=True) if name in log.sensors]
         largest = max([largest, *_of_sensor(pairs)])
     return largest
-
-
-_SENSED = {"specific_force": "g", "angular_rate": "dps"}
 
 
 class _LogPair:
@@ -276,7 +273,9 @@ def _score(difference: Floats, variance: Floats, explained: Floats, anew: float)
 
 
 def _levels(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of block means over all logs, less bias, its slope with temperature and a part's response."""
+    """Yield the statistic of block means over all logs, less bias, its slope with temperature and the lag of that, a
+    part's response, and an unknown attitude.
+    """
     rows, columns, tilts = list[tuple[Floats, Floats]](), list[Floats](), list[tuple[Floats, float, int]]()
     for number, pair in enumerate(pairs):
         edges = np.linspace(pair.time[0], pair.time[-1] + 1, _BLOCKS + 1)
@@ -359,9 +358,7 @@ def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
 
 
 def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the difference's response to the commanded force, rate, their derivatives, squares and
-    products.
-    """
+    """Yield the statistic of the difference's response to force and rate, their derivatives, squares and products."""
     header = pairs[0].header
     parts = [pair for pair in pairs if pair.track is not None and not pair.quiet.all()]
     if not parts:

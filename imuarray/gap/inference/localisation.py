@@ -91,15 +91,13 @@ def located(
     if (least := 1 / (len(chance) + 1)) > level:
         raise ValueError(f"level: {level}; {len(chance)} scored replicates allow no level below {least:.3g}")
     paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
-    if pooled is None:
-        root = _Tree(paths, scores, chance, level).root()
-    else:
-        every_path = [*paths, *(paths[at] for at in pooled.places.tolist())]
-        every_chance = np.hstack([chance, pooled.scores[1:]])
-        root = _Tree(every_path, np.concatenate([scores, pooled.scores[0]]), every_chance, level).root()
+    limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
+    if pooled is not None:
+        paths += [paths[at] for at in pooled.places.tolist()]
+        scores, chance = np.append(scores, pooled.scores[0]), np.hstack([chance, pooled.scores[1:]])
+    root = _Tree(paths, scores, chance, level).root()
     significant = {int(node.path[-1]): node.p for node in root.found("statistic")}
     order = sorted(significant, key=lambda at: -abs(scores[at]))
-    limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
     return Localisation(root, {at: significant[at] for at in order}, limit)
 
 

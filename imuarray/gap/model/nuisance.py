@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from imuarray.gap.model.populations import (
     slope_tolerance,
     thermometer_tolerance_degc,
 )
-from imuarray.gap.model.rest import FittedParameters, rounding_lsb2
+from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.summary import Summary
@@ -95,7 +96,7 @@ def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisan
     printed = printed_noise(header)
     if printed is None:
         return
-    expected = np.hypot(printed, np.sqrt(rounding_lsb2(header)) / header.sensitivity)
+    expected = replace(fitted, rms=printed).noise(header)
     for axis, ratio in zip(AXES, (fitted.noise(header) / expected).tolist(), strict=True):
         if ratio > 0:
             value_db = 20 * math.log10(ratio)

@@ -166,7 +166,7 @@ def _bus_us(sensor: SensorConfig) -> float:
 
 def render_numbers(study: NumberStudy) -> str:
     """The rows as text; the last line is ended."""
-    one = study.rows[0]
+    single = study.rows[0]
     lines = [
         f"mean of n gyroscopes of {study.array}, drawn from the data sheets, {study.seeds} seeds",
         f"{'':3} {'angle random walk':>23} {'bus time':>9} {'drift while heated, deg/s: each its':>37}"
@@ -175,7 +175,7 @@ def render_numbers(study: NumberStudy) -> str:
         f" {'as mounted':>15}",
     ]
     for row in study.rows:
-        relative = row.random_walk / one.random_walk * math.sqrt(row.count)
+        relative = row.random_walk / single.random_walk * math.sqrt(row.count)
         lines.append(
             f"{row.count:>3} {row.random_walk:>12.3f} {relative:>10.3f} {row.bus_us:>9.1f} {row.drift_own:>37.4f}"
             f" {row.drift_alike:>15.4f} {row.drift_mounted:>15.4f}"
