@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -27,6 +27,9 @@ class Frames:
 
     `clipped` (n, m) is +1 where an axis stands at the upper end of its range, -1 at the lower one, else 0; `stale`
     (n, m) where the chip had nothing newer than the reading before. None: nowhere.
+
+    `offsets` (n, m): in frames that lack a reading, how far each axis has recently been from the array's mean, NaN for
+    axes without a recent reading; 0 in all other frames (`imuarray.fuse.axis_offsets`). None: not known.
     """
 
     time: Times
@@ -34,12 +37,19 @@ class Frames:
     valid: Booleans
     clipped: npt.NDArray[np.int8] | None = None
     stale: Booleans | None = None
+    offsets: Floats | None = None
 
     def part(self, rows: slice) -> Frames:
         """Some of the frames."""
         clipped = None if self.clipped is None else self.clipped[rows]
         stale = None if self.stale is None else self.stale[rows]
-        return Frames(self.time[rows], self.values[rows], self.valid[rows], clipped, stale)
+        offsets = None if self.offsets is None else self.offsets[rows]
+        return Frames(self.time[rows], self.values[rows], self.valid[rows], clipped, stale, offsets)
+
+    def without(self, excluded: Booleans) -> Frames:
+        """The frames without the axes `excluded` (n, m), whose offsets are forgotten, too."""
+        offsets = None if self.offsets is None else np.where(excluded, np.nan, self.offsets)
+        return replace(self, valid=self.valid & ~excluded, offsets=offsets)
 
     @staticmethod
     def joined(parts: Sequence[Frames]) -> Frames:
@@ -50,6 +60,7 @@ class Frames:
             np.concatenate([part.valid for part in parts]),
             _flags([part.clipped for part in parts], parts, np.int8),
             _flags([part.stale for part in parts], parts, np.bool_),
+            _flags([part.offsets for part in parts], parts, np.float64),
         )
 
 

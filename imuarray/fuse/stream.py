@@ -23,6 +23,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, Grid, Rows, Unit, align, choose
 from imuarray.fuse.axes import axes_of, directions
+from imuarray.fuse.axis_offsets import AxisOffsets
 from imuarray.fuse.element_temperature import TemperatureSources
 from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import ConstantGain, consensus
@@ -140,9 +141,13 @@ class FusionStream(Generic[Out]):
         self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in temperatures.delays_s.items()}
         self._elements = dict(temperatures.elements)
         self._groups: dict[str, Group] = {}
+        self._offsets: dict[str, AxisOffsets] = {}
+        self._combined = 0
+        """How many of the last frames were combined directly: their offsets are still to be observed."""
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
             self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
+            self._offsets[quantity] = AxisOffsets(self._groups[quantity].directions)
         self._making = making
         self._pipeline: Pipeline[Out] | None = None
         self._direct: Mapping[str, DirectCombination] = {}
@@ -275,6 +280,7 @@ class FusionStream(Generic[Out]):
                     quantity: self._direct[quantity]([counts[number] for number in group.numbers])
                     for quantity, group in self._groups.items()
                 }
+                self._combined += len(time)
                 yield cast(Out, fused_block(time, result, pipeline.axes))  # what `QuantityPipeline` gives
                 return
         yield from pipeline(*self._frames(grid, wanted))
@@ -285,12 +291,18 @@ class FusionStream(Generic[Out]):
         around = self._times[first : wanted.stop + MARGIN]
         inner = slice(wanted.start - first, wanted.stop - first)
         blocks = [self._rows[name].block for name in self._names]
-        frames = {}
+        frames, combined = {}, {}
         for quantity, group in self._groups.items():
             units = [self._units[number] for number in group.numbers]
             rows = [blocks[number] for number in group.numbers]
-            frames[quantity] = align(units, rows, around, grid.period_ns, group.directions).part(inner)
+            aligned = align(units, rows, around, grid.period_ns, group.directions)
+            frames[quantity] = aligned.part(inner)
+            combined[quantity] = aligned.part(slice(max(0, inner.start - self._combined), inner.start))
         self._felt(frames)
+        for quantity, offsets in self._offsets.items():
+            offsets.observe(combined[quantity])
+            frames[quantity] = offsets(frames[quantity])
+        self._combined = 0
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
         return frames, {name: element.at(seconds) for name, element in self._elements.items()}
 

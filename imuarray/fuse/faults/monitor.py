@@ -66,7 +66,7 @@ class ExclusionMasks:
         masks = np.array([self._masks[index] for index in used.tolist()])
         if not masks.any():
             return frames
-        return Frames(frames.time, frames.values, frames.valid & ~masks[where], frames.clipped, frames.stale)
+        return frames.without(masks[where])
 
 
 class FaultMonitor:
@@ -183,7 +183,7 @@ class FaultMonitor:
         if not any(mask.any() for mask in masks):
             return done
         out = np.repeat(np.array(masks), self.window, axis=0)[:stop]
-        return Frames(done.time, done.values, done.valid & ~out, done.clipped, done.stale)
+        return done.without(out)
 
 
 def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:

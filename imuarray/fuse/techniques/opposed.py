@@ -23,7 +23,7 @@ temperature and of the biases.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
 
@@ -36,8 +36,8 @@ from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.stability import BIAS
 from imuarray.fuse.axes import Axis, axes_of, directions
 from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
-from imuarray.fuse.techniques.technique import Technique, noise_of
+from imuarray.fuse.least_squares import solve_frames
+from imuarray.fuse.techniques.technique import Technique, mean
 from imuarray.log import SensorLog
 from imuarray.recursion import first_order
 
@@ -327,7 +327,8 @@ def opposed(axes: Sequence[Axis]) -> Technique:
     temperature, the mean of even-order terms. Where as many axes of a design point one way as the other the average
     does it already; where all point the same way nothing can be seen. `pairs.capabilities` says what it can cancel.
     """
-    rows, noise, slow = directions(axes), noise_of(axes), SlowErrors(axes)
+    average = mean(axes)
+    rows = directions(axes)
     modes = [CommonMode(group) for group in opposing_groups(axes)]
 
     def fused(frames: Frames) -> Estimate:
@@ -336,7 +337,7 @@ def opposed(axes: Sequence[Axis]) -> Technique:
         values = frames.values.copy()
         for mode in modes:
             values[:, mode.members] -= mode.estimate(frames.time, residual, frames.valid)[:, None]
-        return weighted(values, weights, rows, noise, slow)
+        return average(replace(frames, values=values))
 
     return fused
 

@@ -18,8 +18,8 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
-from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
+from imuarray.fuse.least_squares import SlowErrors, solve_frames
+from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 from imuarray.units import READABLE_SI
 
 AVERAGED = 100
@@ -64,17 +64,17 @@ class PlaneBlend:
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         """FusionError where the noise of an axis is not known."""
-        self._axes, self._rows, self._noise = axes, directions(axes), known_noise_of(axes)
-        self._slow = SlowErrors(axes)
-        self._weights = plane_weights(axes)
-        self._watched = np.flatnonzero(self._weights < 1 - 1e-9)
+        self._axes, self._rows = axes, directions(axes)
+        weights = plane_weights(axes)
+        self._mean = FixedWeights(self._rows, weights, known_noise_of(axes), SlowErrors(axes))
+        self._watched = np.flatnonzero(weights < 1 - 1e-9)
         self._sums = np.zeros((3, len(self._watched)))
 
     def __call__(self, frames: Frames) -> Estimate:
         """The estimate of the next block."""
         if len(self._watched):
             self._watch(frames)
-        return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
+        return self._mean(frames)
 
     def monitors(self) -> list[Monitor]:
         """Return the monitors of the axes that weigh less."""

@@ -11,7 +11,7 @@ from imuarray.arrays import Floats
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.least_squares import SlowErrors, weighted, whole_gain
+from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]
 """Frames of one quantity, block after block in order, to their estimate; the result does not depend on the blocks."""
@@ -29,8 +29,19 @@ class FixedWeights:
     slow: SlowErrors | None = None
 
     def __call__(self, frames: Frames) -> Estimate:
-        """Weighted least squares."""
-        return weighted(frames.values, self.weights * frames.valid, self.rows, self.noise, self.slow)
+        """Weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole array, as
+        far as the frame's offsets are known: they are removed before, and their own weighted mean is added.
+        """
+        weights = self.weights * frames.valid
+        if frames.offsets is None:
+            return weighted(frames.values, weights, self.rows, self.noise, self.slow)
+        offsets = np.nan_to_num(frames.offsets)
+        estimate = weighted(frames.values - offsets, weights, self.rows, self.noise, self.slow)
+        some = np.flatnonzero(offsets.any(axis=1))
+        if len(some):
+            level = solve_frames(offsets[some], self.weights * np.isfinite(frames.offsets[some]), self.rows)
+            estimate.triad_box[some] += level
+        return estimate
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
         """The gain (3, m) of frames whose readings are all valid, and what makes their estimate of their triads."""

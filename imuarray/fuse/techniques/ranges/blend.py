@@ -14,7 +14,7 @@ from imuarray.fuse.frames import Estimate, Frames, entries
 from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
 from imuarray.fuse.techniques.ranges.relative import GAP_S, Rows, States, Tracker
-from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
+from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 
 FOLLOWED_PERIODS = 3
 """Two frames further apart than this many periods of the sensors' bandwidth don't tell how the motion changes."""
@@ -50,7 +50,7 @@ class RangeBlend:
     def __call__(self, frames: Frames) -> Estimate:
         """The estimate of the next block."""
         if self._fading is None:
-            return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
+            return FixedWeights(self._rows, self._weights, self._noise, self._slow)(frames)
         wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
         share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
         weights = self._weights * share * frames.valid
