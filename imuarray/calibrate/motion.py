@@ -28,7 +28,7 @@ def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
     """The longest rest that the sensors show, without the knocks in it; None if none shows, or if a `phase` is asked
     for or marked as a rest.
     """
-    if phase is not None or choose_stretch(log, None).phase is not None or not log.of("specific_force"):
+    if phase is not None or choose_stretch(log, None).phase is not None:
         return None
     try:
         windows = rest_windows(log)

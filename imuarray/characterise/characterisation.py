@@ -166,7 +166,7 @@ def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
         return "-"
     if not term["significant"] or term["low"] <= 0:
         return f"<{term['high'] * scale:.3g}"
-    if fit and fit["verdict"] and name != "white":
+    if term["doubtful"]:
         return f"({term['value'] * scale:.3g})"
     return f"{term['value'] * scale:.3g} +-{50 * (term['high'] - term['low']) / term['value']:.2g} %"
 
@@ -212,13 +212,15 @@ PLOTS = ("allan", "spectrum", "autocorrelation", "histogram")
 
 class Coefficient(NamedTuple):
     """A noise coefficient with its 95 % interval, in the sensor's unit (g or dps; per root hertz for "white", per root
-    second for "random walk"). Not `significant`: not seen in the log, and at most `high`.
+    second for "random walk"). Not `significant`: not seen in the log, and at most `high`. `doubtful`: the Allan
+    deviation is not a sum of the fitted noises, and the value may be that of a line, a drift or coloured noise.
     """
 
     value: float
     low: float
     high: float
     significant: bool
+    doubtful: bool = False
 
 
 @dataclass(frozen=True, repr=False)
@@ -256,7 +258,7 @@ class Characterisation:
             return None
         scale = abs(entry["unit_per_count"] or 1.0)
         value, low, high = (scale * fitted[name] for name in ("value", "low", "high"))
-        return Coefficient(value, low, high, fitted["significant"])
+        return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"])
 
     def plot(self, kind: str = "allan") -> Figure:
         """A figure of all sensors: "allan", "spectrum", "autocorrelation" or "histogram". LogError for another kind,
@@ -270,7 +272,7 @@ class Characterisation:
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame` with a row for each axis: coefficients with their intervals, in the sensor's unit, nan
-        where a term was not fitted. MissingExtraError without pandas.
+        where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError without pandas.
         """
         from imuarray.log.datasets import optional_package
 
@@ -284,6 +286,7 @@ class Characterisation:
                     known = self.coefficient(sensor["name"], entry["axis"], term)
                     for name in ("value", "low", "high"):
                         row[letter if name == "value" else f"{letter}_{name}"] = getattr(known, name, float("nan"))
+                    row[f"{letter}_doubtful"] = getattr(known, "doubtful", False)
                 rows.append(row)
         return pandas.DataFrame(rows).set_index(["sensor", "axis"])
 
@@ -305,7 +308,8 @@ class Characterisation:
                 known = (self.coefficient(sensor["name"], entry["axis"], term) for term in TERMS)
                 rows.append((f"{sensor['name']} {entry['axis']}", sensor["unit"], *map(_spelled, known)))
         heading = ("axis", "unit", "N, unit/√Hz", "B, unit", "K, unit/√s")
-        return html_table(f"{self!r}; intervals of 95 %".strip("<>"), heading, rows)
+        title = f"{self!r}; intervals of 95 %; in brackets: not a noise of this kind".strip("<>")
+        return html_table(title, heading, rows)
 
 
 def _spelled(coefficient: Coefficient | None) -> str:
@@ -313,4 +317,6 @@ def _spelled(coefficient: Coefficient | None) -> str:
         return "–"
     if not coefficient.significant:
         return f"< {coefficient.high:.2g}"
+    if coefficient.doubtful:
+        return f"({coefficient.value:.3g})"
     return f"{coefficient.value:.3g} ({coefficient.low:.2g} to {coefficient.high:.2g})"

@@ -83,7 +83,9 @@ def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | Non
 
 def _fit_table(fit: NoiseFit) -> dict[str, Any]:
     table = asdict(fit)
-    table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
+    terms = table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
+    for name, item in terms.items():  # coloured noise looks like flicker or random walk, and is neither
+        item["doubtful"] = bool(fit.verdict) and name != "white"
     return table
 
 

@@ -21,8 +21,15 @@ _SHARED_S = 1e-7
 
 _CORRELATED = 0.05
 _CLIPPED_SHARE = 1e-4
+
+_SLOW_CHANGE = 0.3
+"""Share of an axis's variance that is no noise of its spectrum, from which the mean is said to change."""
+
+_LEAST_SEGMENTS = 8
+"""Segments of a spectrum whose sum is compared with the variance."""
+
 _SLOW_SHARE = 0.95
-_ALIASES = 3
+_ALIASES = 2
 
 _LISTED_LINES = 12
 """Lines that are listed: the strongest of all axes, by their share of the axis's variance."""
@@ -60,6 +67,7 @@ def findings(result: Mapping[str, Any]) -> list[str]:
         *about_box,
         *_merged(sensors, _timing, _adaptive_range, _repeats, _rails, _ends),
         *_lines(sensors),
+        *(_merged(sensors, _slow_change) if result["stretch"]["phase"] is not None else ()),
         *_merged(sensors, _codes, _correlation, _fit),
     ]
 
@@ -179,14 +187,18 @@ def _ends_in_words(low: float | None, high: float | None) -> str:
 
 
 def _ends(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes without readings, and readings that pile up at the last code."""
-    for axis in sensor["axes"]:
+    """Describe axes without readings, and readings that pile up at the last code where that is no known rail."""
+    rails = sensor["rails"] or {"low": (), "high": ()}
+    for number, axis in enumerate(sensor["axes"]):
         codes, place = axis["codes"], (sensor["name"], axis["axis"])
+        known = {codes_of_end[number] for codes_of_end in (rails["low"], rails["high"]) if codes_of_end}
         if codes is None:
             continue
         if codes["step"] == 0:
             yield _Remark(place, "always the same code")
         for end in (codes["low_end"], codes["high_end"]):
+            if end["code"] in known:
+                continue
             if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
                 yield _Remark(place, "readings pile up at code {0}: clipped", (str(end["code"]),), (end["code"],))
 
@@ -217,6 +229,23 @@ def _code_span(gap: Mapping[str, Any]) -> str:
     return str(gap["first"]) if gap["first"] == gap["last"] else f"{gap['first']} to {gap['last']}"
 
 
+def _slow_change(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
+    """Describe axes whose variance is larger than that of their spectrum, which each segment has without its mean."""
+    spectrum = sensor["spectrum"]
+    if spectrum is None or spectrum["segments"] < _LEAST_SEGMENTS or len(spectrum["frequency_hz"]) < 2:
+        return
+    step_hz = spectrum["frequency_hz"][1] - spectrum["frequency_hz"][0]
+    for axis in sensor["axes"]:
+        variance = (axis["counts"]["std"] or 0.0) ** 2
+        share = 1 - sum(axis["density"]) * step_hz / variance if variance else 0.0
+        if share > _SLOW_CHANGE:
+            sentence = (
+                "{0} % of the variance is a slow change of the mean (by temperature, for example, which imuarray"
+                " calibrate thermal determines)"
+            )
+            yield _Remark((sensor["name"], axis["axis"]), sentence, (f"{100 * share:.0f}",), (share,))
+
+
 def _correlation(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     for axis in sensor["axes"]:
         values, errors = axis["autocorrelation"]["correlation"], axis["autocorrelation"]["error"]
@@ -235,7 +264,7 @@ def _fit(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
         way = "above" if fit["worst_ratio"] > 1 else "below"
         off, tau_s = abs(fit["worst_ratio"] - 1), fit["worst_tau_s"]
         why = ", as its lines make it" if axis["lines"] else ""
-        sentence = f"its Allan curve is not a sum of the fitted noises{why}: {{0}} {way} the fit at {{1}} s"
+        sentence = f"the Allan curve is not a sum of the fitted noises{why}: {{0}} {way} the fit at {{1}} s"
         yield _Remark((sensor["name"], axis["axis"]), sentence, (f"{100 * off:.0f} %", f"{tau_s:.3g}"), (off, tau_s))
 
 
@@ -300,7 +329,7 @@ def _line_in_words(group: Sequence[_AxisLine], places: str) -> str:
     strongest = group[0]
     line, scale = strongest.line, strongest.scale
     others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
-    aliases = f", or of {', '.join(others)}, ... Hz" if others else ""
+    aliases = f" (or an alias of {', '.join(others)}, ... Hz)" if others else ""
     width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
     fundamental_hz = line.get("fundamental_hz")
     order = (

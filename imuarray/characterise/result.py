@@ -120,6 +120,8 @@ def _sensor(
     timing = find_timing(sensor, rows, counted=pattern.kind == "bursts", left_out=stretch.left_out)
     statistics = noise_statistics(sensor, rows, stretch.left_out)
     run = _run(sensor, timing)
+    if pattern.kind == "bursts" and pattern.rate_hz:  # the ends of a stretch are off by a burst
+        run["interval_s"] = 1 / pattern.rate_hz
     surveyed = survey(sensor, rows, timing, run["interval_s"], estimator, stretch.left_out)
     count = statistics.rows or math.nan
     runs = runs_of_curve(timing, surveyed.estimator) if surveyed else (timing.run,)

@@ -32,6 +32,7 @@ from imuarray.importers.column_meaning import (
     units_below_header,
 )
 from imuarray.importers.mapping import parse_map
+from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
 from imuarray.importers.sources import open_rows, reader_of, texts_in
@@ -48,6 +49,8 @@ from imuarray.importers.text_layout import (
 from imuarray.log import Log, open_log
 from imuarray.units import UNITS_OF
 
+_MIMU4444 = 'file = { format = "mimu4444" }'
+
 _SAME_SCALE = 0.25
 """Log ratio of these rotations that quick motion can make."""
 _NEAR_UNIT = 0.3
@@ -59,6 +62,8 @@ def guess_map(source: str | Path) -> str:
     can describe.
     """
     path = Path(source)
+    if path.is_file() and is_recording(path):
+        return f"# Map of {path.name}: packets of a MIMU4444 board, which say the rest.\n{_MIMU4444}\n"
     proposal = _propose_map(path)
     head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
     trial = _try_import(proposal.text([]), path)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Integers
 from imuarray.errors import SourceError
-from imuarray.importers import NO_WALL_TIME, Summary, open_source
+from imuarray.importers import NO_WALL_TIME, Summary, open_source, unreadable
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.packets import BLOCK_BYTES, PAYLOAD, SIZE, Piece, read_packets
 from imuarray.log import Block, LogWriter
@@ -89,6 +90,15 @@ def import_file(
             progress(file.tell())
         summary = recording.finish()
         return replace(summary, remarks=tuple(flag_clipped(log, headers)))
+
+
+def is_recording(source: str | PathLike[str]) -> bool:
+    """Return whether a file begins with packets of a board; SourceError if it is unreadable."""
+    try:
+        with Path(source).open("rb") as file:
+            return any(len(piece.packets) > 1 for piece in islice(read_packets(file), 1))
+    except OSError as error:
+        raise unreadable(Path(source), error) from None
 
 
 class _Recording:

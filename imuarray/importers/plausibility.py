@@ -13,17 +13,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import log as ln
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.knocks import find_knocks, knock_sentence
+from imuarray.calibrate.labels import axes_text
+from imuarray.calibrate.pointing import TURNS
 from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
-from imuarray.characterise.findings import shares_times
-from imuarray.characterise.repeats import STALE_SHARE, RepeatTally
+from imuarray.characterise.findings import SURE, shares_times
+from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.printable import counted, listed, percent
@@ -103,6 +106,18 @@ soldered within a few degrees, and 26 degrees are more than any bias makes.
 
 FEWEST_RESTS = 8
 """Windows at rest in which gravities are compared."""
+
+LEAST_HELD = 32
+"""Least number of equal rows in a row that is called a stop: sensors that are read too often repeat fewer."""
+
+BESIDE = 64
+"""Rows on either side of these that are looked at."""
+
+FITS = 0.95
+"""Correlation between the rotations of accelerometers and gyroscope at which other axes than those of the map fit."""
+
+BETTER = 0.1
+"""Difference of correlations from which on no others do."""
 
 FEWEST_TURNS = 20
 TURN_PASSES = 3
@@ -213,7 +228,7 @@ def report_of(log: Log) -> Report:
         for text in codes.doubts(sensor):
             doubts.add(sensor.name, text)
         if sensor.sensitivity and not codes.is_constant:
-            windows[sensor.name] = _Windows(sensor, timing)
+            windows[sensor.name] = _Windows(sensor, timing, codes.held)
             level, doubted = _level(sensor, windows[sensor.name])
             if level is not None:
                 levels.setdefault(level[0], {})[sensor.name] = level[1]
@@ -240,14 +255,16 @@ def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
 class _Windows:
     """Means (w, 3) and largest standard deviation (w,) of a sensor's windows with rows, in its unit, box frame."""
 
-    def __init__(self, sensor: SensorLog, timing: RowTiming) -> None:
+    def __init__(self, sensor: SensorLog, timing: RowTiming, left_out: slice = slice(0, 0)) -> None:
         begin = int(sensor.time[0])
         self.width_ns = round(max(WINDOW_S, 8 * timing.seconds / max(timing.rows, 1)) * 1e9)
         count = (int(sensor.time[-1]) - begin) // self.width_ns + 1
         rows, sums, squares = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3))
         for block in sensor.blocks():
-            window = (np.asarray(sensor.time[block], np.int64) - begin) // self.width_ns
-            value = np.asarray(sensor.counts[block], float) / sensor.sensitivity @ sensor.orientation.T
+            row = np.arange(block.start, block.start + len(sensor.time[block]))
+            used = (row < left_out.start) | (row >= left_out.stop)
+            window = (np.asarray(sensor.time[block], np.int64)[used] - begin) // self.width_ns
+            value = np.asarray(sensor.counts[block], float)[used] / sensor.sensitivity @ sensor.orientation.T
             rows += np.bincount(window, minlength=count)
             for axis in range(3):
                 sums[:, axis] += np.bincount(window, value[:, axis], minlength=count)
@@ -291,8 +308,9 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
         if shaken and 1 / SHAKEN_LEVEL < length < SHAKEN_LEVEL:
             return None, []
         guess = _explained(length, _FORCE_UNITS) or _doubled(length)
-        if not guess and length < 0.3:
-            guess = "gravity may have been removed (linear acceleration), or the unit may be wrong"
+        if length < 0.3 and (not guess or float(np.median(windows.spread[still])) > length):
+            unit = guess if "columns" in guess else "the unit may be wrong"
+            guess = f"gravity may have been removed (linear acceleration), or {unit}"
         guess = guess or "unit, range, sensitivity or offset may be wrong"
         return None, [f"measures {length:.4g} g{'' if shaken else ' at rest'} instead of 1 g: {guess}"]
     if sensor.quantity == "magnetic_field":
@@ -400,6 +418,8 @@ class _Codes:
             seen = [known.merge(histogram(column)) for known, column in zip(seen, counts.T, strict=True)]
             tally.update(counts)
         self.seen, self.repeats = seen, tally.result()
+        self.held = _held_rows(sensor, self.repeats)
+        """Rows that repeat one reading for longer than chance or a slow chip explains; an empty slice without any."""
 
     @property
     def is_constant(self) -> bool:
@@ -415,7 +435,7 @@ class _Codes:
         )
         if step > 1:
             yield "only even codes" if step == 2 and on_zero else f"only every {step}th code"
-        if self.repeats.new_share < 1 - STALE_SHARE:
+        if self.held.stop == 0 and self.repeats.new_share < 1 - STALE_SHARE:
             yield f"{percent(1 - self.repeats.new_share, 1)} of its rows repeat the previous row without new readings"
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
@@ -429,6 +449,8 @@ class _Codes:
                 else ""
             )
             yield f"{constant} is always {codes}{zero}"
+        if self.held.stop and not self.is_constant:
+            yield _held_in_words(sensor, self.held)
         limit = OVER_RANGE * sensor.range * sensor.sensitivity
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
         if limit and most > limit:
@@ -439,6 +461,36 @@ class _Codes:
             yield f"reads up to {value:.4g} {sensor.unit}, more than any usual chip measures: is the unit wrong?"
         if _are_unsigned(self.seen) and sensor.quantity in INERTIAL:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
+
+
+def _held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
+    """Return the longest run of equal rows if that is no chance: other rows seldom repeat, and those on either side
+    change by a count and more each time, which those of a coarse sensor that comes to rest do not.
+    """
+    nothing, others = slice(0, 0), repeats.rows - repeats.longest
+    if repeats.longest < LEAST_HELD or others < FEWEST_ROWS:
+        return nothing
+    usual = max(repeats.repeat_share * (repeats.rows - 1) - (repeats.longest - 1), 1.0) / others
+    if usual >= 1 or repeats.longest * ln(usual) > ln(SURE):
+        return nothing
+    begin, end = repeats.longest_row, repeats.longest_row + repeats.longest
+    sides = slice(max(begin - BESIDE, 0), begin), slice(end, min(end + BESIDE, repeats.rows))
+    changes = [np.abs(np.diff(np.asarray(sensor.counts[side], np.int64), axis=0)).sum(axis=1) for side in sides]
+    lively = [float(change.mean()) >= 1 for change in changes if len(change)]
+    return slice(begin, end) if lively and all(lively) else nothing
+
+
+def _held_in_words(sensor: SensorLog, held: slice) -> str:
+    first_s, last_s = ((int(sensor.time[row]) - int(sensor.time[0])) * 1e-9 for row in (held.start, held.stop - 1))
+    if held.stop == len(sensor):
+        return (
+            f"repeats one reading from {first_s:.4g} s after the beginning to the end ({held.stop - held.start} of"
+            f" {len(sensor)} rows): did it stop?"
+        )
+    return (
+        f"repeats one reading for {last_s - first_s:.3g} s, from {first_s:.4g} s after the beginning"
+        f" ({held.stop - held.start} rows): did it stop?"
+    )
 
 
 def _are_unsigned(seen: Sequence[Histogram]) -> bool:
@@ -495,8 +547,15 @@ def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str
     for gyroscope in log.of("angular_rate"):
         if gyroscope.name not in windows or not forces:
             continue
-        factor = _turn_ratio(forces[0], windows[gyroscope.name])
-        if factor is None or 1 / SAME_SCALE < factor < SAME_SCALE:
+        rotations = _rotations(forces[0], windows[gyroscope.name])
+        if rotations is None:
+            continue
+        factor, correlation = _factor(rotations)
+        if correlation < FOLLOWS:
+            if axes := _fitting_axes(rotations, gyroscope):
+                yield gyroscope.name, axes
+            continue
+        if 1 / SAME_SCALE < factor < SAME_SCALE:
             continue
         if factor < 0:
             yield (
@@ -519,12 +578,28 @@ def turns_of(log: Log) -> float | None:
     return _turn_ratio(force, rate)
 
 
+class _Rotations(NamedTuple):
+    """Changes of the direction of gravity (n, 3) between windows of `width_s`, its direction in their middle (n, 3),
+    and the rates (n, 3) in rad/s by the gyroscope meanwhile.
+    """
+
+    turned: Floats
+    middle: Floats
+    rates: Floats
+    width_s: float
+
+
 def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
     """Return the factor by which a gyroscope's rates must be multiplied to agree with the rotation of gravity; None
-    without sufficient rotation.
-
-    A direction f that is constant in an inertial frame changes by -omega x f in a frame that rotates with omega.
+    without sufficient rotation, or if the two do not follow each other.
     """
+    rotations = _rotations(force, rate)
+    factor, correlation = (0.0, 0.0) if rotations is None else _factor(rotations)
+    return factor if correlation >= FOLLOWS else None
+
+
+def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
+    """Return the rotations that an accelerometer and a gyroscope saw in the same windows; None if they are too few."""
     if force.width_ns != rate.width_ns:
         return None
     common, here, there = np.intersect1d(force.number, rate.number, return_indices=True)
@@ -538,10 +613,18 @@ def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
     turned = np.diff(f, axis=0)[follows]
     rates = _between(omega, np.diff(common) == 1)[follows]
     middle = (f[1:] + f[:-1])[follows] / 2
-    width_s = force.width_ns * 1e-9
-    moving = np.linalg.norm(turned, axis=1) >= TURNED
-    if np.count_nonzero(moving) < FEWEST_TURNS:
+    if np.count_nonzero(np.linalg.norm(turned, axis=1) >= TURNED) < FEWEST_TURNS:
         return None
+    return _Rotations(turned, middle, rates, force.width_ns * 1e-9)
+
+
+def _factor(rotations: _Rotations) -> tuple[float, float]:
+    """Return the factor by which the rates must be multiplied to agree with the rotation of gravity, and the
+    correlation (0 to 1) of the two.
+
+    A direction f that is constant in an inertial frame changes by -omega x f in a frame that rotates with omega.
+    """
+    turned, middle, rates, width_s = rotations
     # turned = -factor (rates - bias) x middle, times tan(angle / 2) / (angle / 2) of the angle (Cayley), which is 1.1
     # for 1 rad: linear in the factor and in factor x bias, if the angle is that of the factor before.
     factor, angle = 0.0, np.linalg.norm(rates, axis=1) * width_s
@@ -557,9 +640,24 @@ def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
         factor = float(solution[0])
     a, b = observed - flat[:, 1:] @ solution[1:], flat[:, 0]
     both = float(np.sqrt((a @ a) * (b @ b)))
-    if not both or abs(float(a @ b)) / both < FOLLOWS:
-        return None
-    return factor
+    return factor, abs(float(a @ b)) / both if both else 0.0
+
+
+def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
+    """Describe a gyroscope that agrees with the rotation of gravity with other axes only; "" if it does with none."""
+    fits = [_factor(rotations._replace(rates=rotations.rates @ turn.T)) for turn in TURNS]
+    proper = np.array([correlation if factor > 0 else 0.0 for factor, correlation in fits])
+    best, second = np.argsort(-proper)[:2]
+    if proper[best] < FITS:
+        is_mirrored = max(correlation for _, correlation in fits) >= FITS
+        fits_mirrored = "its rotations fit those of the accelerometers only with a mirrored axis"
+        return f"{fits_mirrored}: a column or a sign is wrong" if is_mirrored else ""
+    axes = axes_text((TURNS[best] @ gyroscope.orientation).T)
+    others = f", but would with axes = {axes!r}" if proper[best] - proper[second] > BETTER else ""
+    return (
+        f"its rotations do not fit those of the accelerometers{others}: it is mounted in another direction, or columns"
+        " are exchanged, its own or the accelerometers'"
+    )
 
 
 def _between(means: Floats, follows: npt.NDArray[np.bool_]) -> Floats:

@@ -80,6 +80,11 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         layout.decimal = ","
     numeric = [sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
     if not any(numeric):
+        if lines[0][1].startswith(("{", "[{")):
+            raise SourceError(
+                f"{path}: JSON, not a table; convert it first, for example with pandas: read_json(..., lines=True) of"
+                " flat objects, then to_csv"
+            )
         raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
     first = _first_of_table(rows, numeric, layout)
     is_plain = first is not None

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.motion import longest_rest
 from imuarray.characterise import characterise_log
 from imuarray.characterise.findings import findings
 from imuarray.characterise.plots import allan_figure, spectrum_figure
@@ -57,7 +58,9 @@ def log_sections(
     columns = itertools.count(1)
     total = 3 * sum(sensor.is_triad for sensor in log.sensors.values())
     try:
-        result = characterise_log(log, progress=lambda: progress(next(columns) / total), scales=scales)
+        result = characterise_log(
+            log, longest_rest(log), progress=lambda: progress(next(columns) / total), scales=scales
+        )
     except ImuArrayError as error:
         yield Section(f"{log.path.name}: noise", f"The noise could not be determined: {error}.")
         return
@@ -160,15 +163,18 @@ def _duration(log: Log) -> str:
 def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
     stretch = result["stretch"]
     where = (
-        f"phase {stretch['phase']}" if stretch["phase"] else "the whole log: motion, if there was any, counts as noise"
+        f"phase {stretch['phase']}: {stretch['chosen_by']}"
+        if stretch["phase"]
+        else "the whole log: motion, if there was any, counts as noise"
     )
-    words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where}). "
+    words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where})."
     sentences = findings(result)
-    words += (
-        f"Unusual: {'; '.join(sentences)}." if sentences else "Nothing unusual: no line, no clipping, no missing codes."
-    )
+    words += "" if sentences else " Nothing unusual: no line, no clipping, no missing codes."
     seconds = stretch["end_s"] - stretch["start_s"]
     parts: list[Table | Figure] = [_noise_table(result)]
+    if sentences:
+        rows = [text.split(": ", 1) if ": " in text else ["box", text] for text in sentences]
+        parts.append(Table(["where", "what"], rows, "What is unusual, the most important first.", (1,)))
     if seconds < _ALLAN_S:
         words += (
             f" Allan curve: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. A minute at rest shows"
@@ -192,18 +198,17 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
 def _noise_table(result: Mapping[str, Any]) -> Table:
     rows = []
     for sensor in result["sensors"]:
-        if sensor["unit"] not in READABLE:
-            continue
-        factor, unit = READABLE[sensor["unit"]]
+        factor, unit = READABLE.get(sensor["unit"], (1.0, sensor["unit"]))
         for axis in sensor["axes"]:
             own, fit = axis["unit"], axis.get("fit")
-            scatter = f"{factor * own['std']:.3f}" if own["std"] is not None else "–"
+            scatter = f"{factor * own['std']:.4g}" if own["std"] is not None else "–"
             cells = [_fitted(fit, name, factor * abs(axis["unit_per_count"] or 1.0)) for name in _TERMS]
             rows.append([f"{sensor['name']} {axis['axis']}", unit, scatter, *cells])
     heading = ["axis", "unit", "scatter", "N, unit/√Hz", "B, unit", "K, unit/√s"]
     caption = (
         "Scatter of single readings; white noise N, bias instability B and rate random walk K fitted to the Allan"
-        " deviation (IEEE Std 952), in brackets 95 % intervals; “<”: not detected; the figure is the upper limit."
+        " deviation (IEEE Std 952), with 95 % intervals; “<”: not detected; the figure is the upper limit. A figure in"
+        " brackets is no noise of this kind: a line, a drift or coloured noise looks like it."
     )
     return Table(heading, rows, caption, (1,))
 
@@ -214,4 +219,8 @@ def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
     if term is None:
         return "–"
     low, high = (factor * bound for bound in (term["low"], term["high"]))
+    if term["doubtful"] and term["significant"] and low > 0:
+        return f"({factor * term['value']:.3g})"
+    if low <= 0:
+        return f"< {high:.2g}"
     return f"< {high:.2g}" if not term["significant"] else f"{factor * term['value']:.3g} ({low:.2g} to {high:.2g})"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import calibrate_noise, calibrate_thermal, calibrate_turn_on
-from imuarray.calibrate.motion import STILL, motion_in
+from imuarray.calibrate.motion import STILL, longest_rest, motion_in
 from imuarray.calibrate.turn_on import MOST_SEM
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
-from imuarray.log.format import Phase
+from imuarray.log.format import Phase, SensorHeader
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope
 
 RATE_HZ = 50.0
@@ -128,3 +128,20 @@ def test_a_box_at_rest_is_never_said_to_move(tmp_path: Path) -> None:
     for seed in range(20):
         with open_log(record(tmp_path / f"{seed}.h5", knocked, seed, noise_g=STILL["specific_force"] / 1.5)) as log:
             assert motion_in(log, 0, 60 * 10**9) == ""
+
+
+@pytest.mark.parametrize("quantity", ["magnetic_field", "angular_rate"])
+def test_a_log_without_accelerometers_rests_by_what_it_has(tmp_path: Path, quantity: str) -> None:
+    """Ten seconds in which a field or a rate is steady, then two of turning."""
+    unit, sigma = ("gauss", 0.002) if quantity == "magnetic_field" else ("dps", 0.1)
+    rng, at_s = np.random.default_rng(2), np.arange(600) / RATE_HZ
+    values = np.where(at_s < 10, 0.0, 100 * (at_s - 10))[:, None] * [1, 0.5, 0] * sigma + rng.normal(0, sigma, (600, 3))
+    with LogWriter(
+        tmp_path / "run.h5", [SensorHeader("S", "any", quantity, unit, 100.0, 1000.0)], source="simulated", epoch=EPOCH
+    ) as writer:
+        counts = np.rint(values * 1000).astype(np.int16)
+        writer.append("S", Block(np.round(at_s * 1e9).astype(np.int64), counts, np.zeros(600, np.uint16)))
+    with open_log(tmp_path / "run.h5") as log:
+        rest = longest_rest(log)
+    assert rest is not None
+    assert rest.start_ns < 2e9 and 8e9 < rest.end_ns <= 10e9

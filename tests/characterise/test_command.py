@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.characterise import characterise_log
+from imuarray.characterise import Characterisation, characterise_log
 from imuarray.characterise.plots import COLOURS, allan_figure
 from imuarray.cli import main
 from imuarray.commands.characterise import json_text
 from imuarray.errors import MissingExtraError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
+from imuarray.report.files import write_report
 
 
 def test_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,7 +159,8 @@ def test_a_curve_is_written_in_a_line() -> None:
 @pytest.mark.slow
 def test_noise_with_a_time_constant_is_no_bias_instability(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """White noise of 0.05 dps and a first-order process of 0.01 dps and 2 s (the Allan deviation of which falls again
-    beyond 2 s): the figures B and K stand in brackets, without limits, and p is marked.
+    beyond 2 s): the figures B and K stand in brackets, without limits, and p is marked; JSON, notebooks and pages
+    say so, too.
     """
     from scipy.signal import lfilter
 
@@ -175,3 +177,15 @@ def test_noise_with_a_time_constant_is_no_bias_instability(tmp_path: Path, capsy
         name, _axis, white, percent, sign, flicker, *_ = line.split()
         assert (name, sign) == ("Gyro", "%") and percent.startswith("+-") and float(white) > 0
         assert flicker.startswith("(") and "!" in line
+    assert main(["characterise", str(tmp_path / "run.h5"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    for axis in result["sensors"][0]["axes"]:
+        doubtful = {name: term["doubtful"] for name, term in axis["fit"]["terms"].items()}
+        assert doubtful == {"white": False, "flicker": True, "random walk": True}
+    known = Characterisation(result)
+    flicker_of_x = known.coefficient("Gyro", "x", "flicker")
+    assert flicker_of_x is not None and flicker_of_x.doubtful
+    assert f"<td>({flicker_of_x.value:.3g})</td>" in known._repr_html_()
+    write_report([tmp_path / "run.h5"], tmp_path / "page.html")
+    row = (tmp_path / "page.html").read_text().split('<th scope="row">Gyro x</th>')[1].split("</tr>")[0]
+    assert f"<td>({flicker_of_x.value:.3g})</td>" in row

@@ -50,7 +50,8 @@ def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Ch
     """
     shaped = ("bandwidth", {"cutoff_hz": 51.0})
     told = findings(characterised(NOISE, shaped, ("tone", {"amplitude": (0.0, 0.06, 0.0), "frequency_hz": 50.0})))
-    assert next(text for text in told if "a line at 50 Hz" in text).startswith("G y: a line at 50 Hz, or of 300, 400")
+    line = next(text for text in told if "a line at 50 Hz" in text)
+    assert line.startswith("G y: a line at 50 Hz (or an alias of 300, 400, ... Hz)")
     assert "G x, z: neighbouring readings correlate by 0.41" in told
 
 
@@ -161,7 +162,7 @@ def result_of(axes: dict[str, list[dict[str, Any]]], **known: Any) -> dict[str, 
          "spectrum": {"resolution_hz": 0.02}, "axes": these} | known
         for name, these in axes.items()
     ]  # fmt: skip
-    return {"stretch": {"remark": ""}, "sensors": sensors}
+    return {"stretch": {"remark": "", "phase": None}, "sensors": sensors}
 
 
 def test_sensors_of_which_the_same_is_true_share_a_sentence() -> None:
@@ -185,6 +186,29 @@ def test_one_line_of_several_axes_is_one_sentence_and_the_strongest_is_first() -
         "A x: a line at 31 Hz, amplitude 0.5 +- 0.001 dps, 12 % of the variance",
         "C x: a line at 50.03 Hz, amplitude 0.2 +- 0.001 dps, 2 % of the variance, as 50 Hz mains would be",
     ]
+
+
+def test_a_slow_change_of_the_mean_is_named() -> None:
+    """A variance of 100 counts squared, of which the spectrum of 1 Hz times 25 a bin has 25 % or all."""
+    drifting = axis_of("z", density=[0.0, *[25.0] * 100])
+    steady = axis_of("x", density=[0.0, *[100.0] * 100])
+    spectrum = {"resolution_hz": 0.02, "segments": 20, "frequency_hz": [0.01 * number for number in range(101)]}
+    result = result_of({"A": [steady, drifting], "B": [drifting]}, spectrum=spectrum)
+    assert findings(result) == []  # of a log that may be of motion
+    result["stretch"]["phase"] = "pose 1"
+    (text,) = findings(result)
+    assert text.startswith("A, B z: 75 % of the variance is a slow change of the mean")
+
+
+def test_clipping_at_a_known_rail_is_one_sentence() -> None:
+    end = {"code": 2047, "share": 0.01, "p_value": 0.0}
+    none = {"code": -1900, "share": 0.0, "p_value": None}
+    codes = {"step": 1, "usual_step": 1, "even_share": 0.5, "missing": [], "low_end": none, "high_end": end}
+    rails = {"low": [None], "high": [2047.0], "rows": [30], "flagged": 30}
+    (text,) = findings(result_of({"A": [axis_of("x", codes=codes)]}, rails=rails))
+    assert text == "A x: clips at 2047; 30 readings of the sensor are flagged as saturated in the log"
+    (text,) = findings(result_of({"A": [axis_of("x", codes=codes)]}))
+    assert text == "A x: readings pile up at code 2047: clipped"
 
 
 def test_rows_of_equal_time_are_called_so() -> None:

@@ -16,7 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import OutputExistsError, SourceError
+from imuarray.importers.guess import guess_map
 from imuarray.importers.mimu4444 import import_file, sensors
+from imuarray.importers.table import import_table
 from imuarray.log import Log, open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED
 from tests.selection import examples
@@ -49,6 +51,16 @@ def source(tmp_path: Path, content: bytes) -> Path:
 
 def kinds(log: Log) -> list[str]:
     return [event.kind for event in log.events]
+
+
+def test_its_packets_are_recognised(tmp_path: Path, out: Path) -> None:
+    """`--guess` proposes the format, and the proposal imports it."""
+    recording = source(tmp_path, b"\xa0\x28\x00\xc8" + run(range(20)))
+    (tmp_path / "map.toml").write_text(guess_map(recording))
+    summary = import_table(recording, tmp_path / "map.toml", out)
+    assert (len(summary.sensors), summary.rows) == (16, 20)
+    with pytest.raises(SourceError):
+        guess_map(source(tmp_path, bytes(range(256)) * 40))
 
 
 def test_the_sixteen_sensors() -> None:

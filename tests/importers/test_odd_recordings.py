@@ -43,6 +43,16 @@ def plain(header: str = HEAD) -> list[str]:
     return [header, *lines_of(recording.time_s, counts_of(recording), "{:d}")]
 
 
+LINEAR_G = np.random.default_rng(6).normal(1e-3, 5e-3, (ROWS, 3))
+
+
+def stopped(end: int = ROWS) -> bytes:
+    """From row 1500 to `end` the program writes the gyroscope's last reading again and again."""
+    counts = counts_of(walk())
+    counts[1500:end, 3:] = counts[1500, 3:]
+    return joined([HEAD, *lines_of(walk().time_s, counts, "{:d}")])
+
+
 def units_taken_for_others() -> bytes:
     recording = walk()
     counts = counts_of(recording)
@@ -332,6 +342,33 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         MAP,
         0,
         ["? Acc: measures 0.0", "gravity may have been removed (linear acceleration), or the unit may be wrong"],
+    ),
+    "linear acceleration of a phone, which rests": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=LINEAR_G)), "{:d}")]),
+        MAP,
+        0,
+        ["g instead of 1 g: gravity may have been removed (linear acceleration), or"],
+    ),
+    "a gyroscope that stops": (
+        stopped(),
+        MAP,
+        0,
+        [
+            "~ Gyro: reads 0.5",
+            "? Gyro: repeats one reading from 15 s after the beginning to the end (500 of 2000 rows): did it stop?",
+        ],
+    ),
+    "a gyroscope that stops for three seconds": (
+        stopped(1800),
+        MAP,
+        0,
+        ["? Gyro: repeats one reading for 2.99 s, from 15 s after the beginning (300 rows): did it stop?"],
+    ),
+    "columns of a gyroscope in another order": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk())[:, [0, 1, 2, 5, 3, 4]], "{:d}")]),
+        MAP,
+        0,
+        ["? Gyro: its rotations do not fit those of the accelerometers: it is mounted in another direction"],
     ),
     "exchanged signs": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) * [1, 1, 1, -1, -1, -1], "{:d}")]),

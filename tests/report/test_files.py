@@ -14,7 +14,8 @@ from imuarray.calibrate import Calibration, calibrate_tumble
 from imuarray.cli import main
 from imuarray.errors import ImuArrayError, LogError, OutputExistsError
 from imuarray.fuse import FaultEvent, FusedBlock, fuse, write_fused
-from imuarray.log import open_log
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
 from imuarray.report.files import kind_of, write_report
 from imuarray.report.log_sheet import log_sections
 from imuarray.report.page import Table
@@ -174,3 +175,31 @@ def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> 
         noise = sections[2].parts[0]
         assert isinstance(noise, Table)
         assert [row[-3:] for row in noise.rows] == [["–", "–", "–"]] * 3
+
+
+def test_noise_is_that_of_the_longest_rest_and_findings_are_listed(tmp_path: Path) -> None:
+    """20 s at rest (0.01 g of noise), then shaken by 1 g: no phase says so. What is unusual has a row each, and a
+    magnetometer has its noise in the table.
+    """
+    run, rng, rows = tmp_path / "run.h5", np.random.default_rng(3), 3000
+    shaken = np.where(np.arange(rows) < 2000, 0.0, 1.0)[:, None]
+    force = [0, 0, 1] + 0.01 * rng.normal(size=(rows, 3)) + shaken * rng.normal(size=(rows, 3))
+    field = [0.2, 0, 0.4] + 0.002 * rng.normal(size=(rows, 3))
+    headers = [
+        SensorHeader("A", "any", "specific_force", "g", 16.0, 2048.0),
+        SensorHeader("M", "any", "magnetic_field", "gauss", 8.0, 4000.0),
+    ]
+    with LogWriter(run, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        time = np.arange(rows) * 10_000_000
+        codes = {"A": np.rint(force * 2048), "M": 2 * np.rint(field * 2000)}
+        for name, counts in codes.items():
+            log.append(name, Block(time, counts.astype(np.int16), np.zeros(rows, np.uint16)))
+    with open_log(run) as recorded:
+        noise = list(log_sections(recorded, {}, drawn=False))[-1]
+    assert "the longest rest that the sensors show" in noise.text
+    scatter, unusual = noise.parts[0], noise.parts[1]
+    assert isinstance(scatter, Table) and isinstance(unusual, Table)
+    values = {row[0]: (row[1], float(row[2])) for row in scatter.rows}
+    assert values["A x"] == ("mg", pytest.approx(10, rel=0.1))
+    assert values["M x"] == ("gauss", pytest.approx(0.002, rel=0.1))
+    assert ["M x, y, z", "only even codes"] in [list(row) for row in unusual.rows]

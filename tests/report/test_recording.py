@@ -144,7 +144,7 @@ def test_no_row_of_a_table_is_hidden(tmp_path: Path) -> None:
 
 def test_an_allan_curve_of_too_short_a_recording_is_a_sentence(run: Path, tmp_path: Path) -> None:
     write_report([run], tmp_path / "page.html")
-    assert "Allan curve: too short: 10 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
+    assert "Allan curve: too short: 9 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
 
 
 def test_names_are_escaped_in_drawings_and_data(tmp_path: Path) -> None:

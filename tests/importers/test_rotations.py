@@ -1,0 +1,59 @@
+"""Axes of a gyroscope that contradict those of the accelerometer: the import's report names those that fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imuarray.importers.plausibility import report_of
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
+
+ROWS, RATE_HZ = 3000, 100.0
+
+
+def record(path: Path, axes: str, mounted: np.ndarray) -> None:
+    """A box that turns about all axes; `mounted` (3, 3) takes vectors of the box into the gyroscope's frame."""
+    time_s, rng = np.arange(ROWS) / RATE_HZ, np.random.default_rng(8)
+    rate = np.stack([np.sin(2 * np.pi * f * time_s) for f in (0.31, 0.23, 0.17)], axis=1) * [1.6, 1.2, 2.0]
+    attitude, up = Rotation.identity(), np.empty((ROWS, 3))
+    for row in range(ROWS):
+        up[row] = attitude.inv().apply([0, 0, 1])
+        attitude = attitude * Rotation.from_rotvec(rate[row] / RATE_HZ)
+    headers = [
+        SensorHeader("A", "any", "specific_force", "g", 8.0, 4096.0),
+        SensorHeader("G", "any", "angular_rate", "dps", 250.0, 131.0, axes=axes),
+    ]
+    readings = {"A": 4096 * (up + rng.normal(0, 0.01, up.shape))}
+    readings["G"] = 131 * (np.degrees(rate) @ mounted.T + rng.normal(0.3, 0.1, up.shape))
+    with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for name, counts in readings.items():
+            time_ns = np.round(time_s * 1e9).astype(np.int64)
+            log.append(name, Block(time_ns, np.rint(counts).astype(np.int16), np.zeros(ROWS, np.uint16)))
+
+
+def doubts(path: Path) -> tuple[str, ...]:
+    with open_log(path) as log:
+        return report_of(log).doubts
+
+
+QUARTER = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+"""x points along box -Y, y along box X."""
+
+
+def test_the_axes_that_fit_are_named_and_are_right(tmp_path: Path) -> None:
+    record(tmp_path / "wrong.h5", "+X+Y+Z", QUARTER)
+    (text,) = doubts(tmp_path / "wrong.h5")
+    assert text.startswith("G: its rotations do not fit those of the accelerometers, but would with axes = '-Y+X+Z'")
+    record(tmp_path / "right.h5", "-Y+X+Z", QUARTER)
+    assert doubts(tmp_path / "right.h5") == ()
+
+
+@pytest.mark.parametrize("mirrored", [np.diag([1.0, 1.0, -1.0]), np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]])])
+def test_a_mirrored_gyroscope_is_doubted(tmp_path: Path, mirrored: np.ndarray) -> None:
+    record(tmp_path / "run.h5", "+X+Y+Z", mirrored)
+    (text,) = doubts(tmp_path / "run.h5")
+    assert text.startswith("G: its rotations fit those of the accelerometers only with a mirrored axis")
