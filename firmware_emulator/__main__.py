@@ -50,7 +50,7 @@ def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query
 
 
 def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
-    """The emulated bus with these parameters of a URL, on the real clock: kernels and other people's drivers sleep."""
+    """The emulated bus with these parameters of a URL, on the real clock, because kernels and foreign drivers sleep."""
     asked = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
     try:
         if asked["clock"] != "real":
@@ -81,7 +81,7 @@ def serve_usbip(array: ArrayConfig, bus: EmulatedBus, host: str, port: int) -> N
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; what it returns is the exit code."""
+    """Run the command line and return the exit code."""
     return run(program, PROGRAM, arguments)
 
 

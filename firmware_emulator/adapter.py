@@ -84,7 +84,7 @@ KINDS: dict[str, Kind] = {"plain": Kind(), "bcm2835": Kind(one_read=True), "gpio
 
 
 class Adapter:
-    """One adapter: `kind` is a key of `KINDS`, `owned` tells which kernel driver has which address.
+    """One adapter: `kind` is a key of `KINDS`, `owned` holds the kernel driver of each address that has one.
 
     While `stuck` is set, the clock is held low: every transfer takes the whole timeout and ends with ETIMEDOUT.
     `timeout_ns` and `retries` are what programs set; only arbitration is retried (LNX-14), and it is never lost here.

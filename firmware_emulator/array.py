@@ -89,7 +89,7 @@ class EmulatedBus:
         return self.wires[bus]
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> Port:
-        """The chip select of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
+        """The chip select with this name; OSError, as for a missing device file, if it has no sensor."""
         if path not in self.selects:
             raise FileNotFoundError(2, "no emulated sensor on this chip select", path)
         return self.selects[path].port(mode, clock_hz)

@@ -43,7 +43,7 @@ class Board:
         return Wire(clock, bit_rate_hz, nack_errno, host_ns)
 
     def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
-        """The multiplexer; ValueError for one that isn't known."""
+        """The multiplexer; ValueError for an unknown chip."""
         return named(chip, MUXES, "mux")(address, channels, powered_on_ns)
 
     def element(self, sensor: SensorLike) -> Element:
@@ -69,7 +69,7 @@ class Board:
         return chip
 
     def owned(self, address: int, bus: str, clock: Clock) -> bool:
-        """Return true if a driver of the kernel has taken that address of that bus."""
+        """Return True if a kernel driver has claimed this address of this bus."""
         return False
 
     def host_clock(self, clock: Clock) -> Clock:

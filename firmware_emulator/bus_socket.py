@@ -22,9 +22,7 @@ _CLOCK = struct.Struct("<I")
 
 
 def serve_bus(bus: Transfers, connection: socket.socket) -> None:
-    """Answer the questions of one program until it closes `connection` or ends; TypeError for a question of another
-    kind.
-    """
+    """Answer the requests of one program until it closes `connection` or ends; TypeError for an unknown request."""
     with connection, connection.makefile("rb") as stream, suppress(ConnectionError):
         while len(head := stream.read(_QUESTION.size)) == _QUESTION.size:
             kind, address, first, second = _QUESTION.unpack(head)

@@ -19,7 +19,7 @@ class BehindBypass:
 
     @property
     def address(self) -> int:
-        """The device's, or none."""
+        """The device's address; an unused one while the bypass is open."""
         return self.device.address if self.host is None or self.host.bypass_open else NOWHERE
 
     @address.setter
@@ -27,13 +27,13 @@ class BehindBypass:
         self.device.address = value
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """The device's."""
+        """See `Target`."""
         return self.device.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """The device's."""
+        """See `Target`."""
         return self.device.read(count, at_ns, byte_ns)
 
     def stop(self, at_ns: int) -> None:
-        """The device's."""
+        """See `Target`."""
         self.device.stop(at_ns)

@@ -216,7 +216,7 @@ def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
 
 
 def leave_thermometers_out(path: Path) -> None:
-    """Rewrite the log as a program writes it that doesn't read the chips' own thermometers."""
+    """Rewrite the log without the temperatures of the chips, as a program writes it that does not read them."""
     with h5py.File(path, "r+") as file:
         for group in file["sensors"].values():
             if "temperature_counts" in group:

@@ -59,7 +59,7 @@ class RealClock:
         time.sleep(ns * 1e-9)
 
     def sleep_until(self, ns: int) -> None:
-        """Sleep in earnest; a time that has passed returns at once."""
+        """Sleep in real time; return at once if the time has passed."""
         remaining_ns = ns - time.monotonic_ns()
         if remaining_ns > 0:
             time.sleep(remaining_ns * 1e-9)

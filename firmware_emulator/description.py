@@ -25,7 +25,7 @@ class SensorLike(Protocol):
 
     @property
     def name(self) -> str:
-        """Unique."""
+        """The name, unique in the array."""
 
     @property
     def chip(self) -> str:

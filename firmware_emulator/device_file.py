@@ -90,7 +90,7 @@ class _DeviceFolder:
 
 
 def identity(status: os.stat_result) -> Identity:
-    """Return what tells one file from another."""
+    """Return the identity of a file: device and inode."""
     return status.st_dev, status.st_ino
 
 

@@ -78,7 +78,7 @@ class Fault:
 
 
 def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
-    """The faults in the file at `path`; ValueError, one line, for what can't be read or can't happen to this array."""
+    """The faults in the file at `path`; ValueError (one line) if it is unreadable or does not fit this array."""
     try:
         text = Path(path).read_text(encoding="utf-8")
         tables = tomllib.loads(text)

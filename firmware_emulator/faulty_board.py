@@ -58,7 +58,7 @@ class FaultyMux(Pca9544a):
             self.route = self._kept
 
     def reset(self) -> None:
-        """Reset it, since its supply failed: nothing is connected."""
+        """Reset the multiplexer after a supply failure: no channel is connected."""
         self.power_on(0)
         self._kept, self.route = None, NO_CHANNEL
 
@@ -118,7 +118,7 @@ class FaultyWires:
 
 
 def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:
-    """Return that board, on which these faults happen."""
+    """Return a board of this kind on which these faults occur."""
 
     def faulty(name: str, world: Any, seed: int) -> FaultyBoard:
         return FaultyBoard(board(name, world, seed), faults)

@@ -167,7 +167,7 @@ def force_response(published: PublishedUnit, mounted: Matrix | None = None) -> M
 
 
 def nearest_orientation(by_box_axis: Matrix) -> Matrix:
-    """The orientation along box axes, box = matrix @ sensor, that a response comes closest to."""
+    """The orientation along box axes, box = matrix @ sensor, that is nearest to a response."""
     columns = []
     for row in by_box_axis:
         largest = max(abs(element) for element in row)

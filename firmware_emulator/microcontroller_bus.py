@@ -42,7 +42,7 @@ class Buses(Protocol):
         """One I2C transaction; OSError as the emulated wire gives it."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> Any:
-        """The chip select of that name; OSError when no sensor is on it."""
+        """The chip select with this name; OSError if it has no sensor."""
 
 
 class MicrocontrollerBus:

@@ -50,7 +50,7 @@ class Pca9544a:
         return len(data)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """The control register, as often as asked."""
+        """Return the control register, repeated `count` times."""
         return bytes([self.interrupts << 4 & 0xF0 | self.control]) * count
 
     def stop(self, at_ns: int) -> None:

@@ -34,7 +34,7 @@ class Client:
         self.since_s = time.monotonic()
 
     def serve(self) -> bool:
-        """Answer what has arrived; False when that was all. OSError or ProtocolError when it went wrong."""
+        """Answer the requests that have arrived; return False at their end. Raises OSError or ProtocolError."""
         data = self.connection.recv(CHUNK)
         for answer in self.conversation.feed(data):
             self.connection.sendall(answer)

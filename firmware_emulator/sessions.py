@@ -127,7 +127,7 @@ class Room:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Self:
-        """ValueError for what isn't known."""
+        """The room of a table; ValueError for an unknown key."""
         vibrations = [of_table(Vibration, entry) for entry in table.get("vibrations", ())]
         return cls(**{**table, "vibrations": tuple(vibrations)})
 

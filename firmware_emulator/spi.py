@@ -118,5 +118,5 @@ class Port:
         self._understood = understood
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes while the chip is selected; as many that came back."""
+        """Send bytes while the chip is selected; return as many received bytes."""
         return self._select.exchange(sent, self._clock_hz, self._understood)

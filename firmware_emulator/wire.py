@@ -154,7 +154,7 @@ class Wire:
         return bytes([reduce(and_, column) for column in zip(*answers, strict=True)])
 
     def stop(self) -> None:
-        """STOP: every device that was addressed hears it, a multiplexer among them switches. Nothing on a free bus."""
+        """STOP: every addressed device receives it, and a multiplexer among them switches. No effect on a free bus."""
         if not self._open:
             return
         self._open = False

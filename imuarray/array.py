@@ -109,7 +109,7 @@ class SensorConfig(BaseModel):
             known = CHIPS.get(self.chip)
             if known is not None and known.quantity not in _TRIADS:
                 raise ValueError(
-                    f"chip {self.chip!r}: of what the kernel serves only triads are read: {_choice(_TRIADS)}"
+                    f"chip {self.chip!r}: the kernel's drivers are read for triads only: {_choice(_TRIADS)}"
                 )
             if (known.quantity if known is not None else self.quantity) is None:
                 raise ValueError(f"quantity is missing: allowed are {_choice(_TRIADS)}")
@@ -201,7 +201,9 @@ class SensorConfig(BaseModel):
         spec = None if self.on_iio else CHIPS.get(self.chip)
         if spec is None or spec.external_clock is None:
             chips = ", ".join(name for name, other in CHIPS.items() if other.external_clock is not None)
-            raise ValueError(f"external_clock_hz: the {self.chip} has no clock input that is used; allowed for {chips}")
+            raise ValueError(
+                f"external_clock_hz: the {self.chip} has no clock input that is supported; allowed for {chips}"
+            )
         lowest, highest = spec.external_clock.allowed_hz
         if not lowest <= self.external_clock_hz <= highest:
             raise ValueError(

@@ -57,7 +57,7 @@ def write_text(path: str | PathLike[str], text: str, *, force: bool = False) -> 
 
 
 def save_figure(path: str | PathLike[str], figure: Figure, **options: Any) -> None:
-    """Write a figure, in the format of the name's suffix, over one that is there; OutputError."""
+    """Write a figure in the format of the suffix, replacing an existing file; OutputError."""
     with whole_file(path, force=True) as draft:
         draw_figure(draft, figure, format=Path(path).suffix.removeprefix("."), **options)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 
 class CallablePackage(ModuleType):
-    """A package `imuarray.NAME` whose call is that of `imuarray.analysis.NAME`, which is loaded by the first one."""
+    """A package `imuarray.NAME` that can be called like `imuarray.analysis.NAME`, which the first call imports."""
 
     _functions: Collection[str] = ()
 

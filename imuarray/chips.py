@@ -100,7 +100,7 @@ class ChipSpec:
     high_resolution: HighResolution | None = None
     """None: its queue has no packets of more bits."""
     external_clock: ExternalClock | None = None
-    """None: it has no clock input that is used."""
+    """None: it has no clock input that is supported."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -518,7 +518,7 @@ def kernel_chip(quantity: Quantity) -> ChipSpec:
 
 
 def die_of(chip: str) -> str:
-    """The name of the die of which `chip` is a half; `chip` itself where it is a whole one."""
+    """The name of the die of which `chip` is a half; `chip` itself if it is a whole die."""
     return next((die for die, halves in HALVES.items() if chip in halves), chip)
 
 

@@ -103,7 +103,7 @@ class DiskFullError(LogError):
 
 
 class LogWarning(UserWarning):
-    """A log was opened that is not whole: rows are lost, or texts are not as they were written; says which."""
+    """A log was opened that is incomplete: rows are lost, or texts have changed. The message says which."""
 
 
 class SourceError(ImuArrayError):
@@ -126,7 +126,7 @@ class OutputExistsError(ImuArrayError):
     """An output that exists already; nothing is overwritten unless `--force` says so."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        super().__init__(f"{path}: exists already; choose another name or say --force")
+        super().__init__(f"{path}: exists already; choose another name or use --force")
 
 
 class OutputError(ImuArrayError):

@@ -60,7 +60,7 @@ def time_series_figure(
 
 
 def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Reals, Reals]:
-    """The curve (n,), or of a longer one than `most` rows the least and the greatest value of each stretch."""
+    """The curve (n,); of more than `most` rows, the smallest and the largest value of each stretch."""
     width = -(-2 * len(values) // most)
     if width <= 2:
         return time_s, values

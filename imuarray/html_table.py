@@ -19,5 +19,5 @@ def html_table(sentence: str, heading: Sequence[str], rows: Iterable[Sequence[ob
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number as a person reads it; an en dash for None and for what is not a number."""
+    """Format a number for reading; an en dash for None and NaN."""
     return "–" if value is None or value != value else f"{value:.{digits}g}"

@@ -21,7 +21,7 @@ def percent(share: float, decimals: int = 0) -> str:
 
 
 def printable(text: str) -> str:
-    """`text` with what would steer a terminal spelled out: control characters, marks that turn the direction."""
+    """`text` with characters that control a terminal escaped: control characters and direction marks."""
     if text.isprintable():
         return text
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)

@@ -16,7 +16,7 @@ def configs() -> Path:
 
 
 def find_config(name: Path) -> Path:
-    """`name` itself if it is a file, else the configuration of that name which comes with the package
+    """`name` itself if it is a file, otherwise the configuration with this name that comes with the package
     ("martin2013").
     """
     return _find(name, configs(), "array", "[array]")

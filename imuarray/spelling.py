@@ -38,7 +38,7 @@ def guess_file(path: str | PathLike[str]) -> str:
 
 
 def closest(word: str, allowed: Iterable[str], *, cutoff: float = 0.6) -> str:
-    """Return the allowed name most like `word`, or "" where none has a similarity (0 to 1, `difflib`) of `cutoff`."""
+    """Return the allowed name most similar to `word`; "" if no similarity (0 to 1, `difflib`) reaches `cutoff`."""
     from difflib import get_close_matches
 
     names = {name.casefold(): name for name in allowed}

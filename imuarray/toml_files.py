@@ -124,9 +124,9 @@ _FIRST_WORD = re.compile(r"\w+")
 
 
 def parse_toml(text: str, model: type[File], where: str) -> File:
-    """TOML text as a `model`; ConfigError, one line, names the line of everything that is wrong with it (`refusal`).
+    """Parse TOML text into a `model`; ConfigError (one line) with the line number of every mistake (`refusal`).
 
-    Numbers without end and tables nested without end are refused like everything else.
+    Numbers that are too long and tables that are nested too deep are refused in the same way.
     """
     try:
         table = tomllib.loads(text)

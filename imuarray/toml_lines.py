@@ -14,7 +14,7 @@ Place = tuple[int | str, ...]
 def key_lines(text: str) -> dict[Place, int]:
     """Return the line, counted from 1, of every key, table and array entry of a valid TOML text.
 
-    A text that is nested without end has no lines at all.
+    The result is empty for a text that is nested too deep.
 
     >>> key_lines('[[sensor]]\\nname = "A"\\nrange = [1,\\n2]')[("sensor", 0, "range", 1)]
     4

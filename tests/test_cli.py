@@ -215,7 +215,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: the folder none does not exist"),
     ((*GOOD_LOG, "-o", "r.h5", "--transcript", "none/t.jsonl"), "none/t.jsonl"),
     ((*GOOD_LOG, "-o", "r.h5", "--transcript", "one.toml"), "one.toml: exists already"),
-    ((*GOOD_LOG, "-o", "one.toml"), "one.toml: exists already; choose another name or say --force"),
+    ((*GOOD_LOG, "-o", "one.toml"), "one.toml: exists already; choose another name or use --force"),
     ((*GOOD_LOG, "-o", "folder"), "folder: is a folder"),
     (("detect", "none.toml"), "none.toml: No such file"),
     (("detect", "one.toml", "--bus", "usb:"), "bus 'usb:': allowed are"),
@@ -224,7 +224,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "folder"), "folder: is a folder"),
     (("info", "one.toml"), "one.toml: is not an HDF5 file"),
     (("info", "x.csv"), "format 'imuarray-log'; imuarray import makes a log of a .csv"),
-    (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but no log"),
+    (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but not a log"),
     (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),
     (("fuse", "x.csv", "--calibration", "foreign.h5", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
     (("log", "foreign.h5", "--bus", "emulated:", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
@@ -429,7 +429,7 @@ def test_a_log_in_parts(run: Run, here: Path) -> None:
     assert code == 0
     assert json.loads(out)["logs"] == ["n_001.h5", "n_002.h5", "n_003.h5"]
     code, _, err = run(*arguments, "--rotate", "1s")
-    assert (code, err) == (2, ["imuarray: n_001.h5: exists already; choose another name or say --force"])
+    assert (code, err) == (2, ["imuarray: n_001.h5: exists already; choose another name or use --force"])
     code, _, err = run(*arguments, "--rotate", "1 week")
     assert code == 2
     assert "write 30s, 10min, 1h or 1d" in err[-1]

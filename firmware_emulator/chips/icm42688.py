@@ -103,8 +103,8 @@ class Icm42688(SixAxis):
 
     @property
     def _speed(self) -> float:
-        """By how much faster than nominal it samples and counts: its oscillator, or the clock at pin 9, where both
-        registers say so (TDK-24, TDK-25). 0: that clock is not connected.
+        """Ratio of the actual to the nominal rate of sampling and counting: that of the oscillator, or of the clock at
+        pin 9 if both registers select it (TDK-24, TDK-25). 0: that clock is not connected.
         """
         pin = facts.PIN_9.of(self.banks[1][facts.INTF_CONFIG5.address])
         if pin == CLOCK_INPUT and facts.RTC_MODE.of(self.page[facts.INTF_CONFIG1.address]):

@@ -95,7 +95,7 @@ def _device(bus: OpenBus, sensor: SensorConfig) -> IioDevice:
     """The device of the kernel that serves a sensor; BusUrlError for a bus that has none."""
     if not isinstance(bus, IioBus):
         raise BusUrlError(
-            f"{sensor.name}: {sensor.bus} is served by the kernel, which --bus iio: reads, without --transcript"
+            f"{sensor.name}: {sensor.bus} is served by the kernel, which --bus iio: reads; it cannot write a transcript"
         )
     return bus.iio_device(str(sensor.bus).removeprefix(IIO))
 

@@ -128,7 +128,7 @@ class StreamHealth:
             self.ill[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
-        """Return how many of the waiting rows can be written; as suspect if nobody could vouch for them in `HELD_S`."""
+        """Return how many of the waiting rows can be written: as suspect if nothing verified them within `HELD_S`."""
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer

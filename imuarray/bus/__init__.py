@@ -52,7 +52,7 @@ def _spi(rest: str, array: ArrayConfig) -> OpenBus:
     from imuarray.bus.linux import SpiBus
 
     if rest:
-        raise BusUrlError(f'bus \'spi:{rest}\': say "spi:" alone, and bus = "/dev/spidevN.M" of each sensor')
+        raise BusUrlError(f'bus \'spi:{rest}\': use "spi:" alone, and give each sensor bus = "/dev/spidevN.M"')
     return SpiBus()
 
 

@@ -303,7 +303,7 @@ class IioBus:
 
     def __init__(self, root: Path = Path("/"), *, clock: Clock | None = None) -> None:
         if not (root / "sys").is_dir():
-            raise BusUrlError(f"iio:{root}: no folder sys in it; say iio: alone for this machine's own")
+            raise BusUrlError(f"iio:{root}: it contains no folder sys; use iio: alone for the devices of this machine")
         self.clock: Clock = MonotonicClock() if clock is None else clock
         self._root = root
         self._devices: dict[str, IioDevice] = {}

@@ -253,7 +253,7 @@ def open_serial(rest: str) -> SerialBus:
     try:
         return SerialBus(UsualPort(path, baud), patience_s=PATIENCE_S)
     except LinkError as error:
-        raise BusUrlError(f"serial:{path}: {error.strerror}; its firmware must speak the serial link") from error
+        raise BusUrlError(f"serial:{path}: {error.strerror}; its firmware must implement the serial link") from error
     except (OSError, ValueError) as error:
         number = getattr(error, "errno", None)
         if number in (errno.EAGAIN, errno.EBUSY):

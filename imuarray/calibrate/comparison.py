@@ -136,7 +136,7 @@ def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibr
             if None not in (mine, its) and mine != its:
                 raise CalibrationError(
                     f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors"
-                    " with one name"
+                    " with the same name"
                 )
 
 

@@ -119,7 +119,7 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     if len(order) > 1 and promised[order[0]] < 2 * promised[order[1]]:
         either = " or ".join(f"phase {name!r}" for name in sorted(names))
         raise CalibrationError(
-            f"{poses[0].where(readings.sensors[0])}: {either} is {words}: moved or disturbed; read these faces again"
+            f"{poses[0].where(readings.sensors[0])}: {either} is {words}: moved or disturbed; record these faces again"
         )
     return used[int(order[0])], words
 

@@ -294,7 +294,7 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
     if (older.quantity, older.unit) != (newer.quantity, newer.unit):
         raise CalibrationError(
             f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two sensors"
-            " with one name"
+            " with the same name"
         )
     if None not in (older.range, newer.range) and older.range != newer.range:
         raise CalibrationError(

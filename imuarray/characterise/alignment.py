@@ -133,7 +133,7 @@ def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:
 
 
 def _motion_from_ns(gyroscope: SensorLog) -> int | None:
-    """Where the `WINDOW_S` with the most motion begin: by the squares of the rates' changes, second by second."""
+    """Return the beginning of the `WINDOW_S` with the most motion, by the squared changes of the rates."""
     start_ns = int(gyroscope.time[0])
     seconds = int((int(gyroscope.time[-1]) - start_ns) * 1e-9) + 1
     squares = np.zeros(seconds)

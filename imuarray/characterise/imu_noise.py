@@ -284,7 +284,7 @@ def _yaml_key(key: str, value: float | None, bound: float | None, unit: str) -> 
     if value is not None:
         return f"{key}: {_yaml_number(value)}  # {unit}"
     if bound is not None:
-        return f"# {key}: none was seen, at most {bound:.6g} {unit}; enter your own figure, or record for longer"
+        return f"# {key}: not significant, at most {bound:.6g} {unit}; enter your own figure, or record for longer"
     return f"# {key}: no such sensor was measured"
 
 
@@ -308,7 +308,7 @@ def _xml_comments(imu: ImuNoise) -> Iterator[str]:
 def _xml_missing(tag: str, bound: float | None, factor: float, unit: str) -> str:
     if bound is None:
         return f"<!-- {tag}: no such sensor was measured -->"
-    return f"<!-- {tag}: none was seen, at most {bound * factor:.6g} {unit} -->"
+    return f"<!-- {tag}: not significant, at most {bound * factor:.6g} {unit} -->"
 
 
 def _lines(lines: Iterable[str]) -> str:

@@ -77,7 +77,7 @@ def _run(options: ImportOptions) -> None:
 
     if options.guess:
         if options.map_path is not None or options.format_name is not None or options.up is not None or options.as_json:
-            raise click.UsageError("--guess proposes a map; it goes with a recording and -o MAP.toml alone")
+            raise click.UsageError("--guess proposes a map; the only other arguments are a recording and -o MAP.toml")
         _guess(options.source, options.output, options.force)
         return
     if options.output is None:
@@ -86,7 +86,7 @@ def _run(options: ImportOptions) -> None:
     if ours is None and (options.map_path is None) == (options.format_name is None):
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
-        raise click.UsageError("--up goes with --map")
+        raise click.UsageError("--up requires --map")
     refuse_existing(options.output, options.force)
     size = options.source.stat().st_size if options.source.is_file() else 0
     with progress(size, str(options.source)) as done:

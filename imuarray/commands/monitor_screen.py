@@ -30,7 +30,7 @@ class Screen:
         return shutil.get_terminal_size().columns - 1 if self.is_terminal else 80
 
     def show(self, lines: Sequence[str]) -> None:
-        """Print on a terminal over the previous output, as much as there is room for."""
+        """Print over the previous output of a terminal, as many lines as fit."""
         if not self.is_terminal:
             click.echo("\n".join(lines))
             return

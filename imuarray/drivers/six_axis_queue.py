@@ -43,7 +43,7 @@ MOST_ROWS = 4096
 class QueueReader:
     """One half's share of the queue of its die.
 
-    `drained` and `overrun` tell of what `take` gave last: times, and whether samples are missing before it.
+    `drained` and `overrun` describe the last result of `take`: its times, and whether samples are missing before it.
     """
 
     def __init__(self, queue: DieQueue) -> None:

@@ -100,7 +100,7 @@ def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Cont
     if request.units not in (None, *UNITS):
         raise ExportError(f"units {request.units!r}: allowed are {', '.join(UNITS)}")
     if request.units == "counts" and request.calibration is not None:
-        raise ExportError("raw counts need no calibration; leave it out, or say units si or sensor")
+        raise ExportError("raw counts need no calibration; leave it out, or choose the units si or sensor")
     if request.source.is_file() and is_fused(request.source):
         with fused_content(request) as content:
             yield content

@@ -69,13 +69,15 @@ def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], d
     try:
         return imus_of(result), {sensor["name"]: int(sensor["rows"]) for sensor in result["sensors"]}
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
+        raise ExportError(f"{request.source}: not a result of `imuarray characterise`") from None
 
 
 def _stored(request: ExportRequest) -> Mapping[str, Any]:
     """Return what `characterise` wrote of the requested sensors."""
     if request.calibration is not None:
-        raise ExportError(f"{request.source}: was made with its calibration; give `characterise` another")
+        raise ExportError(
+            f"{request.source}: was made with its own calibration; give --calibration to `characterise` instead"
+        )
     try:
         if request.source.stat().st_size > _LARGEST:
             raise ValueError("too long")
@@ -84,7 +86,7 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
     except OSError as error:
         raise ExportError(f"{request.source}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise ExportError(f"{request.source}: no result of `imuarray characterise`") from None
+        raise ExportError(f"{request.source}: not a result of `imuarray characterise`") from None
     if unknown := sorted(set(request.sensors) - set(names)):
         raise ExportError(
             f"{request.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"

@@ -24,7 +24,9 @@ class Setting:
     def __or__(self, other: Setting) -> Setting:
         """Both settings at once; ValueError when they belong to two registers or claim the same bit."""
         if other.register != self.register:
-            raise ValueError(f"settings of registers {self.register.address:#04x} and {other.register.address:#04x}")
+            raise ValueError(
+                f"settings of two registers, {self.register.address:#04x} and {other.register.address:#04x}"
+            )
         if other.mask & self.mask:
             raise ValueError(f"register {self.register.address:#04x}: bits {other.mask & self.mask:#04x} set twice")
         return Setting(self.register, self.mask | other.mask, self.value | other.value)

@@ -203,7 +203,7 @@ class _Array(Generic[_Sensor]):
         names = [sensor.name for sensor in self.inertial]
         if calibration.sensors and not any(name in calibration.sensors for name in names):
             raise FusionError(
-                f"the calibration contains {', '.join(calibration.sensors)}, and none of those to be fused:"
+                f"the calibration contains {', '.join(calibration.sensors)}, but none of the sensors to be fused:"
                 f" {', '.join(names)}"
             )
         self.is_optimal = technique == OPTIMAL

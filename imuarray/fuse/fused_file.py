@@ -124,7 +124,7 @@ def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], d
             version = file.attrs.get("format_version")
             group = file.get("fused")
             if said.get("format") != FORMAT or not isinstance(group, h5py.Group) or "time" not in group:
-                raise LogError(f"{path}: no fused result")
+                raise LogError(f"{path}: not a fused result")
             if version != FORMAT_VERSION:
                 raise LogError(f"{path}: format_version is {version!s:.20}; this software reads {FORMAT_VERSION}")
             columns = _checked(group, str(path))
@@ -155,7 +155,7 @@ def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
         column = group[name]
         place = f"{where}: fused/{name}"
         if not isinstance(column, h5py.Dataset) or column.dtype.kind != kind:
-            raise LogError(f"{place}: no column of numbers of type {_KINDS[kind]}")
+            raise LogError(f"{place}: not a column of numbers of type {_KINDS[kind]}")
         shape = column.shape or ()
         tail = (shape[1:] if width < 0 else (width,)) if width else ()
         if len(shape) != (2 if width else 1) or shape[1:] != tail or max(tail, default=0) > MOST_SENSORS:

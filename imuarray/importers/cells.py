@@ -215,10 +215,10 @@ class Table:
         if len(self.header) == 1:
             mark = next((mark for mark in ("\t", ";", "|", ",", " ") if mark in self.header[0].strip()), None)
             if mark is not None and column in self.header[0].split(mark):
-                return f"; if the delimiter is {mark!r}, the map says so in [file]"
+                return f"; if the delimiter is {mark!r}, set it in [file] of the map"
         for row in islice(iter(self._row, []), _HEADER_WITHIN):
             if column in map(str.strip, row):
-                return f"; line {self.line} has it: of lines above a header the map says skip_rows = {self.line - 1}"
+                return f"; line {self.line} has it: for lines above a header, set skip_rows = {self.line - 1}"
         return ""
 
     def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[Block]:
@@ -329,7 +329,7 @@ def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
     if codes.sensitivity is None and (whole != values).any():
         row = int(np.argmax(whole != values))
-        hint = "if the column is in a unit, the map says values = 'physical'"
+        hint = "if the column has a unit, set values = 'physical' in the map"
         raise column.refuse(row, f"{column.text(row)} is not a whole number of counts; {hint}")
     if codes.bits is not None:
         span = 1 << codes.bits
@@ -351,7 +351,7 @@ def _hint(codes: Codes) -> str:
     """Return a likely reason for a count that is too large."""
     if codes.sensitivity is not None:
         return "; are unit and sensitivity those of the column?"
-    return "" if codes.offset or codes.bits else "; of unsigned codes the map says their offset, or how many bits"
+    return "" if codes.offset or codes.bits else "; for unsigned codes, set offset or bits in the map"
 
 
 class Clock:
@@ -395,7 +395,7 @@ class Clock:
         if (times <= before).any():
             row = int(np.argmax(times <= before))
             same = times[row] == before[row]
-            hint = "; of a coarse clock the map says ties = true" if same else self._later_hint()
+            hint = "; for a coarse clock, set ties = true in the map" if same else self._later_hint()
             earlier = f", {column.text(row - 1)}" if row else ""
             raise column.refuse(
                 row, f"{column.text(row)} is not later than the row before{earlier}; allowed are increasing times{hint}"
@@ -413,7 +413,7 @@ class Clock:
         if self._span_ns:
             return ""
         return (
-            "; for a counter that restarts, the map says wraps_at; for rows out of order, sort = true; import several"
+            "; for a counter that restarts, set wraps_at in the map; for rows out of order, sort = true; import several"
             " recordings one by one, and so the parts before and after a clock was set"
         )
 
@@ -469,9 +469,9 @@ class Clock:
         except InvalidOperation:
             hint = _number_hint(column, row)
             if _DATE.match(text):
-                hint = "; for dates, the map says unit = 'iso8601'"
+                hint = "; for dates, set unit = 'iso8601'"
             elif _OTHER_DATE.search(text):
-                hint = "; for dates, the map says their format, such as unit = '%d.%m.%Y %H:%M:%S.%f'"
+                hint = "; for dates, give their format in the map, such as unit = '%d.%m.%Y %H:%M:%S.%f'"
             raise column.refuse(row, f"{column.text(row)!r} is not a number" + hint) from None
         if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
             raise column.refuse(row, f"{column.text(row)} is not a time; allowed are {self._allowed}")
@@ -508,7 +508,7 @@ def _formatted_ns(column: Column, row: int, text: str, layout: str) -> int:
         moment = datetime.strptime(text, layout)
     except ValueError:
         raise column.refuse(
-            row, f"{column.text(row)!r} is not a date and time of the format that the map says"
+            row, f"{column.text(row)!r} is not a date and time in the format that the map states"
         ) from None
     moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
     if has_no_day(layout):
@@ -548,9 +548,9 @@ def _number_hint(column: Column, row: int) -> str:
     """Return a likely reason for a cell that is not a number."""
     text = "" if column.values is not None else column.texts[row].strip()
     if text.count(",") == 1 and _is_number(text.replace(",", ".")):
-        return "; of decimal commas the map says decimal = ','"
+        return "; for decimal commas, set decimal = ',' in the map"
     if column.lines[row] == 1 and text[:1].isalpha() and text.lower() not in ("nan", "inf"):
-        return "; for a header, the map names the columns, or says skip_rows = 1"
+        return "; for a header, name the columns in the map, or set skip_rows = 1"
     if text[:1].isalpha():
         return "; if another table begins there, give each table a file of its own, and import their folder"
     return ""

@@ -394,8 +394,8 @@ def _with_quantity(
     if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
         listed = ", ".join(map(first_name, computed))
         proposal.doubts.append(
-            f"left out, by their names software computed them (acceleration without gravity, or gravity): {listed}, and"
-            " the next two of each"
+            "left out: computed by software, according to their names (acceleration without gravity, or gravity):"
+            f" {listed}, and the two columns after each of them"
         )
         triads = [triad for triad in triads if triad not in computed]
     known = [triad for triad in triads if triad[0]]
@@ -403,7 +403,9 @@ def _with_quantity(
         return [("specific_force", indices) for _, indices in triads]
     others = [first_name(triad) for triad in triads if not triad[0]]
     if others:
-        proposal.doubts.append(f"left out, their names say no quantity: {', '.join(others)}, and the next two of each")
+        proposal.doubts.append(
+            f"left out: their names state no quantity: {', '.join(others)}, and the two columns after each of them"
+        )
     return known
 
 

@@ -79,7 +79,7 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
             raise ValueError("tables and sensors have different names")
         for header, about in zip(preamble.sensors, sensors, strict=True):
             if not np.allclose(np.array(about["orientation"], float), orientation_of(header.axes), atol=1e-9):
-                raise ValueError(f"sensor {header.name}: its orientation is finer than axes can say")
+                raise ValueError(f"sensor {header.name}: its orientation is not a multiple of quarter turns")
     except LogError as error:
         raise SourceError(f"{where}: {error}") from None
     except _NOT_READABLE as error:

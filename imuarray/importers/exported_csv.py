@@ -84,7 +84,7 @@ def _commented_header(file: BinaryIO, path: Path) -> dict[str, Any]:
     """Return the JSON of the second line and leave the file at the third; SourceError."""
     first, second = file.readline(1 << 12), file.readline(MAX_HEADER_BYTES + 1)
     if not first.startswith(CSV_MAGIC.encode()) or not first.endswith(b"\n") or not second.startswith(b"# {"):
-        raise SourceError(f"{path}: not begun as `imuarray export` begins a file: two lines of comment")
+        raise SourceError(f"{path}: does not begin with the two comment lines that `imuarray export` writes")
     if len(second) > MAX_HEADER_BYTES:
         raise SourceError(f"{path}: a header of more than {MAX_HEADER_BYTES} bytes")
     return parse_header(second[2:], str(path))
@@ -100,7 +100,7 @@ def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
     except (csv.Error, ValueError) as error:
         raise SourceError(f"{path}: {error}") from None
     if not rows or tuple(rows[0]) != tuple(names) or any(len(row) != len(names) for row in rows):
-        raise SourceError(f"{path}: its rows are not {', '.join(names)}")
+        raise SourceError(f"{path}: its columns differ from {', '.join(names)}")
     return rows[1:]
 
 

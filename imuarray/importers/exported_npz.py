@@ -79,7 +79,7 @@ class _Arrays:
         """Raise SourceError for a compression that numpy does not use, or for an impossible size."""
         place = f"{self._where}: {printable(member.filename)[:80]}"
         if member.flag_bits & _ENCRYPTED or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise SourceError(f"{place}: encrypted, or packed in a way that numpy does not")
+            raise SourceError(f"{place}: encrypted, or compressed by a method that NumPy does not use")
         if member.compress_size > self._size or member.file_size > member.compress_size * MOST_DEFLATED + _OVERHEAD:
             raise SourceError(f"{place}: declares {member.file_size} bytes, more than {member.compress_size} can hold")
 
@@ -110,7 +110,7 @@ class _Arrays:
                 raise ValueError(f"npy format {version}")
             shape, fortran, dtype = npy.read_array_header_1_0(file)
             if fortran or dtype.hasobject:
-                raise ValueError("columns first, or objects")
+                raise ValueError("column-major order or objects; row-major numbers are required")
         except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
             raise SourceError(f"{self._where}: array {printable(name)[:80]}: {printable(str(error))[:100]}") from None
         return dtype, shape
@@ -152,7 +152,9 @@ class _Arrays:
             )
         bytes_declared = kind.itemsize * math.prod(shape)
         if shape[0] < 0 or file.tell() + bytes_declared != info.file_size:
-            raise SourceError(f"{self._where}: {printable(info.filename)}: declares {shape}, which its bytes are not")
+            raise SourceError(
+                f"{self._where}: {printable(info.filename)}: declares the shape {shape}, which differs from its size"
+            )
         return int(shape[0])
 
     def _read(self, file: IO[bytes], kind: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:

@@ -93,7 +93,7 @@ def _texts(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
 
     file = _open(path)
     if tuple(file.schema_arrow.names) != names or file.metadata.num_rows > _MOST_NOTES:
-        raise SourceError(f"{path}: its rows are not {', '.join(names)}")
+        raise SourceError(f"{path}: its columns differ from {', '.join(names)}")
     try:
         columns = file.read().to_pydict()
     except (pyarrow.ArrowException, OSError, ValueError) as error:

@@ -244,8 +244,8 @@ def _add_kind(proposal: Proposal, kind: str, partial: Proposal) -> None:
         if kind:
             item.insert(2, f"kind = {quoted(kind)}")
         if any(item[1] == other[1] for other in proposal.items):
-            alike = sum(other[1].rstrip('"0123456789') == item[1][:-1] for other in proposal.items)
-            item[1] = item[1][:-1] + f'{alike + 1}"'
+            earlier = sum(other[1].rstrip('"0123456789') == item[1][:-1] for other in proposal.items)
+            item[1] = item[1][:-1] + f'{earlier + 1}"'
     proposal.time = proposal.time or partial.time
     proposal.items += partial.items
     proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
@@ -301,7 +301,7 @@ def _propose_folder(folder: Path) -> Proposal:
             continue
         proposal = proposal or Proposal(layout)
         if layout.lines() != proposal.layout.lines():
-            doubts.append(f"left out: {path.name} is not split into cells as the other files are")
+            doubts.append(f"left out: {path.name} has another layout than the other files")
             continue
         if proposal.time and partial.time[0] != proposal.time[0] and partial.time[0].startswith("column"):
             for item in partial.items:
@@ -363,7 +363,7 @@ def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Se
                 lines[place] = re.sub(r'"([^"]*)"', lambda name: str(names.index(name[1]) + 1), line)
     if (instance := instance_column(names, cells)) is not None:
         proposal.doubts.append(
-            f"rows {kind} are of several sensors, which column {names[instance]} numbers: keep those of one in a file"
+            f"rows {kind} come from several sensors, numbered by column {names[instance]}: give each a file of its own"
         )
     if not proposal.items:
         proposal.time = partial.time

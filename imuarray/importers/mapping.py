@@ -123,7 +123,7 @@ class FileTable(BaseModel):
     @model_validator(mode="after")
     def _tells_cells_apart(self) -> Self:
         if self.decimal == self.delimiter:
-            raise ValueError("decimal and delimiter are both ','; a table of decimal commas has another delimiter")
+            raise ValueError("decimal and delimiter are both ','; a table with decimal commas needs another delimiter")
         return self
 
 
@@ -152,15 +152,17 @@ class TimeTable(BaseModel):
         if (self.column is None) == (self.rate_hz is None):
             raise ValueError("needs either column and unit, or rate_hz")
         if (self.column is None) != (self.unit is None):
-            raise ValueError(f"unit goes with column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
+            raise ValueError(f"unit requires column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
         if self.column is None and (self.wraps_at is not None or self.ties or self.sort or self.stamps == "arrival"):
-            raise ValueError("wraps_at, ties, sort and stamps go with column")
+            raise ValueError("wraps_at, ties, sort and stamps require column")
         if self.sort and (
             self.wraps_at is not None or (is_date_format(self.unit or "") and has_no_day(self.unit or ""))
         ):
-            raise ValueError("sort does not go with times that restart (wraps_at, or a time of day without a date)")
+            raise ValueError(
+                "sort can't be combined with times that restart (wraps_at, or a time of day without a date)"
+            )
         if self.is_date and (self.wraps_at is not None or self.ticks != 1):
-            raise ValueError(f"ticks and wraps_at go with a column of numbers, not of dates ({self.unit})")
+            raise ValueError(f"ticks and wraps_at require a column of numbers, not of dates ({self.unit})")
         return self
 
     @property
@@ -184,7 +186,7 @@ class ThermometerTable(BaseModel):
         if self.lsb_per_degc == 0:
             raise ValueError("lsb_per_degc 0: a thermometer's counts change with the temperature")
         if self.unit == "counts" and (self.zero_degc is None or self.lsb_per_degc is None):
-            raise ValueError("counts need zero_degc and lsb_per_degc; or unit says that they are degC or K")
+            raise ValueError("counts need zero_degc and lsb_per_degc; or, for values in degC or K, give unit")
         return self
 
     @property
@@ -258,18 +260,18 @@ class SensorTable(LogColumn):
     def _possible(self) -> Self:
         _check_unit(self.unit, self.quantity)
         if len(set(self.columns)) < 3:
-            raise ValueError(f"columns {self.columns}: each column comes once")
+            raise ValueError(f"columns {self.columns}: each column may appear only once")
         if self.thermometer is not None and self.temperature_column is None:
-            raise ValueError("thermometer goes with temperature_column, of which it says what the counts mean")
+            raise ValueError("thermometer requires temperature_column: it states what the counts of that column mean")
         if self.sensitivity is not None and self.scale is not None:
-            raise ValueError("sensitivity and scale say the same: counts per unit, and units per count; leave one out")
+            raise ValueError("sensitivity (counts per unit) and scale (units per count) are redundant; leave one out")
         if not self.is_physical:
             if self.range is None:
                 raise ValueError("range: is missing")
             if self.counts_per_unit is None:
                 raise ValueError("sensitivity: is missing, or scale; columns of counts need it")
         elif self.offset or self.bits:
-            raise ValueError("offset and bits are of counts; these columns are in a unit")
+            raise ValueError("offset and bits apply to counts, but these columns have a unit")
         orientation_of(self.axes)
         return self
 
@@ -387,7 +389,7 @@ class TableMap(BaseModel):
     def _whole(self) -> Self:
         if self.file.format is not None:
             if self.time is not None or self.recorded or self.reference is not None:
-                raise ValueError("file: format knows its time and its sensors: leave them out")
+                raise ValueError("file: the format defines time and sensors: leave them out")
             return self
         if self.time is None:
             raise ValueError("time: is missing")

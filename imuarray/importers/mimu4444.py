@@ -111,7 +111,7 @@ class _Recording:
         self.rows = self.lost = 0
         self.number = self.ticks = self.elapsed = 0
         self.happened: Counter[str] = Counter()
-        note = f"from {Path(source).name}, MIMU4444; it holds no wall time: the epoch stands for its first packet"
+        note = f"from {Path(source).name}, MIMU4444; without wall-clock time: the epoch is that of its first packet"
         log.event(Event(0, "", "imported", note))
 
     def add(self, piece: Piece) -> None:

@@ -69,7 +69,7 @@ def import_table(
     if up:
         if table_map.phase:
             raise ConfigError(
-                f"{map_path}: names phases, so that one that lasts all the time, {up} up, can't be said too"
+                f"{map_path}: names phases, so --up {up}, a phase of the whole recording, can't be given as well"
             )
         face_name(up)
     rows = open_rows(source, output, table_map, progress)

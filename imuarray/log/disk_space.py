@@ -155,7 +155,7 @@ class Reserve:
             os.close(fd)
 
     def release(self) -> None:
-        """Release its space."""
+        """Free the reserved space."""
         self.path.unlink(missing_ok=True)
 
 

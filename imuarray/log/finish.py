@@ -60,7 +60,7 @@ def recover(
             if changed:
                 if not log.has_journal and not force:
                     raise LogError(
-                        f"{path}: {losses[0]}; copy {path.name} and {journal_of(path).name} together, or say --force"
+                        f"{path}: {losses[0]}; copy {path.name} and {journal_of(path).name} together, or use --force"
                         " to finish it without them"
                     )
                 _rewrite(log, output or path, progress, (*_losses(log), _trace(log, now or datetime.now(UTC))))

@@ -235,7 +235,7 @@ class JournalReader:
             head, version = _head(known), 1 if start.startswith(MAGIC_1) else 2
             return known, Mark(version * (len(head) + CRC.size), zlib.crc32(head)), version
         if start[: len(MAGIC)] not in (MAGIC, MAGIC_1) or len(start) < len(MAGIC) + CRC.size:
-            raise LogError(f"{self.path}: no journal of a log, or one that was never begun")
+            raise LogError(f"{self.path}: not the journal of a log, or an empty one")
         raise LogError(f"{self.path}: the journal's beginning is damaged")
 
     def records(self, start: Mark | None = None, newest_ns: Mapping[int, int] | None = None) -> Iterator[Record]:

@@ -157,7 +157,7 @@ class Live:
         try:
             is_empty = not os.fstat(self.lock.fd).st_size
             if not is_empty and not force:
-                raise LogError(f"{self.lock.path}: is left over from another log; move it away, or say --force")
+                raise LogError(f"{self.lock.path}: is left over from another log; move it away, or use --force")
             self._begin(preamble, is_empty)
         except BaseException:
             self.lock.close()

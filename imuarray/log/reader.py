@@ -78,7 +78,7 @@ class Log:
         if kind == FUSED:
             raise LogError(f"{self.path}: is a fused result, not a log")
         if kind != FORMAT:
-            raise LogError(f"{self.path}: an HDF5 file, but no log: attribute format is not {FORMAT!r}")
+            raise LogError(f"{self.path}: an HDF5 file, but not a log: attribute format is not {FORMAT!r}")
         version = attributes.get("format_version")
         if str(version) != str(FORMAT_VERSION):
             raise LogError(f"{self.path}: log format {version}; this software reads format {FORMAT_VERSION}")
@@ -157,7 +157,7 @@ class Log:
     def __getitem__(self, name: str) -> SensorLog:
         """One sensor by name; LogError names those that there are."""
         if self._is_damaged(f"/sensors/{name}"):
-            raise LogError(f"{self.path}: sensor {name} is damaged; good are {', '.join(self.sensors)}")
+            raise LogError(f"{self.path}: sensor {name} is damaged; intact are {', '.join(self.sensors)}")
         if name not in self.sensors:
             raise LogError(
                 f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}{guess(name, self.sensors)}"

@@ -21,7 +21,7 @@ _HEIGHT, _RIGHT = 150, 12
 
 
 class Theme(NamedTuple):
-    """Colours of what is around the curves."""
+    """Colours of the figure around the curves."""
 
     text: str
     grid: str

@@ -81,7 +81,9 @@ def _socket(host: str, port: int) -> socket.socket:
         listening = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as error:
         why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
-        raise ImuArrayError(f"{host}:{port}: can't serve there: {why}; choose another --port or --host") from None
+        raise ImuArrayError(
+            f"{host}:{port}: can't serve the page there: {why}; choose another --port or --host"
+        ) from None
     listening.setblocking(False)
     return listening
 

@@ -28,9 +28,9 @@ NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarr
 
 _VERDICTS = MappingProxyType(
     {
-        "no gap": "No gap: the recordings look like what the model makes.",
-        "explained": "Explained: what differs is accounted for by the causes below.",
-        "partly explained": "Partly explained: the causes below account for part of what differs, or none is sure.",
+        "no gap": "No gap: the recordings look like simulations of the model.",
+        "explained": "Explained: the causes below account for the differences.",
+        "partly explained": "Partly explained: the causes below account for some of the differences, or none is sure.",
         "unexplained": "Unexplained: no combination of known effects makes the recordings likely.",
     }
 )
@@ -299,7 +299,7 @@ def _next(diagnosis: Diagnosis) -> Section:
 
 
 def _judged(diagnosis: Diagnosis) -> Section:
-    title, judged = "Candidates that were looked at", diagnosis.judged
+    title, judged = "Candidates that were examined", diagnosis.judged
     if not judged:
         return Section(title, "None: without a gap none are tried.")
     placebos = sum(candidate.effect == "" for candidate in judged)
@@ -317,7 +317,7 @@ def _recorded(diagnosis: Diagnosis) -> Section:
     parts: Parts = [tables.recorded_table(diagnosis)]
     if diagnosis.notes:
         parts.append(tables.notes_table(diagnosis.notes))
-    return Section("Recordings, and how it was done", diagnosis.held_out, [*parts, tables.origin_table(diagnosis)])
+    return Section("Recordings and method", diagnosis.held_out, [*parts, tables.origin_table(diagnosis)])
 
 
 MOST_OVERLAYS = 12

@@ -228,7 +228,7 @@ def origin_table(diagnosis: Diagnosis) -> Table:
         ["replicates", str(diagnosis.replicates)],
         ["software", diagnosis.software],
     ]
-    return Table(["", "value"], rows, "With the same recordings these give the same page.", (1,))
+    return Table(["", "value"], rows, "With the same recordings, these reproduce this page.", (1,))
 
 
 def notes_table(notes: Sequence[str]) -> Table:

@@ -153,7 +153,7 @@ def reliability_figure(bins: Sequence[Bin]) -> Figure:
 
 
 def closure_figure(closures: Sequence[Closure]) -> Figure:
-    """The share of the gap said to be closed against the oracle's, and the band that is near enough."""
+    """The share of the gap that the diagnosis claims to close against the oracle's, and the tolerance band."""
     figure, panel = sheet(NARROW, 4.4)
     ends = np.array([_LEAST_CLOSED, 1.0])
     panel.fill_between(ends, ends - WITHIN, ends + WITHIN, color=_BAND, label=f"within {WITHIN}")
@@ -164,7 +164,7 @@ def closure_figure(closures: Sequence[Closure]) -> Figure:
         panel.scatter(x, y, s=14, color=colour, marker=marker, linewidth=0.8, alpha=0.7, label=label)
     panel.set(xlim=(_LEAST_CLOSED - 0.03, 1.05), ylim=(_LEAST_CLOSED - 0.03, 1.05), aspect="equal")
     panel.set_xlabel("share closed by the oracle")
-    panel.set_ylabel("share said to be closed")
+    panel.set_ylabel("share closed according to the diagnosis")
     panel.grid(color="0.92", linewidth=0.6)
     legend_above(panel)
     return figure

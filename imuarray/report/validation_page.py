@@ -280,5 +280,5 @@ def _run(figures: Figures, command: str) -> Section:
     rows += [[f"frozen: {key}", plain_text(value)] for key, value in figures.frozen.items()]
     rows += [["cases", str(figures.cases)], ["lost", str(len(figures.lost))]]
     rows += [[f"lost: {name}", str(count)] for name, count in lost_by(figures.lost).items()]
-    caption = "With the same command and software this page comes out the same."
+    caption = "The same command and software reproduce this page."
     return Section("How it was made", frozen_text(figures), [Table(["", "value"], rows, caption, (1,))])

@@ -68,7 +68,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
     by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
     yield f"{counted(figures.cases, 'case')}, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
     judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
-    yield f"Bars are judged on {judged_on} unless a figure says otherwise; intervals hold 95 %."
+    yield f"Figures are compared with the bars on {judged_on} unless a figure says otherwise; intervals hold 95 %."
     yield from figures.notes
 
 

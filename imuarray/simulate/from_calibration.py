@@ -155,9 +155,11 @@ def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
     if not header.sensitivity or (known is not None and header.range not in known.sensitivity):
         raise CalibrationError(f"{where}: no model describes a {header.chip} at {header.range:g} {header.unit}")
     if (unit.quantity, unit.unit) != (header.quantity, header.unit):
-        raise CalibrationError(f"{where}: calibrated as {unit.quantity} in {unit.unit}, is {header.quantity}")
+        raise CalibrationError(f"{where}: calibrated as {unit.quantity} in {unit.unit}, but it is {header.quantity}")
     if unit.range not in (None, header.range):
-        raise CalibrationError(f"{where}: calibrated at a range of {unit.range:g} {unit.unit}, is at {header.range:g}")
+        raise CalibrationError(
+            f"{where}: calibrated at a range of {unit.range:g} {unit.unit}, but it is at {header.range:g}"
+        )
     ratio = unit.scale_lsb_per_unit / header.sensitivity
     if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
         raise CalibrationError(

@@ -113,7 +113,7 @@ def _truth(path: Path) -> dict[str, Any]:
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: no truth of a case: {error}") from None
+        raise ConfigError(f"{path}: not the truth of a case: {error}") from None
     _checked(table, str(path))
     return dict(table)
 

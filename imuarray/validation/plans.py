@@ -280,7 +280,7 @@ def _in_a_world(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
             is_hidden=drawn.is_hidden,
             strata=dict(world.strata),
         )
-    raise ValueError(f"{' and '.join(drawn.names) or drawn.kind}: no world shows it")
+    raise ValueError(f"{' and '.join(drawn.names) or drawn.kind}: it does not show in any world")
 
 
 def _shows(drawn: _DrawnCase, world: World, name: str, chip: str) -> bool:

@@ -142,7 +142,7 @@ def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
     yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, Breakdown(full))
     large = [answer for answer in singles if answer.limits >= LARGE]
     yield rate_row("right cause first, 5x and above", large, Answer.is_first_right, FIRST_LARGE, about, Breakdown(full))
-    about = "as above, or one of those that it is said to be confusable with"
+    about = "as above, or an effect of its stated class of confusable effects"
     yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, Breakdown(full))
 
 

@@ -60,7 +60,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     """Yield the figures of the closed share: against the oracle, for wrong causes, and without a gap."""
     solvable = [answer for answer in answers if _has_oracle(answer)]
     groups = ("kind", "severity", "mechanism")
-    about = f"detected, with an oracle: the share said to be closed is within {WITHIN} of the oracle's"
+    about = f"detected, with an oracle: the share that it claims to close is within {WITHIN} of the oracle's"
     yield rate_row("closure near the oracle's", solvable, is_near, NEAR, about, Breakdown(full, groups))
     about = "as above: the oracle's share lies in the 95 % interval"
     yield rate_row(
@@ -159,7 +159,7 @@ def _without(answers: Sequence[Answer], seed: int) -> Row:
         for answer in answers
         if answer.case.kind == "withheld"
     ]
-    about = "detected, the right cause withheld: the mean share said to be closed, 0 where none is said"
+    about = "detected, the right cause withheld: the mean share that it claims to close, 0 where it claims none"
     return make_row("closure claimed without the right cause", bootstrap(_mean, claims, seed=seed), NO_BAR, about)
 
 

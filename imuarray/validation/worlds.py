@@ -164,7 +164,7 @@ class World:
 
     @property
     def has_common_addresses(self) -> bool:
-        """Whether two inertial sensors of one chip share an address, on different channels of the multiplexer."""
+        """Return whether two inertial sensors of one chip share an address on different channels of the multiplexer."""
         places = [(chip, self.addresses[name]) for name, chip in self.inertial.items()]
         return len(set(places)) < len(places)
 

@@ -92,8 +92,10 @@ def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.Mo
 
 def test_what_the_page_says_is_told(tmp_path: Path) -> None:
     heard: list[str] = []
-    log_page._report_lines(["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve there\n"], heard.append)
-    assert heard == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve there"]
+    log_page._report_lines(
+        ["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve the page there\n"], heard.append
+    )
+    assert heard == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve the page there"]
 
 
 def snapshot(address: str) -> dict[str, Any]:

@@ -312,7 +312,7 @@ def test_a_terminal_where_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> Non
     drain.start()
     try:
         said = refusal(f"serial:{os.ttyname(theirs)}?baud=9600")
-        assert said.endswith("the microcontroller does not answer; its firmware must speak the serial link")
+        assert said.endswith("the microcontroller does not answer; its firmware must implement the serial link")
     finally:
         drain.join()
         os.close(ours)

@@ -297,7 +297,7 @@ def test_what_is_not_there_is_one_line() -> None:
     with pytest.raises(BusUrlError, match=r"No such file.*enable SPI, join group spi"):
         LinuxSpiPort("/dev/spidev99.9", 3, 1_000_000)
     array = load_array(CONFIGS / "icm42688x8.toml")
-    with pytest.raises(BusUrlError, match='say "spi:" alone'):
+    with pytest.raises(BusUrlError, match='use "spi:" alone'):
         open_bus("spi:/dev/spidev0.0", array)
     with open_bus("spi:", array) as bus:
         assert bus.source == "spi"

@@ -157,7 +157,9 @@ def test_what_does_not_go_together_is_refused() -> None:
         compare_calibrations({"a": one})
     with pytest.raises(CalibrationError, match="no sensor is in two of them"):
         compare_calibrations({"a": one, "b": calibration(sensor("B"))})
-    with pytest.raises(CalibrationError, match="sensor A: chip bma180 in a, mpu6050 in b: two sensors with one name"):
+    with pytest.raises(
+        CalibrationError, match="sensor A: chip bma180 in a, mpu6050 in b: two sensors with the same name"
+    ):
         compare_calibrations({"a": one, "b": calibration(sensor("A", chip="mpu6050"))})
 
 

@@ -126,7 +126,7 @@ def test_a_face_that_leans_no_more_than_the_mounting_may_is_not_guessed(tmp_path
     with (
         open_log(turned_faces(tmp_path, {"y_up": both((0.0, 0.0, 0.9))})) as log,
         pytest.raises(
-            CalibrationError, match=r"phase 'y_down' or phase 'y_up' is 1[56] mg off .*; read these faces again"
+            CalibrationError, match=r"phase 'y_down' or phase 'y_up' is 1[56] mg off .*; record these faces again"
         ),
     ):
         calibrate_tumble(log)

@@ -512,7 +512,9 @@ def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
         own = Calibration({"BMA1": known(name="BMA1", chip=log["BMA1"].chip, bias_lsb=np.ones(3))})
         assert own.of(log["BMA1"]).bias_lsb.tolist() == [1, 1, 1]
         assert Calibration({"BMA2": known(name="BMA2")}).or_nominal(log["BMA1"]).bias_lsb.tolist() == [0, 0, 0]
-        with pytest.raises(FusionError, match="the calibration contains BMA2, and none of those to be fused: BMA1"):
+        with pytest.raises(
+            FusionError, match="the calibration contains BMA2, but none of the sensors to be fused: BMA1"
+        ):
             next(fuse(log, Calibration({"BMA2": known(name="BMA2")}), "mean"))
 
 

@@ -57,7 +57,7 @@ def test_an_accelerometer_and_a_gyroscope_are_one_imu(still: Path, tmp_path: Pat
     text = (tmp_path / "imu.yaml").read_text()
     for name in ("accelerometer", "gyroscope"):
         assert f"{name}_random_walk" not in found
-        assert f"# {name}_random_walk: none was seen, at most " in text
+        assert f"# {name}_random_walk: not significant, at most " in text
 
 
 def test_a_walk_that_one_axis_shows_is_that_axis_s_and_no_bound(still: Path, tmp_path: Path) -> None:
@@ -98,9 +98,9 @@ def test_more_sensors_are_a_file_each(still: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[]", "no result of `imuarray characterise`"),
-        ('{"sensors": [{"name": "A"}]}', "no result of `imuarray characterise`"),
-        ("[" * 100_000, "no result of `imuarray characterise`"),
+        ("[]", "not a result of `imuarray characterise`"),
+        ('{"sensors": [{"name": "A"}]}', "not a result of `imuarray characterise`"),
+        ("[" * 100_000, "not a result of `imuarray characterise`"),
         ('{"sensors": []}', "no inertial sensor whose noise could be fitted"),
     ],
 )
@@ -278,7 +278,7 @@ def test_a_bound_is_never_a_value(still: Path, tmp_path: Path, suffix: str, seco
     bare = "\n".join(line.split("#")[0] for line in bare.splitlines())
     for word in ("random_walk", "acc_w", "gyr_w", "RandomWalk", "dynamic_bias"):
         assert word not in bare
-    assert text.count("none was seen, at most ") == (6 if tools[second] == "gazebo" else 2)
+    assert text.count("not significant, at most ") == (6 if tools[second] == "gazebo" else 2)
     (note,) = written.notes
     assert note.endswith("imu." + suffix + ": without accelerometer_random_walk, gyroscope_random_walk")
 

@@ -62,7 +62,7 @@ def test_codes_that_do_not_fit(bound, data):
 
 
 def test_settings_that_do_not_belong_together():
-    with pytest.raises(ValueError, match="settings of registers 0x2d and 0x2e"):
+    with pytest.raises(ValueError, match="settings of two registers, 0x2d and 0x2e"):
         REGISTER[0](1) | Register(0x2E)[1](1)
     with pytest.raises(ValueError, match="bits 0x02 set twice"):
         REGISTER[3:1](0) | REGISTER[1:0](0)

@@ -62,8 +62,8 @@ def said(**attributes: Any) -> Callable[[h5py.File], None]:
 
 FORCE, COVARIANCE, USED = "specific_force", "specific_force_covariance", "specific_force_used"
 BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
-    "no time": (lambda file: file["fused"].pop("time"), "no fused result"),
-    "a group as time": (group_at("time"), "fused/time: no column of numbers"),
+    "no time": (lambda file: file["fused"].pop("time"), "not a fused result"),
+    "a group as time": (group_at("time"), "fused/time: not a column of numbers"),
     "one time": (other("time", 5), r"fused/time: its shape is \(\)"),
     "no times at all": (other("time", h5py.Empty("i8")), r"fused/time: its shape is \(\)"),
     "times of two columns": (other("time", np.zeros((FRAMES, 2), np.int64)), r"required is \(n,\)"),
@@ -74,7 +74,7 @@ BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
     "matrices for a force": (other(FORCE, np.zeros((FRAMES, 3, 3))), r"required is \(n, 3\)"),
     "a force in words": (other(FORCE, np.full((FRAMES, 3), b"x")), "type float"),
     "a force without end": (other(FORCE, np.full((FRAMES, 3), np.inf)), "infinite values"),
-    "a group as force": (group_at(FORCE), "fused/specific_force: no column"),
+    "a group as force": (group_at(FORCE), "fused/specific_force: not a column"),
     "covariances of two entries": (other(COVARIANCE, np.zeros((FRAMES, 2))), r"required is \(n, 6\)"),
     "covariances of one": (other(COVARIANCE, np.zeros(FRAMES)), r"required is \(n, 6\)"),
     "fractions of an axis": (other(USED, np.zeros((FRAMES, 2))), "type uint8"),

@@ -166,7 +166,7 @@ def test_a_fraction_of_a_formatted_date_has_up_to_nine_digits() -> None:
     column = Column("data.csv", "'t'", [2, 3, 4], texts)
     times = Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column)
     assert (times - times[0]).tolist() == [0, 1, 1_500_000_000]
-    with pytest.raises(SourceError, match="line 2, column 't': '16/09/2024' is not a date and time of the format"):
+    with pytest.raises(SourceError, match="line 2, column 't': '16/09/2024' is not a date and time in the format"):
         Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column._replace(texts=["16/09/2024", *texts[1:]]))
 
 
@@ -222,7 +222,7 @@ def test_an_acceleration_without_gravity_is_left_out_beside_one_with_it(tmp_path
     linear = np.hstack([np.ones((ROWS, 1)), np.zeros((ROWS, 3)), BOTH, WALK.force_g - [0, 0, 1]])
     header = "t,qw,qx,qy,qz,ax,ay,az,gx,gy,gz,lin_acc_x,lin_acc_y,lin_acc_z"
     text, path = imported(written(tmp_path, joined([header, *lines_of(WALK.time_s, linear)])), tmp_path)
-    assert "left out, by their names software computed them" in text
+    assert "left out: computed by software, according to their names" in text
     with open_log(path) as log:
         assert list(log.sensors) == ["Acc", "Gyro"]
 

@@ -229,7 +229,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) + 32768, "{:d}")]),
         MAP,
         2,
-        ["allowed are -32768 to 32767; of unsigned codes the map says their offset, or how many bits"],
+        ["allowed are -32768 to 32767; for unsigned codes, set offset or bits in the map"],
     ),
     "unsigned codes with their offset": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) + 32768, "{:d}")]),
@@ -283,7 +283,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined(plain()).replace(b",", b";").replace(b".", b","),
         '[file]\ndelimiter = ";"\n' + MAP,
         2,
-        ["; of decimal commas the map says decimal = ','"],
+        ["; for decimal commas, set decimal = ',' in the map"],
     ),
     "decimal commas, said so": (
         joined(plain()).replace(b",", b";").replace(b".", b","),
@@ -295,7 +295,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined(plain()),
         INDEXED,
         2,
-        ["'t' is not a number; for a header, the map names the columns, or says skip_rows = 1"],
+        ["'t' is not a number; for a header, name the columns in the map, or set skip_rows = 1"],
     ),
     "another delimiter": (joined(plain()).replace(b",", b"\t"), INDEXED, 2, ["; do they have another delimiter?"]),
     "UTF-16 of a Windows shell": ("\n".join(plain()).encode("utf-16"), MAP, 0, ["2000 rows each"]),
@@ -303,7 +303,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(np.floor(walk().time_s * 50) / 50, counts_of(walk()), "{:d}")]),
         MAP,
         2,
-        ["0.000000 is not later than the row before", "; of a coarse clock the map says ties = true"],
+        ["0.000000 is not later than the row before", "; for a coarse clock, set ties = true in the map"],
     ),
     "a clock of milliseconds, said so": (
         joined([HEAD, *lines_of(np.floor(walk().time_s * 50) / 50, counts_of(walk()), "{:d}")]),
@@ -321,7 +321,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         with_counter(1 << 32),
         MAP.replace('unit = "s"', 'unit = "us"', 1),
         2,
-        ["for a counter that restarts, the map says wraps_at"],
+        ["for a counter that restarts, set wraps_at in the map"],
     ),
     "several tables of different rates": (several_tables(), KINDS, 0, ["2000 rows at most over 20.0 s"]),
     "blank cells of a slower sensor": (wide_with_blanks(), MAP, 0, ["Acc: no reading in 1500 of 2000 rows"]),
@@ -414,7 +414,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         edited(lambda lines: [lines[0], *("2024-03-01 12:00:0" + line for line in lines[1:900])]),
         MAP,
         2,
-        ["is not a number; for dates, the map says unit = 'iso8601'"],
+        ["is not a number; for dates, set unit = 'iso8601'"],
     ),
     "lines above the header": (
         edited(lambda lines: ["Logger 3", "firmware 1.2", *lines]),
@@ -426,7 +426,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined(plain()).replace(b",", b"\t"),
         MAP,
         2,
-        ["if the delimiter is '\\t', the map says so in [file]"],
+        ["if the delimiter is '\\t', set it in [file] of the map"],
     ),
     "no text": (bytes([*b"BZh9", *range(1, 200)]) * 40, MAP, 2, ["is not text; allowed are tables of text"]),
     "runs one after the other": (

@@ -85,7 +85,7 @@ def test_the_guess_sorts_what_fits_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_sort_and_a_wrapping_counter_exclude_each_other() -> None:
-    with pytest.raises(ConfigError, match="sort does not go with times that restart"):
+    with pytest.raises(ConfigError, match="sort can't be combined with times that restart"):
         parse_map(MAP.format(more=", sort = true, wraps_at = 65536"), "m")
 
 

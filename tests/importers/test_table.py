@@ -237,7 +237,7 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
         ("0,1,2,3\n1,4,inf,6\n", "data.csv: line 2, column 2: 'inf' is not a number"),
         (
             "#\n0,1,2,3\n\n1,4,5.5,6\n",
-            "data.csv: line 4, column 2: 5.5 is not a whole number of counts; if the column is in a",
+            "data.csv: line 4, column 2: 5.5 is not a whole number of counts; if the column has a",
         ),
         ("0,1,2,3\n1,4,5,32768\n", "data.csv: line 2, column 3: 32768; allowed are -32768 to 32767"),
         ("0,1,2,3\n1,4,5,-1e300\n", "data.csv: line 2, column 3: -1e300; allowed are -32768 to 32767"),

@@ -415,7 +415,7 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
         assert main(["verify", str(path)]) == (0 if has_journal else 2)
         assert "interrupted, 10 rows" in capsys.readouterr().out
     assert main(["recover", str(path)]) == 2
-    assert "say --force to finish it without them" in capsys.readouterr().err
+    assert "use --force to finish it without them" in capsys.readouterr().err
     assert main(["recover", str(path), "--force"]) == 0
 
 

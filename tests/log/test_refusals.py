@@ -98,7 +98,7 @@ def test_foreign_hdf5(tmp_path: Path) -> None:
         with h5py.File(tmp_path / "x.h5", "w") as file:
             if attribute is not None:
                 file.attrs["format"] = attribute
-        assert refusal(tmp_path / "x.h5").startswith("an HDF5 file, but no log")
+        assert refusal(tmp_path / "x.h5").startswith("an HDF5 file, but not a log")
 
 
 @pytest.mark.parametrize("version", some([0, 2, "1.0", -1, None, [1, 1]], 3))

@@ -287,7 +287,7 @@ def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
         (["nowhere.h5", "--text", "--once"], "nowhere.h5: no such file"),
         (["run.h5", "--once"], "--once needs --text or --json"),
         (["run.h5", "--text", "--calibration", "none.toml"], "none.toml: No such file"),
-        (["run.h5", "--host", "192.0.2.1", "--port", "1"], "192.0.2.1:1: can't serve there"),
+        (["run.h5", "--host", "192.0.2.1", "--port", "1"], "192.0.2.1:1: can't serve the page there"),
     ],
 )
 def test_bad_input_is_one_line(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,8 +49,8 @@ ORDER = [
     "What the recordings cannot show",
     "What is missing",
     "Next experiment",
-    "Candidates that were looked at",
-    "Recordings, and how it was done",
+    "Candidates that were examined",
+    "Recordings and method",
 ]
 
 
@@ -234,13 +234,13 @@ def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
 def test_what_is_open_and_where_it_is_from(page: Page) -> None:
     assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What the recordings cannot show"]
     assert made().next_experiment in page.words["Next experiment"]
-    judged = page.rows["Candidates that were looked at"]
+    judged = page.rows["Candidates that were examined"]
     assert judged[1] == ["tone", "add", "Gyro1", "0.94", "+120.0", "yes"]
     assert ["placebo", "add", "Gyro2", "0.02", "-0.3", "no"] in judged
-    last = page.rows["Recordings, and how it was done"]
+    last = page.rows["Recordings and method"]
     assert ["heating.h5", "heating", "30 min", "7", "1", "1 234 567"] in last
     assert ["seed", "7"] in last and ["model", "datasheet"] in last and ["1", made().notes[0]] in last
-    assert made().held_out in page.words["Recordings, and how it was done"]
+    assert made().held_out in page.words["Recordings and method"]
 
 
 def test_curves_say_what_to_see(page: Page) -> None:
@@ -270,7 +270,7 @@ def test_without_matplotlib_there_are_tables_alone(bare: Page) -> None:
 
 def test_without_a_gap(tmp_path: Path) -> None:
     page = page_of(made_without_gap(), tmp_path)
-    assert "No gap: the recordings look like what the model makes." in page.words[""]
+    assert "No gap: the recordings look like simulations of the model." in page.words[""]
     assert "nothing to close" in page.words[""]
     assert "No cause was found." in page.words["Causes"]
     assert "No statistic differs by more than chance." in page.words["Where it differs"]

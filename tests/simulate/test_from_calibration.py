@@ -302,10 +302,10 @@ def test_known_units_keep_what_was_not_measured_of_them(sensor: MakeSensor) -> N
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"range": 2.0}, "sensor S1: calibrated at a range of 2 g, is at 16$"),
+        ({"range": 2.0}, "sensor S1: calibrated at a range of 2 g, but it is at 16$"),
         (
             {"quantity": "angular_rate", "unit": "dps"},
-            "sensor S1: calibrated as angular_rate in dps, is specific_force$",
+            "sensor S1: calibrated as angular_rate in dps, but it is specific_force$",
         ),
         (
             {"response_lsb_per_unit": 4096 * np.eye(3)},

@@ -205,7 +205,7 @@ def _check(axes: Sequence[Axis], period_s: float) -> None:
         raise FusionError(f"{len(axes)} axes: whole triads, x, y and z of one sensor after the other, are required")
     for triad in triads:
         if len({axis.sensor for axis in triad}) > 1:
-            raise FusionError(f"sensor {triad[0].sensor}: a whole triad is required, {triad[1].label} is not of it")
+            raise FusionError(f"sensor {triad[0].sensor}: a whole triad is required, but {triad[1].label} follows")
     if not period_s > 0:
         raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
 

@@ -108,7 +108,7 @@ class ErrorModel:
         """The errors of these axes, in their order; FusionError for one that is not in the model."""
         for axis in axes:
             if (axis.sensor, axis.index) not in self.axes:
-                raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: the error model does not know it")
+                raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: it is not in the error model")
         return [self.axes[axis.sensor, axis.index] for axis in axes]
 
 
@@ -229,7 +229,7 @@ def _of_sensor(
         )
     noise = known.noise_lsb / known.lsb_per_si
     for index in np.flatnonzero(~(noise > 0)):
-        raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: it is stuck")
+        raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: its readings never change")
     drift, time_constant_s = _drift(known, usual, noise)
     bias, response = _bias(known, usual, noise, drift), _response(known, usual)
     slope, bias_degc = _slope(known, slopes_per_degc)

@@ -122,8 +122,8 @@ def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | sli
     width, content = packed.shape[1], packed.tobytes()
     first: dict[bytes, int] = {}
     rows = (first.setdefault(content[width * row : width * (row + 1)], row) for row in range(len(flags)))
-    alike = np.fromiter(rows, np.intp, len(flags))  # a dictionary is faster than the sorting of `np.unique`
-    return [(flags[first[key]], np.flatnonzero(alike == first[key])) for key in sorted(first)]
+    pattern = np.fromiter(rows, np.intp, len(flags))  # a dictionary is faster than the sorting of `np.unique`
+    return [(flags[first[key]], np.flatnonzero(pattern == first[key])) for key in sorted(first)]
 
 
 def held(triad: Floats) -> Floats:

@@ -81,7 +81,9 @@ def known_noise_of(axes: Sequence[Axis]) -> Floats:
                 f"sensor {axis.sensor}: its noise is not known; run `imuarray calibrate noise` and give the file"
             )
         if not axis.noise_si > 0:
-            raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: noise {axis.noise_si}: it is stuck")
+            raise FusionError(
+                f"sensor {axis.sensor} axis {'xyz'[axis.index]}: noise {axis.noise_si}: its readings never change"
+            )
     return noise_of(axes)
 
 

@@ -211,7 +211,7 @@ def _read(path: Path) -> _Cells:
         table.index(name)  # refuses a name that comes twice
     lines = tuple(line for block in blocks for line in block.lines)
     if len(lines) < 2:
-        raise SourceError(f"{path}: {len(lines)} data rows; a motion has two at least, below a header row")
+        raise SourceError(f"{path}: {len(lines)} data rows; at least two below a header row are required")
     columns = [tuple(text for block in blocks for text in block.columns[index]) for index in range(len(names))]
     return _Cells(str(path), lines, dict(zip(names, columns, strict=True)))
 

@@ -86,8 +86,8 @@ def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None
         progress(seed)
     means = np.sqrt(np.mean(squares, axis=0))
     rows = tuple(
-        NumberRow(count, walk, own, alike, mounted, bus_us=sum(map(_bus_us, gyroscopes[:count])))
-        for count, (walk, own, alike, mounted) in zip(counts, means.tolist(), strict=True)
+        NumberRow(count, walk, own, same_way, mounted, bus_us=sum(map(_bus_us, gyroscopes[:count])))
+        for count, (walk, own, same_way, mounted) in zip(counts, means.tolist(), strict=True)
     )
     return NumberStudy(array.name, seeds, rows)
 

@@ -575,7 +575,7 @@ def _value(value: object) -> str:
     if isinstance(value, list | np.ndarray):
         return f"[{', '.join(map(_value, value))}]"
     if not isinstance(value, float):
-        raise TypeError(f"{value!r}: no figure of a model")
+        raise TypeError(f"{value!r}: not a parameter of a model")
     text = f"{value:.6g}"
     return text if any(mark in text for mark in ".en") else f"{text}.0"
 

@@ -116,7 +116,7 @@ def test_without_a_thermometer_slopes_that_are_known_are_drift_as_well(model: Ca
 
 @pytest.mark.parametrize("noise", [None, np.array([1.0, 0.0, 1.0])])
 def test_an_unknown_or_impossible_noise_is_refused(model: Callable[..., ErrorModel], noise: Any) -> None:
-    why = "its noise is not known; run" if noise is None else "axis y: noise 0: it is stuck"
+    why = "its noise is not known; run" if noise is None else "axis y: noise 0: its readings never change"
     with pytest.raises(FusionError, match=f"sensor BMA1.*{why}"):
         model(BMA, BMA1={"noise_lsb": noise})
 

@@ -135,7 +135,7 @@ def test_any_array_gives_the_truth_of_readings_without_errors(seed: int, count: 
 
 def test_what_the_model_does_not_know_is_refused() -> None:
     axes = triad("S0", np.eye(3))
-    with pytest.raises(FusionError, match="sensor S0 axis x: the error model does not know it"):
+    with pytest.raises(FusionError, match="sensor S0 axis x: it is not in the error model"):
         Optimal({FORCE: axes}, ErrorModel({}), period_s=PERIOD_S)
     with pytest.raises(FusionError, match="frames every 0 s"):
         Optimal({FORCE: axes}, model_of(axes), period_s=0.0)
