@@ -20,7 +20,7 @@ import pytest
 from imuarray.acquire import Summary
 from imuarray.cli import COMMANDS, main
 from imuarray.commands.interruptible import Interruptible
-from imuarray.commands.log_screen import Screen
+from imuarray.commands.log_screen import LogScreen
 from imuarray.log import open_log
 from imuarray.log.format import Event
 from tests.selection import some
@@ -383,7 +383,7 @@ def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPa
             raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(sys, "stderr", Gone())
-    screen = Screen("r.h5", 50, None)
+    screen = LogScreen("r.h5", 50, None)
     screen.event(Event(0, "A", "lost", "no reading"))
     screen.counted(Summary(frames=50))
     screen.close()

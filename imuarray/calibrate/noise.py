@@ -35,7 +35,7 @@ from imuarray.calibrate.pose_readings import (
 from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
 from imuarray.calibrate.stability import Drift, NoiseLine, Thermal
 from imuarray.characterise.correlation import Autocovariance
-from imuarray.characterise.lines import Line, find_lines
+from imuarray.characterise.lines import SpectralLine, find_lines
 from imuarray.characterise.spectrum import SEGMENT, Spectrum, Welch
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
@@ -68,7 +68,7 @@ class _Track:
     squares: float = 0.0
     rows: int = 0
 
-    def add(self, line: Line, rows: int) -> None:
+    def add(self, line: SpectralLine, rows: int) -> None:
         """The line as the next window shows it."""
         self.frequencies_hz.append(line.frequency_hz)
         self.squares += line.amplitude**2 * rows
@@ -158,7 +158,7 @@ def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> S
     ]
 
 
-def _continued(tracks: list[_Track], line: Line, near_hz: float) -> _Track:
+def _continued(tracks: list[_Track], line: SpectralLine, near_hz: float) -> _Track:
     """The track that the line continues, a new one if there is none."""
     close = [track for track in tracks if abs(track.frequencies_hz[-1] - line.frequency_hz) <= near_hz]
     if close:
@@ -171,7 +171,7 @@ def _share(square: float, rms: float) -> float:
     return min(1.0, square / 2 / rms**2)
 
 
-def _steady(index: int, line: Line, rms: float) -> NoiseLine:
+def _steady(index: int, line: SpectralLine, rms: float) -> NoiseLine:
     return NoiseLine(
         "xyz"[index],
         line.frequency_hz,

@@ -23,7 +23,7 @@ from imuarray.characterise.allan_curve import (
     IDENTIFY,
     AllanCurve,
     ChangeMoments,
-    Moments,
+    DifferenceMoments,
     SeriesShape,
     make_curve,
     octaves,
@@ -119,7 +119,7 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
             stop = min(start + _BLOCK, len(column))
             changes.feed_pairs(np.asarray(column[max(start - 1, 0) : stop]), place[max(start, 1) + 1 : stop + 1] > 1)
         averages = [_averages(phase[run.start : run.stop + 1], m) for m in chosen]
-        moments.append(Moments(sums_of_squares_within(phase, place, chosen), averages, changes.kurtosis()))
+        moments.append(DifferenceMoments(sums_of_squares_within(phase, place, chosen), averages, changes.kurtosis()))
     kinds, number = np.unique(sizes, return_counts=True)
     runs = tuple(zip(kinds.tolist(), number.tolist(), strict=True))
     return make_curve(
@@ -148,12 +148,14 @@ def _factors(rows: int, factors: Sequence[int] | None) -> list[int]:
     return [int(m) for m in chosen]
 
 
-def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> Moments:
+def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> DifferenceMoments:
     """Sums of squares, averages and kurtosis of the column with this running sum."""
     changes = ChangeMoments()
     for start in range(0, len(phase) - 1, _BLOCK):
         changes.feed(np.diff(phase[start : start + _BLOCK + 1]))
-    return Moments(sums_of_squares(phase, factors), [_averages(phase, m) for m in factors], changes.kurtosis())
+    return DifferenceMoments(
+        sums_of_squares(phase, factors), [_averages(phase, m) for m in factors], changes.kurtosis()
+    )
 
 
 def _averages(phase: npt.NDArray[Any], m: int) -> npt.NDArray[np.float64]:

@@ -81,7 +81,7 @@ class SeriesShape:
 
 
 @dataclass(frozen=True)
-class Moments:
+class DifferenceMoments:
     """Moments of one column, per averaging factor: `sums` of squared second differences, and the first, or the middle,
     `averages` side by side; `kurtosis` of its white noise.
     """
@@ -145,7 +145,7 @@ def stride_of(factor: int) -> int:
 
 
 def make_curve(
-    columns: Sequence[Moments],
+    columns: Sequence[DifferenceMoments],
     factors: Sequence[int],
     strides: Sequence[int],
     series: SeriesShape,

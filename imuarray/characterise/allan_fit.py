@@ -68,7 +68,9 @@ class AllanEstimate:
     interval_s: float
     kurtosis: float = 0.0
     runs: Runs = ()
-    _solutions: dict[tuple[int, ...], Solution] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _solutions: dict[tuple[int, ...], AllanSolution] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @cached_property
     def design(self) -> Floats:
@@ -91,7 +93,7 @@ class AllanEstimate:
         decorrelated, spread = self._scatter(theta)
         return decorrelated / spread
 
-    def solution(self, terms: Sequence[int]) -> Solution:
+    def solution(self, terms: Sequence[int]) -> AllanSolution:
         """Squared coefficients of `terms`, fitted and weighted in turn; worked out once for each set of terms."""
         key = tuple(terms)
         if key not in self._solutions:
@@ -130,7 +132,7 @@ class AllanEstimate:
 
 
 @dataclass(frozen=True)
-class Solution:
+class AllanSolution:
     """Squared coefficients (5,) by `TERMS`, their misfit, and what was fitted: whitened design (t, 5) and variances."""
 
     theta: Floats
@@ -157,7 +159,7 @@ def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
     return others.misfit - _non_negative(others.design, others.target, terms)[1]
 
 
-def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> Solution:
+def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
     """Solve as `AllanEstimate.solution` does."""
     design = estimate.design
     theta, _ = _non_negative(design / estimate.variance[:, None], np.ones(len(estimate.variance)), terms)
@@ -166,10 +168,10 @@ def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> Solution:
         white, target = whitener @ design, whitener @ estimate.variance
         theta, misfit = _non_negative(white, target, terms)
         if not theta.any():  # a curve so far from the terms that correlated residuals turn all of them away
-            return Solution(last, float(np.sum((white @ last - target) ** 2)), white, target)
+            return AllanSolution(last, float(np.sum((white @ last - target) ** 2)), white, target)
         if np.all(np.abs(design @ (theta - last)) <= _CONVERGED * (design @ last)):
             break
-    return Solution(theta, misfit, white, target)
+    return AllanSolution(theta, misfit, white, target)
 
 
 def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple[Floats, float]:
@@ -346,7 +348,9 @@ def _coefficient(
     return Coefficient(name, value, low, high, UNITS[name].format(unit=unit), significant)
 
 
-def _assess(estimate: AllanEstimate, solution: Solution, count: int, coefficients: tuple[Coefficient, ...]) -> NoiseFit:
+def _assess(
+    estimate: AllanEstimate, solution: AllanSolution, count: int, coefficients: tuple[Coefficient, ...]
+) -> NoiseFit:
     """The fit with its tail probability and the verdict."""
     from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
 

@@ -20,7 +20,7 @@ from imuarray.characterise.allan_curve import (
     IDENTIFY,
     AllanCurve,
     ChangeMoments,
-    Moments,
+    DifferenceMoments,
     SeriesShape,
     make_curve,
     stride_of,
@@ -129,11 +129,11 @@ class _Pyramid:
             root.grow(len(part))
             start += len(part)
 
-    def moments(self, factors: Sequence[int], strides: Sequence[int]) -> Moments:
+    def moments(self, factors: Sequence[int], strides: Sequence[int]) -> DifferenceMoments:
         """Return the moments of all values so far."""
         self._levels[1].work(through=True)
         sums = [self._levels[stride].sums[m // stride] for m, stride in zip(factors, strides, strict=True)]
-        return Moments(sums, [self._levels[m].averages() / m for m in factors], self._changes.kurtosis())
+        return DifferenceMoments(sums, [self._levels[m].averages() / m for m in factors], self._changes.kurtosis())
 
 
 class _Link:

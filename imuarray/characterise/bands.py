@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from imuarray.arrays import Floats, Indices
-from imuarray.characterise.lines import FALSE_ALARM, Line
+from imuarray.characterise.lines import FALSE_ALARM, SpectralLine
 from imuarray.characterise.spectrum import Spectrum
 
 WIDTHS = (4, 8, 16, 32, 64, 128)
@@ -50,7 +50,7 @@ _CLEARED = 3
 @dataclass(frozen=True)
 class Band:
     """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
-    sine of that power, in the series' unit. `false_alarm` and `over_floor` as of a `Line`.
+    sine of that power, in the series' unit. `false_alarm` and `over_floor` as of a `SpectralLine`.
     """
 
     frequency_hz: float
@@ -73,7 +73,7 @@ class _Box:
 
 
 def find_bands(
-    spectrum: Spectrum, column: int = 0, narrow: Sequence[Line] = (), false_alarm: float = FALSE_ALARM
+    spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
 ) -> tuple[Band, ...]:
     """The wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
     density = np.array(spectrum.density[:, column])

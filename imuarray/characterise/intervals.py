@@ -39,7 +39,7 @@ _SURE = 4.0
 """Standard errors that the square of an alternation must have: a chance of 3e-5."""
 
 
-class Gap(NamedTuple):
+class RowGap(NamedTuple):
     """No row for `length_s` after the one at `after_ns`; `row` is the first one after it, counted from 0."""
 
     length_s: float
@@ -65,7 +65,7 @@ class Intervals:
     jitter_robust_s: float
     gaps: int
     gaps_s: float
-    longest: tuple[Gap, ...]
+    longest: tuple[RowGap, ...]
 
 
 class IntervalTally:
@@ -80,7 +80,7 @@ class IntervalTally:
         self._before = np.full(3, nan)
         self._products = np.zeros((2, 2))
         self._rows = self._first_ns = self._last_ns = 0
-        self._longest: list[Gap] = []
+        self._longest: list[RowGap] = []
 
     def update(self, time_ns: Times) -> None:
         """The next times (n,), ascending; ValueError if they aren't."""
@@ -127,7 +127,7 @@ class IntervalTally:
         count = min(PLACES, len(intervals))
         before = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
         for at in np.argpartition(-intervals, count - 1)[:count].tolist() if count else ():
-            self._longest.append(Gap(float(intervals[at]) * 1e-9, int(before[at]), first_row + at))
+            self._longest.append(RowGap(float(intervals[at]) * 1e-9, int(before[at]), first_row + at))
         self._longest = nlargest(PLACES, self._longest)
 
     def _count(self) -> None:

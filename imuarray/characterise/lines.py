@@ -50,7 +50,7 @@ _TIMES = np.arange(64) / 64
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """One line: `frequency_hz` and `amplitude` (of the sine, in the series' unit) with standard errors.
 
     `false_alarm` is the chance that noise makes such a peak anywhere in the spectrum, at most; `over_floor` the peak's
@@ -75,7 +75,7 @@ class LineSearch:
     nothing to look at: too short segments, a constant column.
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     frequency_hz: Floats
     floor: Floats
     level: Floats
@@ -171,7 +171,7 @@ def _lobe(offset: float) -> float:
     return float(np.sinc(offset) / (1 - offset**2)) ** 2
 
 
-def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_alarm: float) -> Line:
+def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_alarm: float) -> SpectralLine:
     """The line whose strongest bin is number `at` of those looked at."""
     bin_, is_last = int(floor.bins[at]), int(floor.bins[at]) == len(spectrum.density) - 1
     noise = float(floor.density[at]) * (2 if is_last else 1)
@@ -188,7 +188,7 @@ def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_a
     amplitude_error = amplitude / (2 * total) * sqrt(float(errors.sum()))
     frequency_hz = min((bin_ + offset) * spectrum.resolution_hz, spectrum.rate_hz / 2)
     over_floor = float(power[bin_]) / noise
-    return Line(
+    return SpectralLine(
         frequency_hz, offset_error * spectrum.resolution_hz, amplitude, amplitude_error, false_alarm, over_floor
     )
 

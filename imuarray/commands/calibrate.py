@@ -69,7 +69,7 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     with _opened(runs, output, update, force) as logs, bars() as moved:
         result = calibrate_tumble(*logs, progress=moved)
         report = report_of(logs[0], result)
-    _finish(result.calibration, report, print_report, Target(output, update, force, as_json))
+    _finish(result.calibration, report, print_report, CalibrationOutput(output, update, force, as_json))
 
 
 @command.command("noise", short_help="noise, its spectrum and drift, from rest")
@@ -93,7 +93,7 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     with _opened(runs, output, update, force) as logs, bars() as moved:
         known = load_calibration(output) if update and output.exists() else None
         calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
-    _finish(calibration, report_of(calibration), print_report, Target(output, update, force, as_json))
+    _finish(calibration, report_of(calibration), print_report, CalibrationOutput(output, update, force, as_json))
 
 
 @command.command("thermal", short_help="how biases change with temperature")
@@ -116,7 +116,7 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 
     with _opened(runs, output, update, force) as logs:
         result = calibrate_thermal(*logs)
-    _finish(result.calibration, report_of(result), print_report, Target(output, update, force, as_json))
+    _finish(result.calibration, report_of(result), print_report, CalibrationOutput(output, update, force, as_json))
 
 
 @command.command("turn-on", short_help="how biases change from one switch-on to the next")
@@ -143,7 +143,7 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     with _opened(runs, output, update, force) as logs:
         calibration, results = calibrate_turn_on(logs, SENSITIVITIES, seed)
         report = report_of(results)
-    _finish(calibration, report, print_report, Target(output, update, force, as_json))
+    _finish(calibration, report, print_report, CalibrationOutput(output, update, force, as_json))
 
 
 @command.command("axes", short_help="axes of every sensor, from a few poses held by hand")
@@ -232,7 +232,7 @@ def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> It
 
 
 @dataclass(frozen=True)
-class Target:
+class CalibrationOutput:
     """The calibration file to write: added to with `update`, overwritten with `force`; printed `as_json` or as text."""
 
     output: Path
@@ -241,7 +241,9 @@ class Target:
     as_json: bool
 
 
-def _finish(calibration: Calibration, report: Report, show: Callable[[Report], None], target: Target) -> None:
+def _finish(
+    calibration: Calibration, report: Report, show: Callable[[Report], None], target: CalibrationOutput
+) -> None:
     """Write the calibration file and print the report."""
     from imuarray.calibrate import load_calibration
 

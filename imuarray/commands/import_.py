@@ -16,7 +16,7 @@ from imuarray.printable import counted, printable
 from imuarray.shipped import find_map
 
 if TYPE_CHECKING:
-    from imuarray.importers import Importer, Summary
+    from imuarray.importers import Importer, ImportSummary
 
 _WIDTH = 110
 
@@ -126,7 +126,7 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
     )
 
 
-def _print_result(summary: Summary, output: Path, as_json: bool) -> None:
+def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
     """Print what was imported and its properties, as text or JSON."""
     from imuarray.importers.plausibility import report_of
     from imuarray.log import open_log

@@ -181,7 +181,7 @@ def _record(options: LogOptions) -> int:
     from imuarray.acquire import RecordingOptions, record
     from imuarray.commands.interruptible import Interruptible
     from imuarray.commands.log_page import serve_page
-    from imuarray.commands.log_screen import Screen
+    from imuarray.commands.log_screen import LogScreen
     from imuarray.commands.log_summary import print_summary
 
     options.check()
@@ -193,7 +193,7 @@ def _record(options: LogOptions) -> int:
         bus, recorder = _connect(stack, options, url, array)
         stop = stack.enter_context(Interruptible())
         status = fusion.status if fusion else str
-        screen = stack.enter_context(closing(Screen(str(options.output), options.rate_hz, options.seconds, status)))
+        screen = stack.enter_context(closing(LogScreen(str(options.output), options.rate_hz, options.seconds, status)))
         if options.monitor:  # the page follows parts from the first one on
             stack.enter_context(serve_page(options.first, _page_arguments(options), screen.remark))
         if fusion:

@@ -21,7 +21,7 @@ _PAUSE_S = 0.5
 _CLEAR = "\r\x1b[K"
 
 
-class Screen:
+class LogScreen:
     """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
 
     def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:

@@ -126,11 +126,11 @@ def _calibration(path: Path | None) -> Calibration | None:
 
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
     """Look and show, again and again until the log has ended, or Ctrl-C."""
-    from imuarray.commands.monitor_screen import Screen
+    from imuarray.commands.monitor_screen import MonitorScreen
     from imuarray.monitor.text import lines_of
 
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
-    with ends, Screen() as screen:
+    with ends, MonitorScreen() as screen:
         while True:
             snapshot = _complete(monitor) if once else monitor.refresh(time.monotonic())
             if as_json:

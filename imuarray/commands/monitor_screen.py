@@ -16,7 +16,7 @@ _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
 _NAP_S = 0.1
 
 
-class Screen:
+class MonitorScreen:
     """Standard output; a context manager, which notices when the terminal changes its size."""
 
     def __init__(self) -> None:

@@ -21,7 +21,7 @@ from imuarray.calibrate.segments import Thermometer, degc_of, has_zero
 from imuarray.errors import ExportError, LogError
 from imuarray.export.formats import UNITS, ExportRequest
 from imuarray.export.fused import fused_content
-from imuarray.export.tables import Column, Content, Table
+from imuarray.export.tables import Content, ExportTable, TableColumn
 from imuarray.fuse.element_temperature import element_temperatures
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
@@ -41,7 +41,7 @@ def warmth(log: Log, calibration: Calibration) -> dict[str, Thermometer]:
 
 def physical_columns(
     sensor: SensorLog, calibration: Calibration, units: str, warm: Mapping[str, Thermometer]
-) -> tuple[Column, ...]:
+) -> tuple[TableColumn, ...]:
     """The columns of a sensor, but for time and status, in `units` ("si" or "sensor"); CalibrationError if what is
     known does not fit, or nothing is. Counts stay where there is no way to a unit.
     """
@@ -50,18 +50,18 @@ def physical_columns(
     return compensated_columns(sensor)
 
 
-def compensated_columns(sensor: SensorLog) -> tuple[Column, ...]:
+def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return the columns beside counts that have units of their own, if the log has them: what a barometer's
     calibration words made of them, how late a row arrived.
     """
     columns = []
     for name, unit in (("temperature", "degC"), ("pressure", "Pa"), (ARRIVAL, "s")):
         with suppress(LogError):
-            columns.append(Column(name, "<f8", unit, (), _numbers(sensor.compensated(name))))
+            columns.append(TableColumn(name, "<f8", unit, (), _numbers(sensor.compensated(name))))
     return tuple(columns)
 
 
-def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: Thermometer | None) -> Column:
+def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: Thermometer | None) -> TableColumn:
     scale = 1.0 if units == "si" else 1 / SI_PER_UNIT[sensor.unit]
 
     def read(rows: slice) -> npt.NDArray[np.float64]:
@@ -70,19 +70,19 @@ def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: Thermo
             counts -= known.bias_at(warm.at(np.asarray(sensor.time[rows]) * 1e-9)) - known.bias_lsb
         return known.stimulus_box(counts) * scale
 
-    return Column(sensor.quantity, "<f8", SI_NAME[sensor.unit] if units == "si" else sensor.unit, _AXES, read)
+    return TableColumn(sensor.quantity, "<f8", SI_NAME[sensor.unit] if units == "si" else sensor.unit, _AXES, read)
 
 
-def _temperature(sensor: SensorLog) -> tuple[Column, ...]:
+def _temperature(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """The chip's own thermometer in degC, or its counts if it has no zero."""
     column = sensor.temperature_counts
     if column is None:
         return ()
     degc = degc_of(sensor)
     if degc is None or not has_zero(sensor):
-        return (Column("temperature_counts", "<i2", "counts", (), lambda rows: np.asarray(column[rows])),)
+        return (TableColumn("temperature_counts", "<i2", "counts", (), lambda rows: np.asarray(column[rows])),)
     zero, step = degc
-    return (Column("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
+    return (TableColumn("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
 
 
 def _numbers(column: Any) -> Callable[[slice], npt.NDArray[np.float64]]:
@@ -143,30 +143,30 @@ def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) 
     return unknown
 
 
-def _table(sensor: SensorLog, rest: tuple[Column, ...], calibrated: bool) -> Table:
+def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -> ExportTable:
     """A sensor's table, with its header."""
     header = asdict(full_header(sensor))
     more: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
         more["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-    status = Column("status", "<u2", "1", (), lambda rows: np.asarray(sensor.status[rows]))
+    status = TableColumn("status", "<u2", "1", (), lambda rows: np.asarray(sensor.status[rows]))
     columns = (_time(sensor.time), *rest[:1], status, *rest[1:])
-    return Table(f"sensors/{sensor.name}", len(sensor), columns, header | more)
+    return ExportTable(f"sensors/{sensor.name}", len(sensor), columns, header | more)
 
 
-def _raw_columns(sensor: SensorLog) -> tuple[Column, ...]:
+def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Everything that a log holds of a sensor, as it holds it."""
     counts, degrees = sensor.counts, sensor.temperature_counts
     kind = counts.dtype.newbyteorder("<").str
-    columns = [Column("counts", kind, "counts", _cells(sensor), lambda rows: np.asarray(counts[rows]))]
+    columns = [TableColumn("counts", kind, "counts", _cells(sensor), lambda rows: np.asarray(counts[rows]))]
     if degrees is not None:
         width = degrees.dtype.newbyteorder("<").str
-        columns.append(Column("temperature_counts", width, "counts", (), lambda rows: np.asarray(degrees[rows])))
+        columns.append(TableColumn("temperature_counts", width, "counts", (), lambda rows: np.asarray(degrees[rows])))
     return (*columns, *compensated_columns(sensor))
 
 
-def _time(column: Any) -> Column:
-    return Column("time", "<i8", "ns", (), lambda rows: np.asarray(column[rows], np.int64))
+def _time(column: Any) -> TableColumn:
+    return TableColumn("time", "<i8", "ns", (), lambda rows: np.asarray(column[rows], np.int64))
 
 
 def _cells(sensor: SensorLog) -> tuple[str, ...]:
@@ -201,23 +201,23 @@ def _plain(value: Any) -> int | float | str | None:
     return item if isinstance(item, int | float | str) and not isinstance(item, bool) else None
 
 
-def _tracks(log: Log) -> Iterator[Table]:
+def _tracks(log: Log) -> Iterator[ExportTable]:
     """Yield the tables beside those of the sensors: truth, reference, clocks."""
     for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
         if track is None:
             continue
         there = {part: column for part, column in track._asdict().items() if column is not None}
         columns = tuple(_track_column(part, column) for part, column in there.items())
-        yield Table(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(there)})
+        yield ExportTable(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(there)})
 
 
-def _track_column(name: str, column: Any) -> Column:
+def _track_column(name: str, column: Any) -> TableColumn:
     if name == "time":
         return _time(column)
     unit = TRACK_UNITS[name]
     kind = "<i8" if unit == "ns" else "<f8"
     cells = ("x", "y", "z") if len(column.shape) == 2 else ()
-    return Column(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
+    return TableColumn(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
 
 
 def head_with(content: Content, **more: Any) -> Mapping[str, Any]:

@@ -33,7 +33,7 @@ from imuarray.export.formats import (
     Progress,
     csv_names,
 )
-from imuarray.export.tables import Column, Content, Meter, Table, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, numbered
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -94,14 +94,14 @@ def _write_head(path: Path, content: Content, **more: Any) -> None:
     path.write_text("{" + ",\n ".join(entries) + "}\n", encoding="utf-8")
 
 
-def _columns(table: Table) -> Iterator[tuple[str, str]]:
+def _columns(table: ExportTable) -> Iterator[tuple[str, str]]:
     """Yield name and unit of each column of a file."""
     for column in table.columns:
         unit = "s" if column.name == "time" else column.unit
         yield from ((name, unit) for name in csv_names(column.name, column.cells, column.unit))
 
 
-def _write_table(path: Path, table: Table, meter: Meter) -> None:
+def _write_table(path: Path, table: ExportTable, meter: Meter) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow([name for name, _ in _columns(table)])
         for rows in table.blocks():
@@ -115,7 +115,7 @@ def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]]
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerows([names, *rows])
 
 
-def _texts(column: Column, rows: slice) -> Iterator[list[str]]:
+def _texts(column: TableColumn, rows: slice) -> Iterator[list[str]]:
     """The cells of a column as text that gives the same numbers again."""
     values: npt.NDArray[Any] = column.read(rows)
     if column.name == "time":

@@ -12,7 +12,7 @@ import numpy as np
 
 from imuarray.errors import ExportError
 from imuarray.export.formats import ExportRequest
-from imuarray.export.tables import Column, Content, Table
+from imuarray.export.tables import Content, ExportTable, TableColumn
 from imuarray.fuse.fused_file import FORMAT, FORMAT_VERSION, UNITS, fused_columns, rows_of, texts_of
 from imuarray.log.columns import NamedColumn
 
@@ -29,7 +29,7 @@ def fused_content(request: ExportRequest) -> Iterator[Content]:
         head: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, "units": "si"}
         head |= {name: said.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
         listed = sorted(columns.items(), key=lambda item: (item[0] != "time", item[0]))
-        table = Table(
+        table = ExportTable(
             "fused",
             rows_of(columns),
             tuple(_column(column, name) for name, column in listed),
@@ -38,10 +38,10 @@ def fused_content(request: ExportRequest) -> Iterator[Content]:
         yield Content("si", head["epoch"], head, (table,))
 
 
-def _column(column: NamedColumn, name: str) -> Column:
+def _column(column: NamedColumn, name: str) -> TableColumn:
     kind = "<i8" if name == "time" else column.dtype.newbyteorder("<").str
     unit = "ns" if name == "time" else UNITS.get(name, "1")
-    return Column(name, kind, unit, _cells(column), lambda rows: np.asarray(column[rows], kind))
+    return TableColumn(name, kind, unit, _cells(column), lambda rows: np.asarray(column[rows], kind))
 
 
 def _cells(column: NamedColumn) -> tuple[str, ...]:

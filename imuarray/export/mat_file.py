@@ -19,7 +19,7 @@ from imuarray.atomic import whole_file
 from imuarray.errors import ExportError
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
-from imuarray.export.tables import Content, Meter, Table, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, numbered
 
 MOST_BYTES = (1 << 31) - 1
 """Size of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
@@ -79,7 +79,7 @@ def _texts(values: list[Any]) -> Any:
     return cells
 
 
-def _struct(table: Table, meter: Meter) -> dict[str, Any]:
+def _struct(table: ExportTable, meter: Meter) -> dict[str, Any]:
     """A table as a struct; units of its columns and what else is known of it are in it."""
     fields: dict[str, Any] = {}
     for column in table.columns:
@@ -94,7 +94,7 @@ def _struct(table: Table, meter: Meter) -> dict[str, Any]:
     return fields | {"about_json": json.dumps(dict(table.about))}
 
 
-def _names(tables: tuple[Table, ...]) -> list[str]:
+def _names(tables: tuple[ExportTable, ...]) -> list[str]:
     """A variable for each table: its name, as far as MATLAB lets it be one, and different from all others."""
     names: list[str] = []
     for table in tables:

@@ -30,7 +30,7 @@ from imuarray.export import mcap_schemas as schemas
 from imuarray.export import ros2_messages as ros2
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
-from imuarray.export.tables import Column, Content, Meter, Table
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
 from imuarray.log.health import is_trouble
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def _channel(container: Container, topic: str, schema: Mapping[str, Any], about:
     return container.channel(topic, kind, about, "json")
 
 
-def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
+def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
     """The rows of a table as messages."""
     columns = table.columns[1:]
     message: Callable[[Sequence[Any]], dict[str, Any]]
@@ -257,7 +257,7 @@ def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) ->
 
 
 def _form(
-    message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[Column], there: Sequence[bool]
+    message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[TableColumn], there: Sequence[bool]
 ) -> list[bytes | int]:
     """The form of messages in which the columns that are `there` have values: texts, and between them -2 where the
     seconds, -1 where the nanoseconds stand, else the number of a cell, counted through all columns.

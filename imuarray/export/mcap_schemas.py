@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imuarray.export.tables import Column, Table
+from imuarray.export.tables import ExportTable, TableColumn
 
 TIME: Mapping[str, Any] = {
     "type": "object",
@@ -39,7 +39,7 @@ def time_of(nanoseconds: int) -> dict[str, int]:
     return {"sec": nanoseconds // 1_000_000_000, "nsec": nanoseconds % 1_000_000_000}
 
 
-def is_imu(table: Table) -> bool:
+def is_imu(table: ExportTable) -> bool:
     """Return whether a table has specific force and angular rate."""
     return set(_IMU) <= {column.name for column in table.columns}
 
@@ -84,7 +84,7 @@ def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
     return message
 
 
-def table_schema(table: Table) -> dict[str, Any]:
+def table_schema(table: ExportTable) -> dict[str, Any]:
     """Return the schema of a sensor's messages."""
     fields = {column.name: _field(column) for column in table.columns if column.name != "time"}
     schema = _object(f"imuarray.{table.short}", {"timestamp": TIME, "frame_id": {"type": "string"}})
@@ -92,7 +92,7 @@ def table_schema(table: Table) -> dict[str, Any]:
     return schema
 
 
-def table_message(nanoseconds: int, frame: str, columns: Sequence[Column], row: Sequence[Any]) -> dict[str, Any]:
+def table_message(nanoseconds: int, frame: str, columns: Sequence[TableColumn], row: Sequence[Any]) -> dict[str, Any]:
     """A row of a sensor's table, but for its time; what is not a number is left out."""
     message: dict[str, Any] = {"timestamp": time_of(nanoseconds), "frame_id": frame}
     for column, value in zip(columns, row, strict=True):
@@ -102,7 +102,7 @@ def table_message(nanoseconds: int, frame: str, columns: Sequence[Column], row: 
     return message
 
 
-def _field(column: Column) -> dict[str, Any]:
+def _field(column: TableColumn) -> dict[str, Any]:
     """A number, or one for each cell; the unit is its description."""
     kind = {"type": "number" if column.kind[1] == "f" else "integer", "description": column.unit}
     return _object("", dict.fromkeys(column.cells, kind)) if column.cells else kind

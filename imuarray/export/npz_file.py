@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import NPZ_HEADER, ExportRequest, ExportSummary, Progress
-from imuarray.export.tables import Column, Content, Meter, Table, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, numbered
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -40,7 +40,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
         return content.exported(path)
 
 
-def array_names(tables: Iterable[Table]) -> dict[str, dict[str, str]]:
+def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
     """Return the name of the array of each column of each table: Gyro1_counts; once more is Gyro1_counts_2."""
     taken = {NPZ_HEADER}
     names: dict[str, dict[str, str]] = {}
@@ -60,7 +60,7 @@ def _write_header(archive: zipfile.ZipFile, content: Content, names: dict[str, d
         npy.write_array(file, np.array(json.dumps(head).encode("ascii")), allow_pickle=False)
 
 
-def _write_column(file: IO[bytes], table: Table, column: Column, meter: Meter) -> None:
+def _write_column(file: IO[bytes], table: ExportTable, column: TableColumn, meter: Meter) -> None:
     """An array of a column: numpy's header, then its rows."""
     shape = (table.rows, *column.tail)
     npy.write_array_header_1_0(file, {"descr": column.kind, "fortran_order": False, "shape": shape})

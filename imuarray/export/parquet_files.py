@@ -23,7 +23,7 @@ from imuarray.export.content import head_with, open_content
 from imuarray.export.csv_files import file_names
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, ExportRequest, ExportSummary, Progress, csv_names
 from imuarray.export.mcap_file import epoch_ns
-from imuarray.export.tables import Column, Content, Meter, Table
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
 
 if TYPE_CHECKING:
     import pyarrow
@@ -65,7 +65,7 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
     return files
 
 
-def _write_table(path: Path, table: Table, content: Content, head: Mapping[str, Any], meter: Meter) -> None:
+def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping[str, Any], meter: Meter) -> None:
     import pyarrow
     from pyarrow import parquet
 
@@ -87,7 +87,7 @@ def _zero_ns(epoch: str) -> int | None:
         return None
 
 
-def _fields(column: Column, zero_ns: int | None) -> Iterator[pyarrow.Field]:
+def _fields(column: TableColumn, zero_ns: int | None) -> Iterator[pyarrow.Field]:
     import pyarrow
 
     if column.name == "time":
@@ -99,7 +99,7 @@ def _fields(column: Column, zero_ns: int | None) -> Iterator[pyarrow.Field]:
         yield pyarrow.field(name, kind, nullable=False, metadata={"unit": column.unit})
 
 
-def _arrays(column: Column, rows: slice, zero_ns: int | None) -> Iterator[pyarrow.Array]:
+def _arrays(column: TableColumn, rows: slice, zero_ns: int | None) -> Iterator[pyarrow.Array]:
     import pyarrow
 
     values = np.asarray(column.read(rows), column.kind)

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
 from imuarray.errors import ExportError
-from imuarray.export.tables import Column, Meter, Table, numbered
+from imuarray.export.tables import ExportTable, Meter, TableColumn, numbered
 
 LOG = "rcl_interfaces/msg/Log"
 LEVELS = {"INFO": 20, "WARNING": 30}
@@ -99,8 +99,8 @@ class Topic(NamedTuple):
 
     name: str
     kind: str
-    table: Table
-    columns: tuple[Column, ...]
+    table: ExportTable
+    columns: tuple[TableColumn, ...]
     numbers: Callable[[Cells], Floats]
 
     def blocks(self, zero_ns: int, rows: int, meter: Meter) -> Iterator[tuple[Times, npt.NDArray[np.uint8]]]:
@@ -114,7 +114,7 @@ class Topic(NamedTuple):
             meter.add(part.stop - part.start, len(self.columns))
 
 
-def topics(tables: Sequence[Table]) -> Iterator[Topic]:
+def topics(tables: Sequence[ExportTable]) -> Iterator[Topic]:
     """Yield the topics of the tables of a log or a fused file; a table without physical values has none."""
     taken: set[str] = set()
     twins = _twins(tables)
@@ -132,7 +132,7 @@ def topics(tables: Sequence[Table]) -> Iterator[Topic]:
         yield from _topics_of(free, table, columns)
 
 
-def _topics_of(name: str, table: Table, columns: Mapping[str, Column]) -> Iterator[Topic]:
+def _topics_of(name: str, table: ExportTable, columns: Mapping[str, TableColumn]) -> Iterator[Topic]:
     """Yield the topics of one table."""
     inertial = [column for quantity, column in columns.items() if quantity.removesuffix("_covariance") in _IMU]
     if inertial:
@@ -153,7 +153,7 @@ def _topic_name(name: str) -> str:
     return "".join(f"/{part if part[:1].isalpha() else f's{part}'}" for part in parts)
 
 
-def _twins(tables: Sequence[Table]) -> dict[str, str]:
+def _twins(tables: Sequence[ExportTable]) -> dict[str, str]:
     """Return the accelerometers and the gyroscopes of the six-axis chips whose rows have equal times, by name."""
     by_name = {table.name: table for table in tables}
     pairs = {name: f"{name.removesuffix('_acc')}_gyro" for name in by_name if name.endswith("_acc")}
@@ -165,7 +165,7 @@ def _twins(tables: Sequence[Table]) -> dict[str, str]:
     }
 
 
-def _equal_times(first: Table, second: Table) -> bool:
+def _equal_times(first: ExportTable, second: ExportTable) -> bool:
     return first.rows == second.rows and all(
         np.array_equal(first.columns[0].read(rows), second.columns[0].read(rows)) for rows in first.blocks()
     )

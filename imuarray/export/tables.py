@@ -22,7 +22,7 @@ ROWS = 1 << 14
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table: a number a row, or one for each of `cells`; `kind` is its numpy type, `unit` as CF spells it
     ("counts" for raw ones, "1" for flags).
     """
@@ -45,12 +45,12 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class ExportTable:
     """Equally long columns, time in ns first; `name` as in its file ("sensors/Gyro1", "truth")."""
 
     name: str
     rows: int
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     about: Mapping[str, Any]
 
     @property
@@ -70,7 +70,7 @@ class Content:
     units: str
     epoch: str
     head: Mapping[str, Any]
-    tables: tuple[Table, ...]
+    tables: tuple[ExportTable, ...]
     phases: tuple[Phase, ...] = ()
     events: tuple[Event, ...] = ()
     uncalibrated: tuple[str, ...] = ()

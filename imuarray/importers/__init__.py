@@ -40,7 +40,7 @@ MAGICS: Mapping[bytes, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Summary:
+class ImportSummary:
     """The result of an import: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
     (None if it does not number its rows); the number of events of each kind. Without `same_rows`, `rows` is that of the
     sensor with most rows. `remarks` state what the importer left out, inferred or changed.
@@ -68,7 +68,7 @@ class Importer(Protocol):
         *,
         force: bool = False,
         progress: Callable[[int], None] = lambda done: None,
-    ) -> Summary:
+    ) -> ImportSummary:
         """Import `source` into `output`."""
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from imuarray.errors import SourceError
-from imuarray.importers.cells import Block
+from imuarray.importers.cells import CellBlock
 from imuarray.printable import printable
 
 Array = npt.NDArray[Any]
@@ -95,7 +95,9 @@ class ArrayRows:
             raise SourceError(f"{self._path}: no column {column!r}; it has {printable(known)[:200]}")
         return self._columns[column]
 
-    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[str | int], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows of columns of equal length; SourceError."""
         if kind is not None:
             raise SourceError(
@@ -111,7 +113,7 @@ class ArrayRows:
         (length,) = lengths
         for start in range(0, length, rows):
             part = slice(start, min(start + rows, length))
-            block = Block(str(self._path), range(part.start, part.stop), [array[part] for array in arrays])
+            block = CellBlock(str(self._path), range(part.start, part.stop), [array[part] for array in arrays])
             yield block, list(range(len(columns)))
         self._progress(self._path.stat().st_size)
 

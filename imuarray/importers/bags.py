@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import MissingExtraError, SourceError
-from imuarray.importers.cells import Block
+from imuarray.importers.cells import CellBlock
 from imuarray.printable import printable
 
 VALUES: Mapping[str, tuple[str, ...]] = {
@@ -79,7 +79,9 @@ class BagRows:
         """Return the columns of each topic."""
         return {topic: (*TIMES, *VALUES[kind]) for topic, kind in self._topics.items()}
 
-    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[str | int], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the messages of a topic (`kind`; None if only one topic has these columns); SourceError."""
         wanted = ", ".join(map(str, columns))
         fitting = [topic for topic, names in self.names().items() if all(column in names for column in columns)]
@@ -94,7 +96,7 @@ class BagRows:
         where = [self.names()[topic].index(str(column)) for column in columns]
         messages, start = self._bag.messages(topic), 0
         while part := self._guarded(lambda: list(islice(messages, rows))):
-            yield Block(str(self._path), range(start, start + len(part)), _columns(part)), where
+            yield CellBlock(str(self._path), range(start, start + len(part)), _columns(part)), where
             start += len(part)
         self._progress(self._path.stat().st_size)
 

@@ -1,7 +1,7 @@
 """A text table, read in blocks of rows and converted to integers; errors name line, column and text.
 
-Damage by recorders and power cuts that cannot be a reading is left out and counted (`Table.remarks`): lines with NUL
-bytes, a repeated header, lines of text, an incomplete last line, a separator at the end of a line.
+Damage by recorders and power cuts that cannot be a reading is left out and counted (`TextTable.remarks`): lines with
+NUL bytes, a repeated header, lines of text, an incomplete last line, a separator at the end of a line.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _OTHER_DATE = re.compile(r"\d\d?:\d\d:\d\d")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
-class Column(NamedTuple):
+class CellColumn(NamedTuple):
     """The cells of one column in one block with their line numbers: texts, or numbers of a binary file (`values`, with
     rows in the place of lines).
     """
@@ -81,7 +81,7 @@ class Column(NamedTuple):
             return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
         return np.array([text.strip().lower() in MISSING for text in self.texts], bool)
 
-    def where(self, kept: npt.NDArray[np.bool_]) -> Column:
+    def where(self, kept: npt.NDArray[np.bool_]) -> CellColumn:
         """Return the selected cells."""
         if kept.all():
             return self
@@ -92,7 +92,7 @@ class Column(NamedTuple):
         return self._replace(lines=lines, texts=[self.texts[row] for row in rows])
 
 
-class Table:
+class TextTable:
     """The rows of an open file with `[file]` applied. With `named` the first row holds the columns' names.
 
     `remarks` lists what was left out.
@@ -221,7 +221,7 @@ class Table:
                 return f"; line {self.line} has it: for lines above a header, set skip_rows = {self.line - 1}"
         return ""
 
-    def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[Block]:
+    def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[CellBlock]:
         """Yield all rows (of a kind, if the map distinguishes kinds), `rows` at a time."""
         remaining = self._rows(kind)
         while block := list(islice(remaining, rows)):
@@ -229,7 +229,7 @@ class Table:
             columns = list(zip(*cells, strict=True))
             if self._layout.decimal == ",":
                 columns = [tuple(text.replace(",", ".") for text in column) for column in columns]
-            yield Block(self.source, lines, columns)
+            yield CellBlock(self.source, lines, columns)
 
     def remarks(self) -> list[str]:
         """Return what was left out, as sentences."""
@@ -290,14 +290,14 @@ def _encoding(file: BinaryIO) -> str:
     return "utf-16" if peek is not None and peek(2)[:2] in _UTF16 else "utf-8-sig"
 
 
-class Block(NamedTuple):
+class CellBlock(NamedTuple):
     """Some rows by column; `columns` are arrays if the file holds numbers."""
 
     source: str
     lines: Sequence[int]
     columns: Sequence[Sequence[str] | npt.NDArray[np.number]]
 
-    def column(self, index: int, label: str) -> Column:
+    def column(self, index: int, label: str) -> CellColumn:
         """Return one column; SourceError if the rows are too short."""
         if index >= len(self.columns):
             cells = f"{len(self.columns)} cells, so there is no column {label} (counted from 0)"
@@ -305,11 +305,11 @@ class Block(NamedTuple):
             raise SourceError(f"{self.source}: line {self.lines[0]}: {cells}")
         cells_ = self.columns[index]
         if isinstance(cells_, np.ndarray):
-            return Column(self.source, label, self.lines, (), cells_)
-        return Column(self.source, label, self.lines, cells_)
+            return CellColumn(self.source, label, self.lines, (), cells_)
+        return CellColumn(self.source, label, self.lines, cells_)
 
 
-class Codes(NamedTuple):
+class CodeConversion(NamedTuple):
     """The conversion of cells into counts: minus `offset`, or as two's complement of `bits`; with a `sensitivity`
     (counts per unit) they are in a unit.
     """
@@ -319,11 +319,11 @@ class Codes(NamedTuple):
     bits: int | None = None
 
 
-CODES = Codes()
+CODES = CodeConversion()
 """Cells that are counts."""
 
 
-def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
+def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.int16]:
     """Return (n,) counts; SourceError for a cell that is not a number, not an integer, or not a 16-bit count."""
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
@@ -347,14 +347,14 @@ def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
     return whole.astype(np.int16)
 
 
-def _hint(codes: Codes) -> str:
+def _hint(codes: CodeConversion) -> str:
     """Return a likely reason for a count that is too large."""
     if codes.sensitivity is not None:
         return "; are unit and sensitivity those of the column?"
     return "" if codes.offset or codes.bits else "; for unsigned codes, set offset or bits in the map"
 
 
-class Clock:
+class TimeColumn:
     """Turns the cells of a time column into ns across blocks: exactly, and across the wraps of a counter."""
 
     def __init__(
@@ -379,7 +379,7 @@ class Clock:
         self.last_ns = last_ns
         self.tied = self.wrapped = 0
 
-    def nanoseconds(self, column: Column) -> npt.NDArray[np.int64]:
+    def nanoseconds(self, column: CellColumn) -> npt.NDArray[np.int64]:
         """Return (n,) int64 ns; SourceError unless each is later than the previous one."""
         times = self.stamps(column)
         first = -_LAST_NS * 2 if self.last_ns is None else self.last_ns
@@ -403,7 +403,7 @@ class Clock:
         self.last_ns = int(times[-1]) if len(times) else self.last_ns
         return times
 
-    def stamps(self, column: Column) -> npt.NDArray[np.int64]:
+    def stamps(self, column: CellColumn) -> npt.NDArray[np.int64]:
         """Return the times (n,) in ns as the cells say them, in any order; SourceError for a cell that is no time."""
         if column.values is not None:
             return self._of_numbers(column)
@@ -429,7 +429,7 @@ class Clock:
         self.tied += int(np.count_nonzero(place))
         return np.asarray(times + place)
 
-    def _of_numbers(self, column: Column) -> npt.NDArray[np.int64]:
+    def _of_numbers(self, column: CellColumn) -> npt.NDArray[np.int64]:
         """Return the times of a file that holds numbers: integers exactly, others to the digits that they have."""
         values = column.values
         assert values is not None  # noqa: S101, its caller asked
@@ -455,7 +455,7 @@ class Clock:
     def _allowed(self) -> str:
         return f"numbers up to {_LAST_NS // self._tick_ns}"
 
-    def _of_text(self, column: Column, row: int) -> int:
+    def _of_text(self, column: CellColumn, row: int) -> int:
         """Return one time, in decimal arithmetic, since a day count in floating seconds does not resolve
         nanoseconds.
         """
@@ -480,7 +480,7 @@ class Clock:
         return round(Fraction(value) * self._tick_ns)
 
 
-def _date_ns(column: Column, row: int, text: str) -> int:
+def _date_ns(column: CellColumn, row: int, text: str) -> int:
     """Return a date and time as ns since 1970; without a zone it is UTC."""
     whole, point, rest = text.partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
@@ -494,7 +494,7 @@ def _date_ns(column: Column, row: int, text: str) -> int:
     return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0)
 
 
-def _formatted_ns(column: Column, row: int, text: str, layout: str) -> int:
+def _formatted_ns(column: CellColumn, row: int, text: str, layout: str) -> int:
     """Return a date and time of a `strptime` format as ns since 1970, one without a day as ns since midnight; without a
     zone it is UTC. A fraction at the end may have nine digits, or be absent.
     """
@@ -517,16 +517,16 @@ def _formatted_ns(column: Column, row: int, text: str, layout: str) -> int:
     return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + passed.microseconds * 1000 + nanos
 
 
-def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
+def nanoseconds(column: CellColumn, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
     """Return (n,) int64 ns, exact, of cells in units of `unit_ns`; SourceError unless each is later than the previous
     one.
 
     `last_ns` is the time of the row before the first one here, None if there is none.
     """
-    return Clock("ns", unit_ns, last_ns=last_ns).nanoseconds(column)
+    return TimeColumn("ns", unit_ns, last_ns=last_ns).nanoseconds(column)
 
 
-def numbers(column: Column) -> npt.NDArray[np.float64]:
+def numbers(column: CellColumn) -> npt.NDArray[np.float64]:
     """Return (n,) finite numbers; SourceError."""
     if column.values is not None:
         values = column.values.astype(np.float64)
@@ -544,7 +544,7 @@ def numbers(column: Column) -> npt.NDArray[np.float64]:
     return values
 
 
-def _number_hint(column: Column, row: int) -> str:
+def _number_hint(column: CellColumn, row: int) -> str:
     """Return a likely reason for a cell that is not a number."""
     text = "" if column.values is not None else column.texts[row].strip()
     if text.count(",") == 1 and _is_number(text.replace(",", ".")):

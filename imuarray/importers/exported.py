@@ -18,7 +18,7 @@ import numpy as np
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
-from imuarray.importers import Summary
+from imuarray.importers import ImportSummary
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
 from imuarray.log.layout import STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
@@ -123,7 +123,7 @@ def write_log(
     where: str,
     *,
     force: bool,
-) -> Summary:
+) -> ImportSummary:
     """Write the log `output` table by table as `read` returns them; SourceError, OutputExistsError, LogError."""
     preamble, (phases, events) = head.preamble, notes
     rows: dict[str, int] = {}
@@ -156,7 +156,7 @@ def write_log(
         raise SourceError(f"{where}: {error}") from None
     kinds = Counter(event.kind for event in events)
     same = len(set(rows.values())) == 1
-    return Summary(tuple(rows), max(rows.values()), None, span.seconds, dict(kinds), same_rows=same)
+    return ImportSummary(tuple(rows), max(rows.values()), None, span.seconds, dict(kinds), same_rows=same)
 
 
 class _Span:

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from imuarray.errors import SourceError
 from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, csv_names
-from imuarray.importers import Summary, open_source
-from imuarray.importers.cells import Block, Column, Table, nanoseconds
+from imuarray.importers import ImportSummary, open_source
+from imuarray.importers.cells import CellBlock, CellColumn, TextTable, nanoseconds
 from imuarray.importers.exported import (
     COLUMN_UNITS,
     MAX_HEADER_BYTES,
@@ -42,7 +42,7 @@ def import_file(
     *,
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-) -> Summary:
+) -> ImportSummary:
     """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     path = Path(source)
     path = path.with_suffix(".csv") if path.suffix.lower() == ".json" else path
@@ -163,7 +163,7 @@ class _Tables:
         with ExitStack() as stack:
             file, before = self._open(path)
             stack.enter_context(file)
-            table = Table(file, str(path), FileTable(), named=True)
+            table = TextTable(file, str(path), FileTable(), named=True)
             table.line += before
             where = {name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns}
             for block in table.blocks():
@@ -183,7 +183,7 @@ def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str
 
 
 def _columns(
-    group: Group, block: Block, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
+    group: Group, block: CellBlock, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return a block of rows as numbers."""
     columns: dict[str, npt.NDArray[Any]] = {}
@@ -197,7 +197,7 @@ def _columns(
     return columns
 
 
-def _numbers(column: Column, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+def _numbers(column: CellColumn, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return (n,) numbers of a type; SourceError for a cell that is not one."""
     read = float if kind.kind == "f" else int
     try:
@@ -217,4 +217,4 @@ def _fits(text: str, kind: np.dtype[Any]) -> bool:
 
 def _time(text: str, path: Path) -> int:
     """Convert seconds to nanoseconds exactly; SourceError."""
-    return int(nanoseconds(Column(str(path), "time", [0], [text]), _S, None)[0])
+    return int(nanoseconds(CellColumn(str(path), "time", [0], [text]), _S, None)[0])

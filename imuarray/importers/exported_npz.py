@@ -21,7 +21,7 @@ from numpy.lib import format as npy
 
 from imuarray.errors import SourceError
 from imuarray.export.formats import NPZ_HEADER
-from imuarray.importers import Summary, open_source
+from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
 from imuarray.log.inspection import MOST_DEFLATED
 from imuarray.log.layout import Columns, Group
@@ -42,7 +42,7 @@ def import_file(
     *,
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-) -> Summary:
+) -> ImportSummary:
     """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     with open_source(source, output) as file:
         size = file.seek(0, 2)

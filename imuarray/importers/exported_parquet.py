@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.errors import ExportError, SourceError
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, csv_names
 from imuarray.export.mcap_file import epoch_ns
-from imuarray.importers import Summary, open_source
+from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import COLUMN_UNITS, MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
 from imuarray.log.layout import Columns, Group
 from imuarray.printable import printable
@@ -43,7 +43,7 @@ def import_file(
     *,
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-) -> Summary:
+) -> ImportSummary:
     """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     path = Path(source)
     open_source(path, output).close()

@@ -195,7 +195,7 @@ class ThermometerTable(BaseModel):
         return self.zero_degc or 0.0, self.lsb_per_degc or TEMPERATURE_LSB_PER_DEGC
 
 
-class RowSource(BaseModel):
+class RowSettings(BaseModel):
     """The rows and the time of an item: those of `[time]` unless `time_column` names another column; rows of `kind`
     only, if `[file] kind_column` distinguishes kinds or a recording holds several tables (the topics of a bag).
     """
@@ -205,7 +205,7 @@ class RowSource(BaseModel):
     kind: str | None = None
 
 
-class LogColumn(RowSource):
+class LogColumn(RowSettings):
     """An item that becomes a sensor of the log."""
 
     name: Name
@@ -320,7 +320,7 @@ class ReferenceTemperature(BaseModel):
     unit: Annotated[Literal["degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "degC"
 
 
-class ReferenceTable(RowSource):
+class ReferenceTable(RowSettings):
     """`[reference]`: readings of a reference instrument, in the box frame; they go to `/reference`."""
 
     specific_force: ReferenceForce | None = None
@@ -416,12 +416,12 @@ class TableMap(BaseModel):
         """Every column in the map; some occur more than once."""
         if self.time is not None and self.time.column is not None:
             yield self.time.column
-        streamed: list[RowSource] = [*self.recorded, *([self.reference] if self.reference else [])]
+        streamed: list[RowSettings] = [*self.recorded, *([self.reference] if self.reference else [])]
         for item in streamed:
             yield from columns_of(item)
 
 
-def columns_of(item: RowSource) -> Iterator[str | int]:
+def columns_of(item: RowSettings) -> Iterator[str | int]:
     """Return the columns of one sensor, thermometer, barometer or reference."""
     if item.time_column is not None:
         yield item.time_column

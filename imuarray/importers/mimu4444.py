@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Integers
 from imuarray.errors import SourceError
-from imuarray.importers import NO_WALL_TIME, Summary, open_source, unreadable
+from imuarray.importers import NO_WALL_TIME, ImportSummary, open_source, unreadable
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.packets import BLOCK_BYTES, PAYLOAD, SIZE, Piece, read_packets
 from imuarray.log import Block, LogWriter
@@ -77,7 +77,7 @@ def import_file(
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
     block_bytes: int = BLOCK_BYTES,
-) -> Summary:
+) -> ImportSummary:
     """Write the recording `source` to the log `output`; SourceError if it contains no valid packet."""
     headers = sensors()
     with (
@@ -187,7 +187,7 @@ class _Recording:
             if self.happened[kind] <= EVENTS_PER_KIND:
                 self.log.event(Event(max(0, int(at[index])), "", kind, message(index)))
 
-    def finish(self) -> Summary:
+    def finish(self) -> ImportSummary:
         """Write the last events and return the summary; SourceError if there was no packet."""
         if self.rows == 0:
             raise SourceError(
@@ -198,7 +198,7 @@ class _Recording:
         for kind, count in self.happened.items():
             if count > EVENTS_PER_KIND:
                 self.log.event(Event(end_ns, "", kind, f"{count - EVENTS_PER_KIND} more events of this kind"))
-        return Summary(tuple(self.names), self.rows, self.lost, end_ns * 1e-9, dict(self.happened))
+        return ImportSummary(tuple(self.names), self.rows, self.lost, end_ns * 1e-9, dict(self.happened))
 
 
 def _jump(passed: int, steps: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import MissingExtraError, SourceError
-from imuarray.importers.cells import Block
+from imuarray.importers.cells import CellBlock
 from imuarray.printable import printable
 
 
@@ -47,7 +47,9 @@ class ParquetRows:
             return column
         raise SourceError(f"{self._path}: no column {column!r}; it has {printable(', '.join(self._names))[:200]}")
 
-    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[str | int], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows in batches; SourceError."""
         import pyarrow
 
@@ -58,7 +60,7 @@ class ParquetRows:
         try:
             for batch in self._file.iter_batches(batch_size=rows, columns=list(dict.fromkeys(names))):
                 arrays = [self._numbers(batch.column(name), name) for name in names]
-                yield Block(str(self._path), range(start, start + batch.num_rows), arrays), list(range(len(names)))
+                yield CellBlock(str(self._path), range(start, start + batch.num_rows), arrays), list(range(len(names)))
                 start += batch.num_rows
         except (pyarrow.ArrowException, OSError) as error:
             raise SourceError(f"{self._path}: damaged after row {start}: {printable(str(error))[:200]}") from None

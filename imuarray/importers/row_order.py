@@ -1,7 +1,8 @@
 """Rows that come late, put in the order of their times, block by block.
 
 A logger with several threads, or a transport that repeats packets, writes rows out of order. A row may come up to
-`MOST_ROWS_LATE` rows late; a later one stays where it is, and the clock refuses it (`imuarray.importers.cells.Clock`).
+`MOST_ROWS_LATE` rows late; a later one stays where it is, and
+`imuarray.importers.cells.TimeColumn` refuses it.
 """
 
 from __future__ import annotations
@@ -12,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Times
-from imuarray.importers.cells import Block
+from imuarray.importers.cells import CellBlock
 
 MOST_ROWS_LATE = 4096
 """Rows that are held back; so many cells are in memory."""
 
-Blocks = Iterator[tuple[Block, list[int]]]
+Blocks = Iterator[tuple[CellBlock, list[int]]]
 
 
 class RowOrder:
     """Sorts rows by their times; `late` counts those that came after a row with a later time."""
 
-    def __init__(self, times: Callable[[Block, Sequence[int]], Times]) -> None:
+    def __init__(self, times: Callable[[CellBlock, Sequence[int]], Times]) -> None:
         """`times` returns the times (n,) of the rows of the next block, whatever their order."""
         self._times = times
         self._latest: int | None = None
@@ -31,7 +32,7 @@ class RowOrder:
 
     def in_order(self, blocks: Blocks) -> Blocks:
         """Yield the rows of the blocks, sorted by time; rows of equal time keep their order."""
-        held: Block | None = None
+        held: CellBlock | None = None
         held_times = np.zeros(0, np.int64)
         where: list[int] = []
         for block, where in blocks:
@@ -55,17 +56,17 @@ class RowOrder:
         self._latest = int(latest[-1])
 
 
-def _joined(first: Block, second: Block) -> Block:
+def _joined(first: CellBlock, second: CellBlock) -> CellBlock:
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     for a, b in zip(first.columns, second.columns, strict=True):
         columns.append(np.concatenate([a, b]) if isinstance(a, np.ndarray) else [*a, *b])
-    return Block(first.source, [*first.lines, *second.lines], columns)
+    return CellBlock(first.source, [*first.lines, *second.lines], columns)
 
 
-def _chosen(block: Block, rows: npt.NDArray[np.intp]) -> Block:
+def _chosen(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
     """Return the rows of a block in an order."""
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     places = rows.tolist()
     for column in block.columns:
         columns.append(column[rows] if isinstance(column, np.ndarray) else [column[row] for row in places])
-    return Block(block.source, [block.lines[row] for row in places], columns)
+    return CellBlock(block.source, [block.lines[row] for row in places], columns)

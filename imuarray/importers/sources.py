@@ -14,7 +14,7 @@ from typing import Protocol, cast
 
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source, unreadable
-from imuarray.importers.cells import Block, Table
+from imuarray.importers.cells import CellBlock, TextTable
 from imuarray.importers.mapping import TableMap
 
 Reference = str | int
@@ -23,7 +23,7 @@ Reference = str | int
 Progress = Callable[[int], None]
 
 
-class Rows(Protocol):
+class RecordingRows(Protocol):
     """A recording's rows. SourceError if they are unreadable."""
 
     @property
@@ -33,7 +33,9 @@ class Rows(Protocol):
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the columns' names by kind of rows ("" if there is only one kind)."""
 
-    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[Reference], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows (of a kind), `rows` at a time, with the index of each of the `columns` in the block."""
 
 
@@ -49,13 +51,15 @@ class TextRows:
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the names in the first row."""
         with open_source(self._source, self._output) as file:
-            return {"": Table(decompress(file), str(self._source), self._map.file, named=True).names}
+            return {"": TextTable(decompress(file), str(self._source), self._map.file, named=True).names}
 
-    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[Reference], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows from the beginning of the file."""
         named = any(isinstance(column, str) for column in self._map.columns())
         with open_source(self._source, self._output) as file:
-            table = Table(decompress(file), str(self._source), self._map.file, named)
+            table = TextTable(decompress(file), str(self._source), self._map.file, named)
             where = [table.index(column) for column in columns]
             for block in table.blocks(rows, kind):
                 yield block, where
@@ -85,7 +89,9 @@ class FolderRows:
         """Return the names in the first row of each file."""
         return {name: file.names()[""] for name, file in self._files.items()}
 
-    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+    def blocks(
+        self, columns: Sequence[Reference], kind: str | None, rows: int
+    ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows of the file that `kind` names; SourceError if there is none."""
         if kind is None or kind not in self._files:
             problem = "kind is missing" if kind is None else f"no file {kind!r}"
@@ -142,7 +148,7 @@ def reader_of(source: str | PathLike[str]) -> str | None:
 
 def open_rows(
     source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
-) -> Rows:
+) -> RecordingRows:
     """Open the rows of any recording that a map can describe; SourceError, MissingExtraError."""
     reader = reader_of(source)
     if reader is None and Path(source).is_dir():
@@ -152,4 +158,4 @@ def open_rows(
     if not Path(source).is_dir():
         open_source(source, output).close()
     module = import_module(f"imuarray.importers.{reader}")
-    return cast(Rows, module.open_rows(Path(source), progress))
+    return cast(RecordingRows, module.open_rows(Path(source), progress))

@@ -14,9 +14,19 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Times
 from imuarray.errors import ConfigError, SourceError
-from imuarray.importers import NO_WALL_TIME, Summary, importer
+from imuarray.importers import NO_WALL_TIME, ImportSummary, importer
 from imuarray.importers.arrival import count_out
-from imuarray.importers.cells import INT16, INT32, ROWS, Block, Clock, Codes, Column, counts, numbers
+from imuarray.importers.cells import (
+    INT16,
+    INT32,
+    ROWS,
+    CellBlock,
+    CellColumn,
+    CodeConversion,
+    TimeColumn,
+    counts,
+    numbers,
+)
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
     PA_PER_UNIT,
@@ -26,7 +36,7 @@ from imuarray.importers.mapping import (
     OwnThermometer,
     PhaseTable,
     ReferenceTable,
-    RowSource,
+    RowSettings,
     SensorTable,
     TableMap,
     ThermometerTable,
@@ -37,9 +47,8 @@ from imuarray.importers.mapping import (
 )
 from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
 from imuarray.importers.row_order import Blocks, RowOrder
-from imuarray.importers.sources import Reference, Rows, open_rows
-from imuarray.log import Block as LogBlock
-from imuarray.log import LogWriter, Stimulus
+from imuarray.importers.sources import RecordingRows, Reference, open_rows
+from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ARRIVAL, LOST_BEFORE, SATURATED, Event, Phase, SensorHeader, ThermometerScale
 from imuarray.log.sensor_log import first_at
 from imuarray.printable import counted
@@ -57,7 +66,7 @@ def import_table(
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
     up: str = "",
-) -> Summary:
+) -> ImportSummary:
     """Import the recording `source` (a text table, compressed by gzip or not, .npz, .mat, .parquet, a bag) with the map
     at `map_path` into the log `output`. `up`: the box axis that pointed up all the time ("+Z"), "" if unknown.
 
@@ -89,7 +98,7 @@ def import_table(
         remarks = [*rows.remarks, *recording.remarks(learnt)]
         remarks += flag_clipped(log, [header for header in headers if header.is_triad])
     each = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
-    return Summary(
+    return ImportSummary(
         tuple(header.name for header in headers),
         max(each.values()),
         None,
@@ -106,7 +115,7 @@ def _import_format(
     output: str | PathLike[str],
     force: bool,
     progress: Callable[[int], None],
-) -> Summary:
+) -> ImportSummary:
     """Import a recording of a named format; ConfigError for entries that are not allowed with it."""
     name = str(table_map.file.format)
     try:
@@ -118,12 +127,12 @@ def _import_format(
     return read(source, output, force=force, progress=progress)
 
 
-class Plan(NamedTuple):
+class RowGroup(NamedTuple):
     """The items of the map that share rows: a time column (None: a rate) and a kind."""
 
     time_column: Reference | None
     kind: str | None
-    items: tuple[RowSource, ...]
+    items: tuple[RowSettings, ...]
 
     @property
     def columns(self) -> list[Reference]:
@@ -132,18 +141,20 @@ class Plan(NamedTuple):
         return list(dict.fromkeys([*named, *(column for item in self.items for column in columns_of(item))]))
 
 
-def _streams(table_map: TableMap) -> list[Plan]:
+def _streams(table_map: TableMap) -> list[RowGroup]:
     """Group the items that share their rows."""
-    items: list[RowSource] = list(table_map.recorded)
+    items: list[RowSettings] = list(table_map.recorded)
     items += [table_map.reference] if table_map.reference is not None else []
-    together: dict[tuple[Reference | None, str | None], list[RowSource]] = {}
+    together: dict[tuple[Reference | None, str | None], list[RowSettings]] = {}
     for item in items:
         column = table_map.clock.column if item.time_column is None else item.time_column
         together.setdefault((column, item.kind), []).append(item)
-    return [Plan(column, kind, tuple(those)) for (column, kind), those in together.items()]
+    return [RowGroup(column, kind, tuple(those)) for (column, kind), those in together.items()]
 
 
-def _inferred(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Iterator[tuple[SensorTable, Resolution]]:
+def _inferred(
+    plan: RowGroup, rows: RecordingRows, table_map: TableMap, block_rows: int
+) -> Iterator[tuple[SensorTable, Resolution]]:
     """Infer range and sensitivity of sensors with columns in a unit that the map leaves open; the recording is read
     once more for this.
     """
@@ -219,12 +230,12 @@ def _barometer_header(item: Barometer) -> SensorHeader:
     )
 
 
-def _missing(cells: Sequence[Column]) -> Booleans:
+def _missing(cells: Sequence[CellColumn]) -> Booleans:
     """Return (n,) rows in which a cell of a sensor holds no value: a triad with two axes is not a reading."""
     return np.asarray(np.any([cell.blank() for cell in cells], axis=0), bool)
 
 
-def _blank(cells: Sequence[Column]) -> Booleans:
+def _blank(cells: Sequence[CellColumn]) -> Booleans:
     """Return (n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
     return np.asarray(np.all([cell.blank() for cell in cells], axis=0), bool)
 
@@ -263,11 +274,11 @@ class _Stream:
     """Sensors that share their rows, written into a log."""
 
     def __init__(
-        self, log: LogWriter, plan: Plan, table_map: TableMap, headers: dict[str, SensorHeader], wanted: set[int]
+        self, log: LogWriter, plan: RowGroup, table_map: TableMap, headers: dict[str, SensorHeader], wanted: set[int]
     ) -> None:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
-        self._clock = Clock(time.unit or "ns", time.ticks, time.wraps_at, time.ties)
+        self._clock = TimeColumn(time.unit or "ns", time.ticks, time.wraps_at, time.ties)
         self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
         self._last_stamp: Times = np.zeros(0, np.int64)
         self._wanted = wanted
@@ -285,7 +296,7 @@ class _Stream:
         """Yield the rows in the order of their times, if the map wants that."""
         return self._order.in_order(blocks) if self._order is not None else blocks
 
-    def _stamps(self, block: Block, where: Sequence[int]) -> Times:
+    def _stamps(self, block: CellBlock, where: Sequence[int]) -> Times:
         """Return the time of each row; a row without time, or of zeros as padding is, has that of the row before."""
         cell = block.column(where[0], repr(self.plan.time_column))
         timed = ~(cell.blank() | _zeros(cell))
@@ -295,7 +306,7 @@ class _Stream:
         self._last_stamp, before = known[-1:], len(self._last_stamp)
         return np.asarray(known[np.maximum(np.cumsum(timed) + before - 1, 0)])
 
-    def add(self, block: Block, where: Sequence[int]) -> None:
+    def add(self, block: CellBlock, where: Sequence[int]) -> None:
         """Write the rows of one block."""
         cells = {
             column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, where, strict=True)
@@ -321,7 +332,7 @@ class _Stream:
             elif isinstance(item, ReferenceTable):
                 self._add_reference(item, cells, time)
 
-    def _without_padding(self, cells: dict[Reference, Column]) -> dict[Reference, Column]:
+    def _without_padding(self, cells: dict[Reference, CellColumn]) -> dict[Reference, CellColumn]:
         """Remove trailing rows of zeros, including time, which a program reserved and did not fill; and rows without
         time, in which no sensor has a reading.
         """
@@ -340,7 +351,7 @@ class _Stream:
         kept = ~(zero | blank)
         return cells if kept.all() else {name: cell.where(kept) for name, cell in cells.items()}
 
-    def _times(self, cells: dict[Reference, Column], length: int) -> Times:
+    def _times(self, cells: dict[Reference, CellColumn], length: int) -> Times:
         """Return (n,) ns from the time column, or from the rate."""
         if self.plan.time_column is not None:
             return self._clock.nanoseconds(cells[self.plan.time_column])
@@ -348,12 +359,12 @@ class _Stream:
         rows = range(self.count, self.count + length)
         return np.array([row * period_ns.numerator // period_ns.denominator for row in rows], np.int64)
 
-    def _add_triad(self, sensor: SensorTable, cells: dict[Reference, Column], time: Times) -> None:
+    def _add_triad(self, sensor: SensorTable, cells: dict[Reference, CellColumn], time: Times) -> None:
         triad = [cells[column] for column in sensor.columns]
         missing = _missing(triad)
         kept = ~missing
         per_unit = self._headers[sensor.name].sensitivity * sensor.log_units if sensor.is_physical else None
-        codes = Codes(per_unit, sensor.offset, sensor.bits)
+        codes = CodeConversion(per_unit, sensor.offset, sensor.bits)
         triads = np.stack([counts(cell.where(kept), codes) for cell in triad], axis=1)
         if per_unit is not None:
             values = np.stack([numbers(cell.where(kept)) for cell in triad], axis=1) * per_unit
@@ -372,7 +383,7 @@ class _Stream:
         late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
         status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)
-        self.log.append(sensor.name, LogBlock(time[kept], triads, status, degrees, late))
+        self.log.append(sensor.name, Block(time[kept], triads, status, degrees, late))
         self.rows_of[sensor.name] += len(triads)
 
     def _lost_before(self, name: str, incomplete: Booleans, kept: Booleans) -> npt.NDArray[np.uint16]:
@@ -386,25 +397,25 @@ class _Stream:
             self._flagged_losses[name] = int(losses[kept][-1])
         return np.where(behind, LOST_BEFORE, 0).astype(np.uint16)
 
-    def _add_degrees(self, item: OwnThermometer, cells: dict[Reference, Column], time: Times) -> None:
+    def _add_degrees(self, item: OwnThermometer, cells: dict[Reference, CellColumn], time: Times) -> None:
         kept = ~cells[item.column].blank()
         degrees = _degrees(cells[item.column].where(kept), item)
         zero_degc, lsb_per_degc = item.scale
         status = np.zeros(len(degrees), np.uint16)
         warm = {"temperature": zero_degc + degrees / lsb_per_degc}
-        self.log.append(item.name, LogBlock(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
+        self.log.append(item.name, Block(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
         self.rows_of[item.name] += len(degrees)
 
-    def _add_pressures(self, item: Barometer, cells: dict[Reference, Column], time: Times) -> None:
+    def _add_pressures(self, item: Barometer, cells: dict[Reference, CellColumn], time: Times) -> None:
         """Write pressures, and as counts the same in whole pascals."""
         kept = ~cells[item.column].blank()
         pressure = numbers(cells[item.column].where(kept)) * PA_PER_UNIT[item.unit]
         whole = np.clip(np.rint(pressure), INT32[0], INT32[1]).astype(np.int32)
         status = np.zeros(len(pressure), np.uint16)
-        self.log.append(item.name, LogBlock(time[kept], whole[:, None], status, None, {"pressure": pressure}))
+        self.log.append(item.name, Block(time[kept], whole[:, None], status, None, {"pressure": pressure}))
         self.rows_of[item.name] += len(pressure)
 
-    def _add_reference(self, item: ReferenceTable, cells: dict[Reference, Column], time: Times) -> None:
+    def _add_reference(self, item: ReferenceTable, cells: dict[Reference, CellColumn], time: Times) -> None:
         kept = ~_blank([cells[column] for column in columns_of(item)])
         triads = []
         for quantity in ("specific_force", "angular_rate"):
@@ -444,27 +455,27 @@ class _Stream:
                 yield text
 
 
-def _zeros(cell: Column) -> Booleans:
+def _zeros(cell: CellColumn) -> Booleans:
     """Return (n,) cells that are zero."""
     if cell.values is not None:
         return np.asarray(cell.values == 0, bool)
     return np.array([text != "" and not text.strip("0.+- ") for text in cell.texts], bool)
 
 
-def _degrees(cell: Column, thermometer: ThermometerTable | None) -> npt.NDArray[np.int16]:
+def _degrees(cell: CellColumn, thermometer: ThermometerTable | None) -> npt.NDArray[np.int16]:
     """Return (n,) counts of a thermometer."""
     if thermometer is None or thermometer.unit == "counts":
         return counts(cell)
     zero_degc, lsb_per_degc = thermometer.scale
     values = (numbers(cell) + ZERO_OF_UNIT[thermometer.unit] - zero_degc) * lsb_per_degc
-    return counts(Column(cell.source, cell.label, cell.lines, (), np.rint(values)))
+    return counts(CellColumn(cell.source, cell.label, cell.lines, (), np.rint(values)))
 
 
 class _Recording:
     """All streams of one import, and remarks on the whole."""
 
     def __init__(
-        self, log: LogWriter, table_map: TableMap, headers: dict[str, SensorHeader], plans: Sequence[Plan]
+        self, log: LogWriter, table_map: TableMap, headers: dict[str, SensorHeader], plans: Sequence[RowGroup]
     ) -> None:
         self._log, self._map, self._headers = log, table_map, headers
         rows = {row for phase in table_map.phase for row in phase.rows or ()}

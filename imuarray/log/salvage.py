@@ -48,7 +48,7 @@ _SECTOR = 512
 _PAGE = 4096
 
 
-class Block(NamedTuple):
+class JournalBlock(NamedTuple):
     """A block: the number of its group, its rows, its payload."""
 
     group: int
@@ -63,13 +63,13 @@ class Resumption(NamedTuple):
 
     position: int
     chain: int
-    block: Block | None
+    block: JournalBlock | None
 
 
 class LastBlock(NamedTuple):
     """A restored block at the end of a journal, and its check sum."""
 
-    block: Block
+    block: JournalBlock
     chain: int
 
 
@@ -146,7 +146,7 @@ class Salvage:
             return None
         return LastBlock(block, CRC.unpack(self._read(CRC.size, position + HEAD.size))[0])
 
-    def _gap(self, position: int, chain: int, end: int, after: int) -> Block | None:
+    def _gap(self, position: int, chain: int, end: int, after: int) -> JournalBlock | None:
         """The bad bytes as one block, if its payload can be proved good: by its own check sum under another head, or by
         the block behind it, which goes on from `after`.
         """
@@ -155,10 +155,10 @@ class Salvage:
         if size is not None and position + OVERHEAD + size == end:
             payload = self._read(size, position + OVERHEAD)
             group, _, rows = HEAD.unpack_from(head)
-            return Block(group, rows, payload) if _chained(head, payload, chain) == after else None
+            return JournalBlock(group, rows, payload) if _chained(head, payload, chain) == after else None
         return self._reheaded(position, chain, end)
 
-    def _reheaded(self, position: int, chain: int, end: int) -> Block | None:
+    def _reheaded(self, position: int, chain: int, end: int) -> JournalBlock | None:
         """The bytes from `position` to `end` as one block under the head that its check sum wants."""
         if not OVERHEAD < end - position <= _LONGEST_GAP:
             return None
@@ -168,7 +168,7 @@ class Salvage:
             rows, rest = divmod(len(payload), row_bytes)
             self._check_bytes -= 0 if rest else len(payload)
             if not rest and _chained(HEAD.pack(group, self._tags[0], rows), payload, chain) == stored:
-                return Block(group, rows, payload)
+                return JournalBlock(group, rows, payload)
         return None
 
     def _chains(self, position: int, chain: int) -> list[int]:

@@ -17,7 +17,7 @@ from imuarray.printable import counted
 _ROWS = 1 << 16
 
 
-class Verdict(NamedTuple):
+class Verification(NamedTuple):
     """The result of a verification: `problems` are rows that can't be had or can't be right, `remarks` what a reader
     makes good.
     """
@@ -28,7 +28,7 @@ class Verdict(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> Verdict:
+def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> Verification:
     """Read all of the log at `path`; `progress` gets the number of rows read. LogError if it can't be opened."""
     with Log(path, thorough=True) as log:
         problems = list(log.losses)
@@ -46,7 +46,7 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> V
             except LogError as error:
                 problems.append(str(error))
         rows = {name: len(sensor) for name, sensor in log.sensors.items()}
-        return Verdict(log.state, rows, tuple(problems), tuple(_remarks(log)))
+        return Verification(log.state, rows, tuple(problems), tuple(_remarks(log)))
 
 
 def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:

@@ -29,7 +29,7 @@ from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, mi
 from imuarray.monitor.log_source import Source
 from imuarray.monitor.memory_log import MemoryLog
 from imuarray.monitor.snapshot import INTERRUPTED, WRITTEN, Disk, FusedView, SensorView, Snapshot
-from imuarray.monitor.window import Gaps, Rows, Window
+from imuarray.monitor.window import Gaps, LatestRows, Rows
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000
@@ -44,7 +44,7 @@ _PRESSURE = "pressure"
 
 
 def view_of(
-    sensor: SensorLog, window: Window, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
+    sensor: SensorLog, window: LatestRows, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
 ) -> SensorView:
     """Return the view of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent`
     are the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none
@@ -81,19 +81,19 @@ def view_of(
     )  # fmt: skip
 
 
-def _reach_ns(window: Window) -> float:
+def _reach_ns(window: LatestRows) -> float:
     """Before the newest row of the log, in which a sensor gives one at least."""
     return max(float(_LAST_NS), _PATIENCE * window.usual_ns)
 
 
-def _silence(window: Window, extent: tuple[int, int]) -> int:
+def _silence(window: LatestRows, extent: tuple[int, int]) -> int:
     """Return how long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
     begins_ns, ends_ns = extent
     since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
     return since_ns if since_ns > _reach_ns(window) else 0
 
 
-def _missed_rows(window: Window, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
+def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
     """Rows that are missing up to the newest one of the log, of a sensor that is read once a frame (0: it is not)."""
     if frame_period_ns:
         missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
@@ -103,7 +103,7 @@ def _missed_rows(window: Window, earlier: Gaps, silent_ns: int, frame_period_ns:
     return missing + (round(silent_ns / period_ns) if period_ns else 0)
 
 
-def _values(sensor: SensorLog, window: Window) -> tuple[Floats, str, tuple[str, ...]]:
+def _values(sensor: SensorLog, window: LatestRows) -> tuple[Floats, str, tuple[str, ...]]:
     """The rows (n, k) in physical units, the unit, what the columns are called."""
     counts = np.asarray(window.rows.get("counts", np.empty((0, 3))), float)
     if sensor.is_triad and sensor.sensitivity > 0:
@@ -113,7 +113,7 @@ def _values(sensor: SensorLog, window: Window) -> tuple[Floats, str, tuple[str, 
     return counts, "counts", tuple(f"column {number + 1}" for number in range(counts.shape[1]))
 
 
-def _use(sensor: SensorLog, window: Window) -> tuple[Floats | None, Floats | None]:
+def _use(sensor: SensorLog, window: LatestRows) -> tuple[Floats | None, Floats | None]:
     """The share of the range that is used, in the window and at most so far."""
     full = sensor.range * sensor.sensitivity
     if not (sensor.is_triad and full > 0 and len(window.time)) or window.peak_lsb is None:
@@ -121,7 +121,7 @@ def _use(sensor: SensorLog, window: Window) -> tuple[Floats | None, Floats | Non
     return np.abs(np.asarray(window.rows["counts"], float)).max(axis=0) / full, window.peak_lsb / full
 
 
-def _temperature(sensor: SensorLog, window: Window, last: slice) -> tuple[float | None, bool]:
+def _temperature(sensor: SensorLog, window: LatestRows, last: slice) -> tuple[float | None, bool]:
     """The mean of the last rows in degC, and whether its zero is unknown; None without a thermometer."""
     if "temperature" in window.rows:
         return _finite_mean(window.rows["temperature"][last]), False
@@ -138,14 +138,14 @@ def _finite_mean(rows: Any) -> float | None:
     return float(finite.mean()) if len(finite) else None
 
 
-def _flags(window: Window) -> dict[str, int]:
+def _flags(window: LatestRows) -> dict[str, int]:
     """Rows of the window that bear a flag, by its name."""
     status = np.asarray(window.rows.get("status", np.empty(0, np.uint16)))
     counts = {name: int(((status & flag) != 0).sum()) for name, flag in FLAGS.items()}
     return {name: count for name, count in counts.items() if count}
 
 
-def _spectrum(window: Window, values: Floats) -> Spectrum | None:
+def _spectrum(window: LatestRows, values: Floats) -> Spectrum | None:
     """The power spectral density of the window's rows in squared units per Hz; None for too few of them."""
     if len(values) < _LEAST_ROWS or window.period_ns <= 0 or not np.isfinite(values).all():
         return None
@@ -298,7 +298,7 @@ def _observations(
     )
 
 
-def _extent(windows: Iterable[Window]) -> tuple[int | None, int | None]:
+def _extent(windows: Iterable[LatestRows]) -> tuple[int | None, int | None]:
     """The times of the first and of the newest row of the log."""
     spoken = [window for window in windows if len(window.newest)]
     firsts = [window.first_ns for window in spoken if window.first_ns is not None]
@@ -343,7 +343,7 @@ def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
 
 
 def _fused(
-    source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int, result: Path | None
+    source: Source, windows: dict[str, LatestRows], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
     """The fused output, or why there is none."""
     view = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)

@@ -32,7 +32,7 @@ THEMES: Mapping[str, Theme] = MappingProxyType(
 )
 
 
-class Kind(NamedTuple):
+class FigureKind(NamedTuple):
     """Figures that differ by their data alone: "trace" over time or "density" over frequency, what the columns are
     called, the unit.
     """
@@ -47,7 +47,7 @@ class Kind(NamedTuple):
         return "|".join((self.plot, ",".join(self.columns), self.unit))
 
 
-def figures(kinds: Iterable[Kind], theme: str, span_s: float) -> dict[str, Any]:
+def figures(kinds: Iterable[FigureKind], theme: str, span_s: float) -> dict[str, Any]:
     """Every kind as a JSON object for BokehJS's `embed_item`, by its key; MissingExtraError without Bokeh."""
     try:
         from bokeh.embed import json_item
@@ -56,7 +56,7 @@ def figures(kinds: Iterable[Kind], theme: str, span_s: float) -> dict[str, Any]:
     return {kind.key: json_item(_figure(kind, theme, span_s)) for kind in kinds}
 
 
-def _figure(kind: Kind, theme: str, span_s: float) -> Any:
+def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
     """An empty figure; its data source is called "source"."""
     from bokeh.models import BasicTickFormatter, ColumnDataSource, FixedTicker, Range1d
     from bokeh.plotting import figure

@@ -30,7 +30,7 @@ from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.event_counts import EventCounts
 from imuarray.monitor.memory_log import Attributes
 from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN
-from imuarray.monitor.window import STRIDE, Gaps, Window, gaps_of
+from imuarray.monitor.window import STRIDE, Gaps, LatestRows, gaps_of
 from imuarray.units import INERTIAL
 
 AT_ONCE = 1 << 19
@@ -89,14 +89,14 @@ class ReadRows:
     """The rows of the last `span_ns` by sensor, and the events so far."""
 
     span_ns: int
-    windows: dict[str, Window] = field(default_factory=dict)
+    windows: dict[str, LatestRows] = field(default_factory=dict)
     events: EventCounts = field(default_factory=EventCounts)
 
     def expect(self, names: Iterable[str]) -> None:
         """These sensors: windows of the same ones go on, others begin empty."""
         names = list(names)
         if list(self.windows) != names:
-            self.windows = {name: Window(self.span_ns) for name in names}
+            self.windows = {name: LatestRows(self.span_ns) for name in names}
 
 
 class Source(Protocol):

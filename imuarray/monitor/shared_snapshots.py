@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from imuarray.monitor.figures import THEMES, Kind, figures
+from imuarray.monitor.figures import THEMES, FigureKind, figures
 from imuarray.monitor.log_monitor import SPAN_S, LogMonitor
 from imuarray.monitor.payload import drawn
 from imuarray.monitor.snapshot import Snapshot
@@ -49,11 +49,13 @@ class SharedSnapshots:
         await self.text()
         views = self._snapshot.sensors if self._snapshot else ()
         shown = {(view.columns, view.unit) for view in views}
-        kinds = {Kind("trace", columns, unit) for columns, unit in shown}
+        kinds = {FigureKind("trace", columns, unit) for columns, unit in shown}
         kinds |= {
-            Kind("density", _XYZ, READABLE.get(unit, (1.0, unit))[1]) for columns, unit in shown if columns == _XYZ
+            FigureKind("density", _XYZ, READABLE.get(unit, (1.0, unit))[1])
+            for columns, unit in shown
+            if columns == _XYZ
         }
-        kinds |= {Kind("trace", _XYZ, unit) for _, unit in READABLE_SI.values()}
+        kinds |= {FigureKind("trace", _XYZ, unit) for _, unit in READABLE_SI.values()}
         make = partial(figures, sorted(kinds), theme if theme in THEMES else "light", SPAN_S)
         if self._is_closed:
             return make()

@@ -63,7 +63,7 @@ def gaps_of(time: Times, period_ns: float) -> Gaps:
     return Gaps(int((periods - whole > _DELAYED).sum()), int((whole - STRIDE).sum()))
 
 
-class Window:
+class LatestRows:
     """The rows of one sensor of the last `span_ns`: `rows`, columns by name; `period_ns` between two of them (0: too
     few yet); `total` rows of the log so far, those before the window too, `newest` (up to 2,) ns of the last of them;
     `gaps` of all rows that were added, and `peak_lsb`, the largest magnitude of each column of counts in them.

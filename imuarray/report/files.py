@@ -44,7 +44,7 @@ NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarr
 
 
 @dataclass(frozen=True)
-class TechniqueSet:
+class PageContext:
     """The links between the files of a page: the calibrations, merged in their order, and whether to draw."""
 
     calibration: Calibration
@@ -59,7 +59,7 @@ Sayings = tuple[list[Verdict], list[str], list[Section]]
 """Verdicts, lines of the summary, and sections."""
 
 
-def _log(path: Path, together: TechniqueSet) -> Sayings:
+def _log(path: Path, together: PageContext) -> Sayings:
     with ExitStack() as stack:
         log: Log = stack.enter_context(open_log(path))
         known = together.calibration
@@ -90,19 +90,19 @@ def _beside(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
     return processes(1)
 
 
-def _calibration(path: Path, together: TechniqueSet) -> Sayings:
+def _calibration(path: Path, together: PageContext) -> Sayings:
     calibration = load_calibration(path)
     verdict = calibration_verdict(path, calibration)
     return [verdict], list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
 
 
-def _fused(path: Path, together: TechniqueSet) -> Sayings:
+def _fused(path: Path, together: PageContext) -> Sayings:
     head = read_fused_head(path)
     verdict, section = fused_sections(path, head, drawn=together.drawn)
     return [verdict], list(fused_summary(path, head)), [section]
 
 
-def _gap(path: Path, together: TechniqueSet) -> Sayings:
+def _gap(path: Path, together: PageContext) -> Sayings:
     from imuarray.gap.findings.files import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary, gap_verdict
 
@@ -110,7 +110,7 @@ def _gap(path: Path, together: TechniqueSet) -> Sayings:
     return [gap_verdict(diagnosis)], list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
 
 
-def _validation(path: Path, together: TechniqueSet) -> Sayings:
+def _validation(path: Path, together: PageContext) -> Sayings:
     from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import validation_sections, validation_verdict
     from imuarray.report.validation_words import summary_lines
@@ -122,7 +122,7 @@ def _validation(path: Path, together: TechniqueSet) -> Sayings:
     return [validation_verdict(figures)], list(summary_lines(figures)), list(validation_sections(figures, plots))
 
 
-KINDS: Mapping[str, Callable[[Path, TechniqueSet], Sayings]] = MappingProxyType(
+KINDS: Mapping[str, Callable[[Path, PageContext], Sayings]] = MappingProxyType(
     {
         "log": _log,
         "calibration": _calibration,
@@ -163,7 +163,7 @@ def write_report(
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         own_progress = partial(_moved, progress, done, len(kinds))
-        judged, lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress, workers))
+        judged, lines, own = KINDS[kinds[path]](_file_of(path), PageContext(known, drawn, own_progress, workers))
         verdicts += judged
         summary += lines
         sections += own

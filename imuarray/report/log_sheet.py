@@ -19,7 +19,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.printable import counted
 from imuarray.report.page import Figure, Section, Table
-from imuarray.report.recording import PERIODS, Recording, recording_of, scripts
+from imuarray.report.recording import PERIODS, RecordingFigure, recording_of, scripts
 from imuarray.units import READABLE
 
 _EVENTS = 500
@@ -113,7 +113,7 @@ def _events(log: Log) -> Table:
     return Table(["at s", "last at s", "times", "sensor", "kind", "what"], rows, caption, (3, 4, 5))
 
 
-def _shown(log: Log, recording: Recording) -> Section:
+def _shown(log: Log, recording: RecordingFigure) -> Section:
     noted = [trace.name for trace in recording.traces if trace.note]
     words = (
         f"With clipped, missing or silent stretches: {', '.join(noted)}. "

@@ -16,7 +16,7 @@ from imuarray.atomic import draw_figure, write_text
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
 from imuarray.report.colour_scheme import follow_scheme
-from imuarray.report.recording import Recording, scripts
+from imuarray.report.recording import RecordingFigure, scripts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -59,7 +59,7 @@ class Section:
 
     title: str
     text: str
-    parts: Sequence[Table | Figure | Recording] = ()
+    parts: Sequence[Table | Figure | RecordingFigure] = ()
     fold: str = ""
 
 
@@ -99,8 +99,8 @@ def write_page(
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
     environment.tests["table"] = lambda part: isinstance(part, Table)
-    environment.tests["recording"] = lambda part: isinstance(part, Recording)
-    has_recording = any(isinstance(part, Recording) for section in sections for part in section.parts)
+    environment.tests["recording"] = lambda part: isinstance(part, RecordingFigure)
+    has_recording = any(isinstance(part, RecordingFigure) for section in sections for part in section.parts)
     page = environment.from_string(template).render(
         title=title,
         summary=summary,

@@ -48,7 +48,7 @@ Kind = Literal["clipped", "missing", "silent"]
 KINDS: tuple[Kind, ...] = ("clipped", "missing", "silent")
 
 
-class Span(NamedTuple):
+class SignalSpan(NamedTuple):
     """A stretch of time, in s since the epoch of the log, in which a sensor is out of bounds."""
 
     kind: Kind
@@ -77,12 +77,12 @@ class Trace:
     time_s: Floats
     low: Floats
     high: Floats
-    spans: tuple[Span, ...]
+    spans: tuple[SignalSpan, ...]
     note: str
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordingFigure:
     """Every sensor of a log over the same time, from `start_s` to `end_s`: a part of a section of a page."""
 
     traces: Sequence[Trace]
@@ -143,7 +143,7 @@ class Drawing(NamedTuple):
     end: str
 
 
-def recording_of(log: Log, calibration: Calibration) -> Recording | None:
+def recording_of(log: Log, calibration: Calibration) -> RecordingFigure | None:
     """Return the envelopes of all sensors of a log, in the box frame and in the sensors' units, by `calibration` or
     else by the data sheets' sensitivity; counts where neither is known. None if the log holds no reading.
     """
@@ -153,7 +153,7 @@ def recording_of(log: Log, calibration: Calibration) -> Recording | None:
     ends_ns = (min(int(sensor.time[0]) for sensor in with_rows), max(int(sensor.time[-1]) for sensor in with_rows))
     most = max(50, min(_MOST_OF_ONE, _MOST_STRETCHES // len(log.sensors)))
     traces = [_trace(sensor, calibration, ends_ns, most) for sensor in log.sensors.values()]
-    return Recording(traces, ends_ns[0] * 1e-9, ends_ns[1] * 1e-9)
+    return RecordingFigure(traces, ends_ns[0] * 1e-9, ends_ns[1] * 1e-9)
 
 
 def silent_s(sensor: SensorLog, ends_ns: tuple[int, int]) -> tuple[float, float]:
@@ -173,8 +173,8 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     columns, unit = _columns(sensor)
     before_s, after_s = silent_s(sensor, ends_ns)
     start_s, end_s = ends_ns[0] * 1e-9, ends_ns[1] * 1e-9
-    spans = [Span("silent", start_s, start_s + before_s)] if before_s else []
-    spans += [Span("silent", end_s - after_s, end_s)] if after_s else []
+    spans = [SignalSpan("silent", start_s, start_s + before_s)] if before_s else []
+    spans += [SignalSpan("silent", end_s - after_s, end_s)] if after_s else []
     width = -(-len(sensor) // most) if len(sensor) > most else 1
     period_ns = _period_ns(sensor)
     in_bursts = row_timing(sensor).kind == "bursts"
@@ -190,8 +190,8 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
         pauses = np.flatnonzero((steps > longest_ns) | (((status & LOST_BEFORE) != 0) & (steps > 0)))
         clipped, missing = clipped + int(at_end.sum()), missing + len(pauses)
         missing_s += float(steps[pauses].sum()) * 1e-9
-        spans += [Span("missing", (time[row] - steps[row]) * 1e-9, time[row] * 1e-9) for row in pauses]
-        spans += [Span("clipped", time[a] * 1e-9, (time[b] + period_ns) * 1e-9) for a, b in _runs(at_end)]
+        spans += [SignalSpan("missing", (time[row] - steps[row]) * 1e-9, time[row] * 1e-9) for row in pauses]
+        spans += [SignalSpan("clipped", time[a] * 1e-9, (time[b] + period_ns) * 1e-9) for a, b in _runs(at_end)]
         breaks = np.flatnonzero(steps > max(longest_ns, width * period_ns))
         parts.append(_envelope(time, _values(sensor, rows, calibration), np.arange(0, len(time), width), breaks))
     time_s, low, high = (
@@ -260,10 +260,10 @@ def _runs(flags: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
 
 
-def _merged(spans: Sequence[Span], separate_s: float) -> Iterator[Span]:
+def _merged(spans: Sequence[SignalSpan], separate_s: float) -> Iterator[SignalSpan]:
     """Spans in order, those of one kind that are closer than `separate_s` joined."""
     for kind in KINDS:
-        last: Span | None = None
+        last: SignalSpan | None = None
         for span in sorted(span for span in spans if span.kind == kind):
             if last is not None and span.start_s - last.end_s < separate_s:
                 last = last._replace(end_s=max(last.end_s, span.end_s))
@@ -287,7 +287,7 @@ def _note(clipped: int, missing: int, missing_s: float, before_s: float, after_s
 # Drawings ------------------------------------------------------------------------------------------------------------
 
 
-def _drawing(trace: Trace, recording: Recording) -> Drawing:
+def _drawing(trace: Trace, recording: RecordingFigure) -> Drawing:
     low, high = _limits(trace)
     duration_s = max(recording.end_s - recording.start_s, 1e-9)
     time_s, least, greatest = _coarser(trace)

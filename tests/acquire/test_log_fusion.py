@@ -21,7 +21,7 @@ from imuarray.acquire import Summary
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.cli import main
-from imuarray.commands.log_screen import Screen
+from imuarray.commands.log_screen import LogScreen
 from imuarray.errors import FusionError
 from imuarray.fuse import FusedBlock, FusionStream, read_fused, read_fused_events, read_fused_head
 from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions
@@ -353,7 +353,7 @@ def test_a_terminal_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
             return True
 
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
-    screen = Screen("r.h5", 50, None, lambda: "0.0 0.0 1000.0 mg")
+    screen = LogScreen("r.h5", 50, None, lambda: "0.0 0.0 1000.0 mg")
     screen.counted(Summary(frames=50))
     screen.remark("G2: silent, fused without it")
     line = "r.h5: 50 frames, 1 s, 0 readings lost; 0.0 0.0 1000.0 mg"

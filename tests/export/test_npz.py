@@ -64,7 +64,7 @@ def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         counts = rng.integers(-(2**15), 2**15, (1000, 3))
         log.append("Acc", Block(np.arange(1000), counts, np.zeros(1000, np.uint16), np.zeros(1000)))
     for rows in (1, 7, 1 << 14):
-        monkeypatch.setattr("imuarray.export.tables.Table.blocks.__defaults__", (rows,))
+        monkeypatch.setattr("imuarray.export.tables.ExportTable.blocks.__defaults__", (rows,))
         export(tmp_path / "a.h5", tmp_path / "a.npz", force=True)
         with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
             assert (arrays["Acc_counts"] == counts).all()

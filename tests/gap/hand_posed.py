@@ -14,7 +14,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
-from imuarray.simulate.motion.posed import Attitude, PoseSequence
+from imuarray.simulate.motion.posed import PoseAttitude, PoseSequence
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects
 
@@ -31,7 +31,7 @@ def posed(ups: Floats, pose_s: int = POSE_S) -> PoseSequence:
     """One attitude after the other."""
     starts = [number * (pose_s + TURN_S) * SECOND for number in range(len(ups))]
     attitudes = [
-        Attitude(Phase(start, start + pose_s * SECOND, f"pose {number}"), (x, y, z), estimated=True)
+        PoseAttitude(Phase(start, start + pose_s * SECOND, f"pose {number}"), (x, y, z), estimated=True)
         for number, (start, (x, y, z)) in enumerate(zip(starts, ups.tolist(), strict=True), start=1)
     ]
     return PoseSequence(tuple(attitudes), Still(seconds=len(ups) * (pose_s + TURN_S)))

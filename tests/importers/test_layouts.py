@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.cli import main
 from imuarray.errors import SourceError
-from imuarray.importers.cells import Clock, Column
+from imuarray.importers.cells import CellColumn, TimeColumn
 from imuarray.importers.guess import guess_map
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.table import import_table
@@ -163,11 +163,11 @@ def test_dates_of_other_formats_are_proposed_and_read_over_midnight(written_as: 
 
 def test_a_fraction_of_a_formatted_date_has_up_to_nine_digits() -> None:
     texts = ["16.09.2024 00:00:00", "16.09.2024 00:00:00,000000001", "16.09.2024 00:00:01.5"]
-    column = Column("data.csv", "'t'", [2, 3, 4], texts)
-    times = Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column)
+    column = CellColumn("data.csv", "'t'", [2, 3, 4], texts)
+    times = TimeColumn("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column)
     assert (times - times[0]).tolist() == [0, 1, 1_500_000_000]
     with pytest.raises(SourceError, match="line 2, column 't': '16/09/2024' is not a date and time in the format"):
-        Clock("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column._replace(texts=["16/09/2024", *texts[1:]]))
+        TimeColumn("%d.%m.%Y %H:%M:%S.%f").nanoseconds(column._replace(texts=["16/09/2024", *texts[1:]]))
 
 
 @pytest.mark.parametrize("unit", ["%d.%m.%Y", "%H:%M:%Q", "fortnight"])

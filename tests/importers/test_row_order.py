@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import ConfigError, SourceError
-from imuarray.importers.cells import Block
+from imuarray.importers.cells import CellBlock
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.row_order import MOST_ROWS_LATE, RowOrder
@@ -94,7 +94,7 @@ def test_sort_and_a_wrapping_counter_exclude_each_other() -> None:
 def test_any_order_within_reach_comes_out_as_sorting_says(times: list[int], rows: int) -> None:
     assert len(times) <= MOST_ROWS_LATE
     blocks = [
-        (Block("s", list(range(at, at + len(part))), [[str(time) for time in part], np.array(part)]), [0])
+        (CellBlock("s", list(range(at, at + len(part))), [[str(time) for time in part], np.array(part)]), [0])
         for at in range(0, len(times), rows)
         if (part := times[at : at + rows])
     ]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from imuarray.calibrate.segments import chip_thermometer, degc_of
 from imuarray.cli import main
 from imuarray.errors import ConfigError, ImuArrayError, OutputExistsError, SourceError
-from imuarray.importers import Summary
+from imuarray.importers import ImportSummary
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED, ThermometerScale
@@ -37,7 +37,9 @@ NUMBERED = NAMED.replace('"t"', "0").replace('["x", "y", "z"]', "[1, 2, 3]")
 RATE = "[time]\nrate_hz = 100\n" + NUMBERED[NUMBERED.index("[[sensor]]") :].replace("[1, 2, 3]", "[0, 1, 2]")
 
 
-def write(folder: Path, table: str | bytes, table_map: str, *, force: bool = False, block_rows: int = 4096) -> Summary:
+def write(
+    folder: Path, table: str | bytes, table_map: str, *, force: bool = False, block_rows: int = 4096
+) -> ImportSummary:
     (folder / "map.toml").write_text(table_map, encoding="utf-8")
     (folder / "data.csv").write_bytes(table.encode() if isinstance(table, str) else table)
     out = folder / "out.h5"
@@ -63,7 +65,7 @@ def refused(folder: Path, table: str | bytes, table_map: str, error: type[ImuArr
 
 def test_a_table_with_a_header(tmp_path: Path) -> None:
     summary = write(tmp_path, "t,x,y,z\n0.5,1,-2,3\n0.51,4,5,-6\n", NAMED)
-    assert summary == Summary(("A",), 2, None, 0.01)
+    assert summary == ImportSummary(("A",), 2, None, 0.01)
     assert counts_and_times(tmp_path) == ([[1, -2, 3], [4, 5, -6]], [500_000_000, 510_000_000])
     with open_log(tmp_path / "out.h5") as log:
         sensor = log["A"]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.monitor.log_source import Backlog
-from imuarray.monitor.window import MOST_ROWS, Gaps, Window, gaps_of, period_of
+from imuarray.monitor.window import MOST_ROWS, Gaps, LatestRows, gaps_of, period_of
 
 PERIOD_NS = 10_000_000
 Times = npt.NDArray[np.int64]
@@ -21,8 +21,8 @@ def frames(numbers: Times, forth_and_back: float = 0.0) -> Times:
     return np.asarray((numbers + turn) * PERIOD_NS, np.int64)
 
 
-def window_of(time: Times, *, at_once: int, span_ns: int = 1_000_000_000) -> Window:
-    window = Window(span_ns)
+def window_of(time: Times, *, at_once: int, span_ns: int = 1_000_000_000) -> LatestRows:
+    window = LatestRows(span_ns)
     for start in range(0, len(time), at_once):
         part = time[start : start + at_once]
         window.add({"time": part, "counts": np.zeros((len(part), 3), np.int16)})
@@ -94,7 +94,7 @@ def test_what_is_missing_is_counted_over_rows_that_were_let_go() -> None:
 
 
 def test_the_period_of_a_sensor_that_was_silent_before_anybody_looked() -> None:
-    window = Window(1_000_000_000)
+    window = LatestRows(1_000_000_000)
     window.begins_behind(90, frames(np.arange(100)))
     assert (window.total, window.first_ns, window.period_ns, window.usual_ns) == (90, 0, 0, PERIOD_NS)
     assert window.newest.tolist() == frames(np.arange(88, 90)).tolist()

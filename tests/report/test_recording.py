@@ -18,7 +18,7 @@ from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED, Event, SensorHeader
 from imuarray.report import recording as recording_module
 from imuarray.report.files import write_report
-from imuarray.report.recording import Recording, Span, recording_of, scripts
+from imuarray.report.recording import RecordingFigure, SignalSpan, recording_of, scripts
 from tests.fuse.conftest import Part, calibration
 from tests.monitor.chromium import CHROMIUM, browser
 from tests.selection import some
@@ -54,7 +54,7 @@ def run(tmp_path: Path) -> Path:
     return write_log(tmp_path / "run.h5")
 
 
-def recording(path: Path, known: Calibration | None = None) -> Recording:
+def recording(path: Path, known: Calibration | None = None) -> RecordingFigure:
     with open_log(path) as log:
         shown = recording_of(log, known or Calibration())
     assert shown is not None
@@ -65,9 +65,9 @@ def recording(path: Path, known: Calibration | None = None) -> Recording:
 def test_out_of_bounds_stretches_are_marked(run: Path, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     monkeypatch.setattr(recording_module, "_MOST_OF_ONE", most)
     acc, baro, gyro = recording(run).traces
-    assert acc.spans == (Span("clipped", 0.05, pytest.approx(0.08)), Span("missing", 2.99, 4.0))  # type: ignore[arg-type]
+    assert acc.spans == (SignalSpan("clipped", 0.05, pytest.approx(0.08)), SignalSpan("missing", 2.99, 4.0))  # type: ignore[arg-type]
     assert acc.note == "3 readings clipped; readings missing in 1 pause, 1 s in all"
-    assert gyro.spans == (Span("silent", 4.99, 9.99),) and gyro.note == "silent for 5 s at the end"
+    assert gyro.spans == (SignalSpan("silent", 4.99, 9.99),) and gyro.note == "silent for 5 s at the end"
     assert baro.spans == () and baro.note == "" and (baro.columns, baro.unit) == (("pressure",), "Pa")
     inside = (acc.time_s > 2.99) & (acc.time_s < 4.0)
     assert np.isnan(acc.low[inside]).all() and inside.sum() == 1  # the curve is broken where nothing was read
@@ -87,7 +87,7 @@ def test_a_sensor_that_began_late_and_one_that_never_read_are_silent(tmp_path: P
             log.append(header.name, Block(kept, np.zeros((len(kept), 3)), np.zeros(len(kept), np.uint16)))
     acc, baro, gyro = recording(tmp_path / "run.h5").traces
     assert (acc.note, gyro.note, baro.note) == ("", "silent for 4 s at the beginning", "silent for 10 s at the end")
-    assert gyro.spans == (Span("silent", 0.0, 4.0),)
+    assert gyro.spans == (SignalSpan("silent", 0.0, 4.0),)
 
 
 def test_polling_forth_and_back_misses_nothing(tmp_path: Path) -> None:
@@ -192,14 +192,14 @@ def long_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def shown(long_run: Path) -> Recording:
+def shown(long_run: Path) -> RecordingFigure:
     with open_log(long_run) as log:
         shown = recording_of(log, Calibration())
     assert shown is not None
     return shown
 
 
-def test_a_spike_of_one_reading_is_in_the_envelope(shown: Recording) -> None:
+def test_a_spike_of_one_reading_is_in_the_envelope(shown: RecordingFigure) -> None:
     first, _ = shown.traces
     assert len(first.time_s) < ROWS / 4
     assert float(np.nanmax(first.high[:, 1])) == pytest.approx(SPIKE / 256)
@@ -208,23 +208,23 @@ def test_a_spike_of_one_reading_is_in_the_envelope(shown: Recording) -> None:
     assert float(np.nanmax(first.high[:, [0, 2]])) == pytest.approx(3 / 256)
 
 
-def test_what_is_out_of_bounds_is_marked_and_said(shown: Recording) -> None:
+def test_what_is_out_of_bounds_is_marked_and_said(shown: RecordingFigure) -> None:
     first, second = shown.traces
-    assert first.spans == (Span("clipped", 50.0, pytest.approx(50.5)),)
+    assert first.spans == (SignalSpan("clipped", 50.0, pytest.approx(50.5)),)
     assert first.note == "50 readings clipped"
     missing, silent = second.spans
-    assert missing == Span("missing", pytest.approx(79.99), pytest.approx(83.0))
-    assert silent == Span("silent", pytest.approx(179.99), pytest.approx(199.99))
+    assert missing == SignalSpan("missing", pytest.approx(79.99), pytest.approx(83.0))
+    assert silent == SignalSpan("silent", pytest.approx(179.99), pytest.approx(199.99))
     assert second.note == "readings missing in 1 pause, 3 s in all; silent for 20 s at the end"
 
 
-def test_a_sensor_is_drawn_along_the_axes_of_the_box(shown: Recording) -> None:
+def test_a_sensor_is_drawn_along_the_axes_of_the_box(shown: RecordingFigure) -> None:
     """+Y+X-Z: the sensor's x lies along the box's Y."""
     second = shown.traces[1]
     np.testing.assert_allclose(np.nanmax(second.high, axis=0), np.array([2.0, 1.0, -3.0]) / 256)
 
 
-def test_the_curve_is_open_where_readings_are_missing(shown: Recording) -> None:
+def test_the_curve_is_open_where_readings_are_missing(shown: RecordingFigure) -> None:
     paths = shown.drawings[1].paths
     assert [path.count("M") for path in paths] == [2, 2, 2]
 

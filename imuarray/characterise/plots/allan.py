@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.characterise.plots.frame import (
+    AxisCurve,
     Captions,
-    Curve,
-    Kind,
+    SensorPanel,
     Table,
     floats,
     legend,
@@ -45,7 +45,7 @@ def _is_shown(axis: Table) -> bool:
     return bool(axis["allan"]) and any(value > 0 for value in axis["allan"]["deviation"])
 
 
-def _draw(panel: Axes, kind: Kind) -> None:
+def _draw(panel: Axes, kind: SensorPanel) -> None:
     """One quantity's curves, bands, fits, guide and legend."""
     from matplotlib.lines import Line2D
 
@@ -61,7 +61,7 @@ def _draw(panel: Axes, kind: Kind) -> None:
     legend(panel, kind, more, notes)
 
 
-def _draw_axis(panel: Axes, curve: Curve, is_crowded: bool) -> None:
+def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
     """One curve; its band and its fit if there is room."""
     allan = curve.axis["allan"]
     tau_s, deviation, low, high = (floats(allan[name]) for name in ("tau_s", "deviation", "low", "high"))

@@ -10,9 +10,9 @@ import numpy as np
 
 from imuarray.characterise.plots.frame import (
     FALSE_ALARM,
+    AxisCurve,
     Captions,
-    Curve,
-    Kind,
+    SensorPanel,
     Table,
     axes_of,
     floats,
@@ -52,7 +52,7 @@ def _is_shown(axis: Table) -> bool:
     return "autocorrelation" in axis and any(value is not None for value in axis["autocorrelation"]["correlation"][1:])
 
 
-def _draw(panel: Axes, kind: Kind, level: float) -> None:
+def _draw(panel: Axes, kind: SensorPanel, level: float) -> None:
     """One quantity's curves, the grey ones below, the band and the legend."""
     curves = [curve for curve in kind.curves() if _is_shown(curve.axis)]
     half = NORMAL_95 * max(curve.axis["autocorrelation"]["error"][1] for curve in curves)
@@ -69,7 +69,7 @@ def _draw(panel: Axes, kind: Kind, level: float) -> None:
     _legend(panel, kind, curves, half, level)
 
 
-def _legend(panel: Axes, kind: Kind, curves: list[Curve], half: float, level: float) -> None:
+def _legend(panel: Axes, kind: SensorPanel, curves: list[AxisCurve], half: float, level: float) -> None:
     """Draw the legend: the sensors in colour, the grey ones as one entry, and the band."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

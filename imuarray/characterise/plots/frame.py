@@ -36,8 +36,8 @@ _TITLES = {
 _LEGEND_ROWS = 22
 
 
-class Curve(NamedTuple):
-    """One axis of one sensor, how much of `Kind.unit` a count is, and how it is drawn."""
+class AxisCurve(NamedTuple):
+    """One axis of one sensor, how much of `SensorPanel.unit` a count is, and how it is drawn."""
 
     sensor: Table
     axis: Table
@@ -47,7 +47,7 @@ class Curve(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Kind:
+class SensorPanel:
     """The `sensors` that share a panel, with their `colours`: those of one quantity in one unit."""
 
     quantity: str
@@ -65,14 +65,14 @@ class Kind:
         """Return the heading of the panel."""
         return _TITLES.get(self.quantity, self.quantity)
 
-    def curves(self) -> Iterator[Curve]:
+    def curves(self) -> Iterator[AxisCurve]:
         """Every axis: colour is the sensor, dashes are the axis."""
         for sensor, colour in zip(self.sensors, self.colours, strict=True):
             for axis, dashes in zip(sensor["axes"], cycle(_DASHES), strict=False):
-                yield Curve(sensor, axis, scale_of(axis, self.unit), colour, dashes)
+                yield AxisCurve(sensor, axis, scale_of(axis, self.unit), colour, dashes)
 
 
-def kinds(result: Table, shown: Callable[[Table], bool]) -> list[Kind]:
+def kinds(result: Table, shown: Callable[[Table], bool]) -> list[SensorPanel]:
     """Panels for the sensors with an axis that can be `shown`; a sensor's colour is the same in every figure."""
     groups: dict[tuple[str, str], list[Table]] = {}
     for sensor in result["sensors"]:
@@ -82,7 +82,7 @@ def kinds(result: Table, shown: Callable[[Table], bool]) -> list[Kind]:
         colours = zip(sensors, _colours(len(sensors)), strict=True)
         drawn = [pair for pair in colours if any(map(shown, pair[0]["axes"]))]
         if drawn:
-            listed.append(Kind(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
+            listed.append(SensorPanel(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
     return listed
 
 
@@ -109,7 +109,7 @@ def panel_figure(
     result: Table,
     captions: Captions,
     shown: Callable[[Table], bool],
-    draw: Callable[[Axes, Kind], None],
+    draw: Callable[[Axes, SensorPanel], None],
     height: float,
 ) -> Figure:
     """Draw a panel of `height` inches for every kind of sensor that has something to be `shown`."""
@@ -170,7 +170,7 @@ def floats(values: Sequence[float | None]) -> Floats:
     return np.array(values, np.float64)
 
 
-def plot(panel: Axes, x: Floats, y: Floats, curve: Curve, **style: Any) -> None:
+def plot(panel: Axes, x: Floats, y: Floats, curve: AxisCurve, **style: Any) -> None:
     """The line of one axis in its colour and dashes."""
     line = panel.plot(x, y, color=curve.colour, **style)[0]
     if curve.dashes:
@@ -192,7 +192,7 @@ def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) ->
     panel.tick_params(which="minor", labelsize=8, labelcolor="0.35")
 
 
-def legend(panel: Axes, kind: Kind, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
+def legend(panel: Axes, kind: SensorPanel, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
     """Draw a legend beside the panel: sensors by colour, each with its note below, axes by dashes, and what `more`
     there is.
     """

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.characterise.plots.frame import (
+    AxisCurve,
     Captions,
-    Curve,
-    Kind,
+    SensorPanel,
     Table,
     floats,
     legend,
@@ -105,7 +105,7 @@ def _is_shown(axis: Table) -> bool:
     return any(value for value in axis.get("density", ())[_BINS])
 
 
-def _draw(panel: Axes, kind: Kind) -> None:
+def _draw(panel: Axes, kind: SensorPanel) -> None:
     """One quantity's curves, bands, lines and legend."""
     from matplotlib.lines import Line2D
 
@@ -124,7 +124,7 @@ def _draw(panel: Axes, kind: Kind) -> None:
     legend(panel, kind, more)
 
 
-def _draw_axis(panel: Axes, curve: Curve, is_crowded: bool) -> None:
+def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
     """One curve, its band if there is room, and its lines, each from the curve up to its peak."""
     common = curve.sensor["spectrum"]
     frequency_hz, density = floats(common["frequency_hz"]), floats(curve.axis["density"])
@@ -152,12 +152,12 @@ def _bin(line: Table, common: Table) -> int:
     return min(nearest, len(common["frequency_hz"]) - 1)
 
 
-def _height(line: Table, curve: Curve) -> float:
+def _height(line: Table, curve: AxisCurve) -> float:
     """Return the height of a line's peak in the panel."""
     return float(np.sqrt(curve.axis["density"][_bin(line, curve.sensor["spectrum"])])) * curve.scale
 
 
-def _label_lines(panel: Axes, drawn: list[Curve]) -> None:
+def _label_lines(panel: Axes, drawn: list[AxisCurve]) -> None:
     """Frequencies above the peaks and the axes that have them, the highest first, none over another."""
     peaks = [(_height(line, curve), line, curve) for curve in drawn for line in curve.axis["lines"]]
     labelled: list[float] = []

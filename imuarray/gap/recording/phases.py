@@ -17,7 +17,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import Attitude
+from imuarray.simulate.motion.posed import PoseAttitude
 
 Up = tuple[float, float, float]
 
@@ -143,7 +143,7 @@ def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
             yield Phase(start_ns, end_ns, "motion")
 
 
-def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[Attitude, ...], list[str]]:
+def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[PoseAttitude, ...], list[str]]:
     """The attitudes of the box in the phases at rest, and notes on how they are known; empty where `motion` follows a
     track.
 
@@ -163,7 +163,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
             if free
             else []
         )
-        return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
+        return tuple(PoseAttitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
     readings = shared_readings(
         attitude_numbers(still), np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
     )
@@ -177,12 +177,12 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
     return tuple(attitudes), [note] if free else []
 
 
-def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> Attitude:
+def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> PoseAttitude:
     """The estimated attitude, or the noted face if that is further off than a tilt."""
     x, y, z = estimate
     if noted is not None and np.dot(noted, estimate) < np.cos(np.radians(MOST_TILT_DEG)):
-        return Attitude(phase, noted, estimated=False)
-    return Attitude(phase, (x, y, z), estimated=True)
+        return PoseAttitude(phase, noted, estimated=False)
+    return PoseAttitude(phase, (x, y, z), estimated=True)
 
 
 def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
@@ -203,7 +203,7 @@ def _change_degc(phase: Phase, motion: LikeLog) -> float:
     return float(np.ptp(_sampled(phase, motion).temperature_degc)) if is_at_rest(phase) else 0.0
 
 
-def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude], *, heated: bool) -> str:
+def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heated: bool) -> str:
     """The kind of a log: heating, turn-on, tumble, motion or static, the first that applies."""
     names = [phase.name for phase in phases]
     if heated:
@@ -215,7 +215,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude], *, heated: b
     return "static" if all(is_at_rest(phase) for phase in phases) else "motion"
 
 
-def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[Attitude]) -> int:
+def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude]) -> int:
     """The number of different attitudes."""
     ups = [attitude.up_box for attitude in attitudes] or [up_vector(phase.up) for phase in phases if phase.up]
     distinct: list[Up] = []

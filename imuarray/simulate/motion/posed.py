@@ -18,7 +18,7 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 from imuarray.simulate.motion.world import Steady
 
 
-class Attitude(NamedTuple):
+class PoseAttitude(NamedTuple):
     """The attitude of the box in a phase: the direction up in the box frame, of length 1; whether it was `estimated`
     from the box's own accelerometers, and not noted by who put it there.
     """
@@ -36,7 +36,7 @@ class PoseSequence:
     tells no heading. ValueError for no attitude, or a direction that is none.
     """
 
-    attitudes: tuple[Attitude, ...]
+    attitudes: tuple[PoseAttitude, ...]
     surroundings: Motion
     fields: tuple[PhaseField, ...] = ()
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Integers, Reals
 from imuarray.errors import SourceError
-from imuarray.importers.cells import Column, Table, nanoseconds
+from imuarray.importers.cells import CellColumn, TextTable, nanoseconds
 from imuarray.importers.mapping import FileTable
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
@@ -176,8 +176,8 @@ class _Cells(NamedTuple):
     lines: tuple[int, ...]
     text: dict[str, tuple[str, ...]]
 
-    def column(self, name: str) -> Column:
-        return Column(self.source, name, self.lines, self.text[name])
+    def column(self, name: str) -> CellColumn:
+        return CellColumn(self.source, name, self.lines, self.text[name])
 
     def numbers(self, *names: str) -> Floats:
         """(n, number of names); SourceError for a cell that is not a number."""
@@ -204,7 +204,7 @@ def _read(path: Path) -> _Cells:
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}") from None
     with file:
-        table = Table(file, str(path), FileTable(), named=True)
+        table = TextTable(file, str(path), FileTable(), named=True)
         names = table.names
         blocks = list(table.blocks())
     for name in names:
@@ -246,7 +246,7 @@ def _attitudes(cells: _Cells) -> Rotation:
     return Rotation.from_quat(np.roll(numbers, -1, axis=1))
 
 
-def _number(column: Column, row: int) -> float:
+def _number(column: CellColumn, row: int) -> float:
     try:
         value = float(column.texts[row])
     except ValueError:

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import standing_on
-from imuarray.simulate.motion.posed import Attitude, PoseSequence, upright_from
+from imuarray.simulate.motion.posed import PoseAttitude, PoseSequence, upright_from
 from imuarray.simulate.motion.still import Still
 
 S = 10**9
 G = 9.80665
-FIRST = Attitude(Phase(0, 4 * S, "pose 1"), (0.6, 0.0, 0.8), estimated=True)
-SECOND = Attitude(Phase(6 * S, 9 * S, "z_down", "-Z"), (0.0, 0.0, -1.0), estimated=False)
+FIRST = PoseAttitude(Phase(0, 4 * S, "pose 1"), (0.6, 0.0, 0.8), estimated=True)
+SECOND = PoseAttitude(Phase(6 * S, 9 * S, "z_down", "-Z"), (0.0, 0.0, -1.0), estimated=False)
 TWO = PoseSequence((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
 
 
