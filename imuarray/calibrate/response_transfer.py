@@ -1,4 +1,4 @@
-"""Columns of a gyroscope's response that no turn determined, from other gyroscopes of the box.
+"""Columns of a gyroscope's response that no turn determined, from other gyroscopes of the box, or else from gravity.
 
 All gyroscopes of a rigid box measure one angular rate. After turns about two box axes the third column of a response is
 known as well as the data sheet promises (`imuarray.calibrate.turns`); where another gyroscope's response is known, its
@@ -10,17 +10,27 @@ for means over windows of `WINDOW_S`. The fit is linear least squares of respons
 calibration's response and covariance as prior (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
 2.3.3); bias and delay of this log are free. What noise does not explain of the residuals widens the covariance, and the
 errors of the reference's own response are added to it.
+
+Where no gyroscope's response is known, gravity is the reference: a log in which the box rests between turns about the
+missing axis determines the column as the turns of a calibration do (`imuarray.calibrate.turns`), again with the
+calibration's response and covariance as prior. The directions at both ends of a turn are those of the calibrated
+accelerometers; they are taken to be as wrong as the length of their mean force is. Turns about the vertical tell
+nothing, and motion without rests of one and a half seconds has no ends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.pose_readings import Pose, find_poses, read_poses
+from imuarray.calibrate.turns import fit_turns
+from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -38,6 +48,9 @@ _FEWEST = 100
 _IMPOSSIBLE = 1e-6
 """Chance of a change of the response below which calibration or gyroscope is wrong, and nothing is transferred."""
 
+GRAVITY = "gravity"
+"""The reference where no gyroscope is one."""
+
 _PARAMETERS = 15
 """Nine entries of the response row by row, three biases, three delays."""
 
@@ -48,8 +61,8 @@ Calibrated = tuple[SensorLog, SensorCalibration]
 
 @dataclass(frozen=True)
 class Transfer:
-    """A calibration whose uncertain columns were determined: `axes` by sensor, from the rates of `references`;
-    `refused` names sensors whose rates contradict their calibration.
+    """A calibration whose uncertain columns were determined: `axes` by sensor, from the rates of `references` (or from
+    "gravity"); `refused` names sensors whose rates contradict their calibration.
     """
 
     calibration: Calibration
@@ -60,7 +73,8 @@ class Transfer:
 
 def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = ()) -> Transfer:
     """Determine the uncertain columns of the gyroscopes of `log` (`only` these, if any are named) from the gyroscopes
-    whose response is known, as far as the box turned in `log`. Returns the same calibration if there is nothing to do.
+    whose response is known, or from gravity if none is, as far as the box turned in `log`. Returns the same calibration
+    if there is nothing to do.
     """
     gyroscopes = [sensor for sensor in log.of("angular_rate") if not only or sensor.name in only]
     measured = _measured(gyroscopes, calibration)
@@ -69,9 +83,14 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
     )
     references = [(sensor, known) for sensor, known in measured if not known.uncertain_axes()]
     sensors, axes, refused = dict(calibration.sensors), {}, []
-    for sensor, known in measured if references else ():
+    ends = None if references or not measured else _find_ends(log, accelerometers)
+    for sensor, known in measured if references or ends else ():
         before = known.uncertain_axes()
-        updated = _updated(sensor, known, references, accelerometers) if before else known
+        updated: SensorCalibration | None = known
+        if before and references:
+            updated = _updated(sensor, known, references, accelerometers)
+        elif before and ends:
+            updated = _turned(sensor, known, ends, accelerometers)
         if updated is None:
             refused.append(sensor.name)
             continue
@@ -79,8 +98,80 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
         if gained := "".join(axis for axis in before if axis not in updated.uncertain_axes()):
             axes[sensor.name] = gained
     return Transfer(
-        replace(calibration, sensors=sensors), axes, tuple(sensor.name for sensor, _ in references), tuple(refused)
+        replace(calibration, sensors=sensors),
+        axes,
+        tuple(sensor.name for sensor, _ in references) or (GRAVITY,),
+        tuple(refused),
     )
+
+
+class _Ends(NamedTuple):
+    """Rests between turns (k): the direction of gravity (k, 3) in each, up, in the box frame, and the covariance of all
+    directions (3 k, 3 k).
+    """
+
+    poses: tuple[Pose, ...]
+    up_box: Floats
+    covariance: Floats
+
+
+def _find_ends(log: Log, accelerometers: Sequence[Calibrated]) -> _Ends | None:
+    """Return the rests of a log, as calibrated accelerometers feel them; None without these or without two rests."""
+    if not accelerometers:
+        return None
+    try:
+        poses = tuple(find_poses(log, [sensor.name for sensor in (*log.of("angular_rate"), *_logged(accelerometers))]))
+        readings = read_poses(_logged(accelerometers), poses) if len(poses) > 1 else None
+    except CalibrationError:  # too short, or a sensor that clips at rest: no reference
+        return None
+    if readings is None:
+        return None
+    forces_g = np.array(
+        [
+            known.stimulus_box(mean) / STANDARD_GRAVITY
+            for (_, known), mean in zip(accelerometers, readings.mean_lsb, strict=True)
+        ]
+    )
+    force_g = forces_g.mean(axis=0)
+    length = np.linalg.norm(force_g, axis=1)
+    noise = (readings.variance_lsb2 / readings.sensitivity[:, None, None] ** 2).mean() / len(accelerometers)
+    variance = max(float(noise), float(np.mean((length - 1) ** 2)))
+    return _Ends(poses, force_g / length[:, None], variance * np.eye(force_g.size))
+
+
+def _logged(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
+    return [sensor for sensor, _ in calibrated]
+
+
+def _turned(
+    sensor: SensorLog, known: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
+) -> SensorCalibration | None:
+    """Return the calibration with the response that turns between rests leave of it, the same if they are too few;
+    None if they contradict it.
+    """
+    try:
+        fit = fit_turns(sensor, known, ends.poses, ends.up_box, ends.covariance, accelerometers)
+    except CalibrationError:  # no sound reading in a rest
+        return known
+    if fit is None:
+        return known
+    change = (fit.response - known.response_lsb_per_unit).ravel()
+    if _is_impossible(change, _covariance(known)):
+        return None
+    return replace(
+        known,
+        response_lsb_per_unit=fit.response,
+        response_sem_lsb_per_unit=fit.sem.max(axis=1),
+        response_covariance_lsb2_per_unit2=fit.covariance,
+    )
+
+
+def _is_impossible(change: Floats, prior: Floats) -> bool:
+    """Return whether a change (9,) of a response is beyond the covariance (9, 9) that it is known with."""
+    from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
+
+    moved = float(change @ np.linalg.solve(prior, change))
+    return bool(gammaincc(4.5, moved / 2) < _IMPOSSIBLE)  # nine degrees of freedom
 
 
 def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
@@ -95,8 +186,6 @@ def _updated(
     """Return the calibration with the response that the rates of `references` leave of it, the same if they are too
     few; None if the rates contradict it.
     """
-    from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
-
     prior = _covariance(known)
     information, right, squares, windows = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS), 0.0, 0
     response = known.response_lsb_per_unit
@@ -123,8 +212,7 @@ def _updated(
     excess = max(1.0, float(rest) / (3 * windows - _PARAMETERS))
     covariance = np.linalg.inv(information / excess + weights)
     change = covariance @ right / excess
-    moved = float(change[:9] @ np.linalg.solve(prior, change[:9]))
-    if gammaincc(4.5, moved / 2) < _IMPOSSIBLE:  # chi-squared of nine degrees of freedom
+    if _is_impossible(change[:9], prior):
         return None
     own = covariance[:9, :9] + _of_references(response, references)
     return replace(

@@ -9,9 +9,9 @@ inverse::
 The bias over a turn is taken from the poses before and after it, so that drift does not matter. Rates are linear
 between readings; their rotation is that of the mean rate and the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz, IEEE
 Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). The fit is nonlinear least squares, weighted by the noise of the
-poses, carried through a turn, and raised where residuals require it. The data sheet's response with its tolerance is
-one more measurement: directions that turns about too few axes leave open are known as well as the data sheet promises,
-and no better.
+poses, carried through a turn, and raised where residuals require it. The response that is known before, with its
+covariance, is one more measurement; where none was measured, it is the data sheet's with its tolerance: directions that
+turns about too few axes leave open are known as well as the data sheet promises, and no better.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 FEWEST_TURNS = 6
 """Twelve equations for nine unknowns."""
+
+FEWEST_MORE_TURNS = 3
+"""The same of a gyroscope whose response was measured before: six equations for the three unknowns of a column."""
 
 LONGEST_S = 20.0
 """A turn that takes longer is left out: what it adds of noise and bias outgrows what it tells."""
@@ -56,9 +59,9 @@ class TurnFit:
     """One gyroscope's response from turns.
 
     `response` (3, 3) in counts per dps, its standard errors `sem` and `covariance` (9, 9) row by row, the data sheet's
-    tolerance taken into account; `untold`: the box axes about which too little was turned, whose columns are not known
-    to one per cent; `turns` that were used, `residual_deg` rms of the directions that they missed by, `chi_squared` by
-    the noise at rest with `freedom` degrees, and turns `left_out`.
+    tolerance or an earlier measurement taken into account; `untold`: the box axes about which too little was turned,
+    whose columns are not known to one per cent; `turns` that were used, `residual_deg` rms of the directions that they
+    missed by, `chi_squared` by the noise at rest with `freedom` degrees, and turns `left_out`.
     """
 
     response: Floats
@@ -98,10 +101,13 @@ def fit_turns(
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]] = (),
 ) -> TurnFit | None:
     """A gyroscope's response from the turns between neighbouring `poses`, in which `up_box` (k, 3) pointed up, with
-    covariance (3 k, 3 k); None if fewer than six turns can be used.
+    covariance (3 k, 3 k); None if fewer than `FEWEST_TURNS` can be used (`FEWEST_MORE_TURNS` where `known` has a
+    measured response, which the turns then improve).
 
     `known` has its g-sensitivity; the calibrated `accelerometers` say what it felt on the way.
     """
+    before = _response_before(sensor, known)
+    fewest = FEWEST_TURNS if known.response_sem_lsb_per_unit is None else FEWEST_MORE_TURNS
     good: list[_Turn] = []
     left_out: list[LeftOut] = []
     for place, (first, second) in enumerate(pairwise(poses)):
@@ -112,8 +118,8 @@ def fit_turns(
             left_out.append(turn)
         else:
             good.append(turn)
-    while len(good) >= FEWEST_TURNS:
-        fit, chances, off = _fit(sensor, good, up_covariance, left_out)
+    while len(good) >= fewest:
+        fit, chances, off = _fit(sensor, before, good, up_covariance, left_out)
         strange = worst(chances, off, np.radians(_FAR_DEG))
         if strange is None:
             return fit
@@ -176,14 +182,32 @@ def _felt_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose:
     return np.asarray(np.mean(forces, axis=0))
 
 
-def _fit(
-    sensor: SensorLog, turns: Sequence[_Turn], up_covariance: Floats, left_out: Sequence[LeftOut]
-) -> tuple[TurnFit, list[float], Floats]:
-    """The response from all `turns`; for each of them the chance that it misses as far as it does, and how far in
-    radians, by what the others say.
+def _response_before(sensor: SensorLog, known: SensorCalibration) -> tuple[Floats, Floats]:
+    """Return the inverse response (3, 3) in rad/s per count that is known without the turns, and its information (9, 9)
+    row by row: as measured before, else the data sheet's with its tolerance.
     """
-    nominal = np.asarray(sensor.orientation) * SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-    prior = (TOLERANCE * SI_PER_UNIT[sensor.unit] / sensor.sensitivity) ** -2 * np.eye(9)
+    si = SI_PER_UNIT[sensor.unit]
+    covariance = known.response_covariance()
+    if covariance is None:
+        return np.asarray(sensor.orientation) * si / sensor.sensitivity, (
+            TOLERANCE * si / sensor.sensitivity
+        ) ** -2 * np.eye(9)
+    inverse = np.asarray(np.linalg.inv(known.response_lsb_per_unit) * si, float)
+    change = -np.einsum("ia,bj->ijab", inverse, inverse).reshape(9, 9) / si
+    return inverse, np.asarray(np.linalg.inv(change @ covariance @ change.T), float)
+
+
+def _fit(
+    sensor: SensorLog,
+    before: tuple[Floats, Floats],
+    turns: Sequence[_Turn],
+    up_covariance: Floats,
+    left_out: Sequence[LeftOut],
+) -> tuple[TurnFit, list[float], Floats]:
+    """The response from all `turns` and from what is known before; for each turn the chance that it misses as far as it
+    does, and how far in radians, by what the others say.
+    """
+    nominal, prior = before
     inverse = nominal.copy()
     for _ in range(_ITERATIONS):
         parts = [_missed(turn, inverse) for turn in turns]
