@@ -93,7 +93,9 @@ def rested(folder: Path, seed: int, turn_s: float, bias_g: float = 0.1, axes: st
     motion = Tumbled(about(axes, 12, np.random.default_rng(70 + seed)), rest_s=3.0, turn_s=turn_s)
     still = {name: (WhiteNoise((NOISE[0],) * 3), Bias((bias_g, -0.05, 0.02))) for name in ACCELEROMETERS}
     made = {**effects(*NOISE), **still}
-    return record(folder / f"rested_{seed}_{bias_g}.h5", motion, made, seed=77 + seed, only=(*ACCELEROMETERS, "Gyro3"))
+    return record(
+        folder / f"rested_{seed}_{bias_g}_{axes}.h5", motion, made, seed=77 + seed, only=(*ACCELEROMETERS, "Gyro3")
+    )
 
 
 @pytest.mark.slow
