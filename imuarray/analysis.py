@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from imuarray.simulate import Model
     from imuarray.simulate.effect import Effect
     from imuarray.simulate.experiments import ExperimentOptions
-    from imuarray.simulate.series import Run
+    from imuarray.simulate.series import BootRun
 
 LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
@@ -283,7 +283,7 @@ def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack)
     return None
 
 
-def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions: Conditions) -> Run:
+def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions: Conditions) -> BootRun:
     from imuarray.errors import ConfigError
     from imuarray.simulate.series import run_like
 
@@ -316,7 +316,7 @@ def _experiment(experiment: str, boot: int, conditions: Conditions) -> Experimen
 
 
 def _model(
-    model: str | PathLike[str] | Model, calibration: str | PathLike[str] | Calibration | None, run: Run
+    model: str | PathLike[str] | Model, calibration: str | PathLike[str] | Calibration | None, run: BootRun
 ) -> Model:
     from imuarray.errors import CalibrationError
     from imuarray.shipped import find_model

@@ -22,7 +22,7 @@ from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
 from imuarray.acquire.sensor_routes import SensorRoute, there_and_back
-from imuarray.acquire.start_up import StartUp
+from imuarray.acquire.start_up import StartUpCheck
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
@@ -67,7 +67,7 @@ class Poll:
         self.orders = forth, forth[::-1]
         self.places = [(segment, item) for segment in forth for item in segment.items]
         start_ns = self.clock.now_ns()
-        self.start_up = StartUp(items, options.judge, start_ns) if options.judge else None
+        self.start_up = StartUpCheck(items, options.judge, start_ns) if options.judge else None
         self.readback = ConfigurationReadback(
             [item for segment in forth for item in segment.items],
             rate_hz,

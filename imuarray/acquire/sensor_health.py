@@ -22,7 +22,7 @@ from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
 from imuarray.acquire.recovery import SensorRecovery
 from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
-from imuarray.acquire.start_up import StartUp
+from imuarray.acquire.start_up import StartUpCheck
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times
 from imuarray.drivers.fifo_clock import TOLERANCE
@@ -106,7 +106,7 @@ class SensorHealth:
         self,
         buffers: Sequence[SampleBuffer],
         readback: ConfigurationReadback,
-        start_up: StartUp | None,
+        start_up: StartUpCheck | None,
         faults: FaultEpisodes,
         lost: dict[str, int],
     ) -> None:
@@ -220,7 +220,7 @@ class SensorHealth:
             return
         buffer.recover(now_ns, look=False)
 
-    def _judge(self, start_up: StartUp, now_ns: int, *, last: bool) -> None:
+    def _judge(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
         for buffer, verdict in start_up.verdicts(now_ns, last=last):
             if verdict.text:
                 self._states[id(buffer)].tell(now_ns, "start_up", verdict.text)

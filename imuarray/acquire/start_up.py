@@ -45,7 +45,7 @@ judged.
 """
 
 
-class StartUp:
+class StartUpCheck:
     """The sensors that are still to be judged."""
 
     def __init__(self, buffers: Sequence[SampleBuffer], judge: Judge, now_ns: int) -> None:

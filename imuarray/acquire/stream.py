@@ -17,7 +17,7 @@ from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sample_buffer import Intake
 from imuarray.acquire.sensor_routes import SensorRoute
-from imuarray.acquire.start_up import StartUp
+from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream_health import StreamHealth
 from imuarray.acquire.stream_plan import LINK, Rows, plan
 from imuarray.acquire.stream_queue import rows_of
@@ -75,7 +75,7 @@ class Streaming:
         self._plan = plan(routes, rate_hz)
         self._rows = rows_of(routes, self._plan, rate_hz)
         now_ns = bus.clock.now_ns()
-        start_up = StartUp([rows.buffer for rows in self._rows], options.judge, now_ns) if options.judge else None
+        start_up = StartUpCheck([rows.buffer for rows in self._rows], options.judge, now_ns) if options.judge else None
         self._health = StreamHealth(self._rows, self._plan.watched, start_up, self._note)
         self._link = self._faults.of("", "link")
         self._refused = self._faults.of("", "refused")

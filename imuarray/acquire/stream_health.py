@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from imuarray.acquire.sample_buffer import HELD_S
-from imuarray.acquire.start_up import StartUp
+from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream_plan import ReadbackPlace, Rows, readings_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.errors import SensorError
@@ -34,7 +34,7 @@ class StreamHealth:
     """The health of all sensors. `ill` are those that must be configured again."""
 
     def __init__(
-        self, rows: Sequence[Rows], watched: Sequence[ReadbackPlace], start_up: StartUp | None, note: Note
+        self, rows: Sequence[Rows], watched: Sequence[ReadbackPlace], start_up: StartUpCheck | None, note: Note
     ) -> None:
         self.ill: dict[int, Rows] = {}
         self._rows = rows
@@ -90,7 +90,7 @@ class StreamHealth:
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=False)
 
-    def _judge_start(self, start_up: StartUp, now_ns: int, *, last: bool) -> None:
+    def _judge_start(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
         whose = {id(rows.buffer): rows for rows in self._rows}
         for buffer, verdict in start_up.verdicts(now_ns, last=last):
             rows = whose[id(buffer)]

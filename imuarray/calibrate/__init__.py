@@ -11,7 +11,7 @@ from imuarray.callable_package import public_name
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
-    from imuarray.calibrate.disturbed import LeftOut
+    from imuarray.calibrate.disturbed import Exclusion
     from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
     from imuarray.calibrate.stored import load_calibration
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Calibration": "model",
     "CalibrationComparison": "comparison",
-    "LeftOut": "disturbed",
+    "Exclusion": "disturbed",
     "SensorCalibration": "model",
     "ThermalResult": "thermal",
     "Tumble": "tumble",
@@ -43,7 +43,7 @@ __all__ = [
     "Calibration",
     "CalibrationComparison",
     "Cancellation",
-    "LeftOut",
+    "Exclusion",
     "SensorCalibration",
     "ThermalResult",
     "Tumble",

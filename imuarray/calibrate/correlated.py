@@ -38,21 +38,23 @@ _LOG_ODDS = (-4.0, 6.0)
 
 
 @dataclass(frozen=True)
-class Noise:
+class CorrelatedNoise:
     """A correlation time and the share of the variance that is white."""
 
     correlation_s: float
     white: float
 
 
-def likely_noises(score: Callable[[Sequence[Noise]], Floats], shortest_s: float, longest_s: float) -> tuple[Noise, ...]:
+def likely_noises(
+    score: Callable[[Sequence[CorrelatedNoise]], Floats], shortest_s: float, longest_s: float
+) -> tuple[CorrelatedNoise, ...]:
     """A grid of noises around the likely ones; `score` gives their logarithmic likelihoods (g,), correlation times lie
     between `shortest_s` and `longest_s`.
     """
     box = np.array([np.log([shortest_s, max(longest_s, 2 * shortest_s)]), _LOG_ODDS])
     for _ in range(4):
         points = np.array(list(product(*(np.linspace(low, high, _CELLS) for low, high in box))))
-        noises = tuple(Noise(float(np.exp(time)), float(1 / (1 + np.exp(-odds)))) for time, odds in points)
+        noises = tuple(CorrelatedNoise(float(np.exp(time)), float(1 / (1 + np.exp(-odds)))) for time, odds in points)
         share = weights(score(noises))
         if 1 / (share**2).sum() > _ENOUGH:
             break
@@ -62,7 +64,7 @@ def likely_noises(score: Callable[[Sequence[Noise]], Floats], shortest_s: float,
     return noises
 
 
-def products(columns: Floats, gaps_s: Floats, noise: Noise) -> tuple[Floats, float]:
+def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[Floats, float]:
     """``columns.T @ inverse(C) @ columns`` (k, k) of columns (n, k), and the logarithm of C's determinant.
 
     `gaps_s` (n - 1,) are the times between neighbours; an infinite one begins anew.
@@ -163,7 +165,7 @@ def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]
     centred = values - np.repeat(np.add.reduceat(values, starts) / lengths, lengths)
     columns = np.column_stack([centred, member])
 
-    def fit(noises: Sequence[Noise]) -> Regression:
+    def fit(noises: Sequence[CorrelatedNoise]) -> Regression:
         sums = [products(columns, gaps_s, noise) for noise in noises]
         return regress(np.array([each for each, _ in sums]), np.array([each for _, each in sums]), len(values))
 

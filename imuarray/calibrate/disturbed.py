@@ -29,7 +29,7 @@ FALSE_ALARM = 1e-3
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class Exclusion:
     """A pose or a turn that the fit does not use, the log that it is in, and why."""
 
     phase: str
@@ -37,9 +37,9 @@ class LeftOut:
     reason: str
 
 
-def left_out_of(pose: Pose, reason: str) -> LeftOut:
+def left_out_of(pose: Pose, reason: str) -> Exclusion:
     """The note of a pose that is not used."""
-    return LeftOut(pose.label, "" if pose.log is None else str(pose.log.path), reason)
+    return Exclusion(pose.label, "" if pose.log is None else str(pose.log.path), reason)
 
 
 def another_go(poses: Sequence[Pose]) -> dict[int, str]:

@@ -20,7 +20,7 @@ Table = Mapping[str, object]
 
 
 @dataclass(frozen=True)
-class Where:
+class EntryPlace:
     """The place of a value in a calibration file; its text is file, line and place: "cal.toml:7: sensor 1: unit"."""
 
     path: str
@@ -28,11 +28,11 @@ class Where:
     place: Place
     words: str
 
-    def key(self, name: str) -> Where:
+    def key(self, name: str) -> EntryPlace:
         """Return the place of a key in the table that is here."""
         return replace(self, place=(*self.place, name), words=f"{self.words}: {name}")
 
-    def entry(self, number: int) -> Where:
+    def entry(self, number: int) -> EntryPlace:
         """Return the place of an entry, counted from 1, of the list that is here."""
         return replace(self, place=(*self.place, number - 1), words=f"{self.words} {number}")
 
@@ -42,7 +42,7 @@ class Where:
         return f"{self.path}{f':{line}' if line else ''}: {self.words}"
 
 
-Reader = Callable[[object, Where], object]
+Reader = Callable[[object, EntryPlace], object]
 T = TypeVar("T")
 
 _HUGE = 1e6
@@ -80,7 +80,7 @@ def _plain(value: object) -> object:
     return to_table(value) if is_dataclass(value) else value
 
 
-def read_table(entry: object, where: Where, kind: type[T], readers: Mapping[str, Reader]) -> T:
+def read_table(entry: object, where: EntryPlace, kind: type[T], readers: Mapping[str, Reader]) -> T:
     """A `kind` from a table; CalibrationError names a key that is missing, unknown or holds what it can't."""
     wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
     if not isinstance(entry, dict) or not set(wanted) <= set(entry):
@@ -99,7 +99,7 @@ def table(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
 def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
     """A reader of an array of tables, into a tuple."""
 
-    def read(value: object, where: Where) -> tuple[T, ...]:
+    def read(value: object, where: EntryPlace) -> tuple[T, ...]:
         return tuple(read_table(entry, where.entry(i), kind, readers) for i, entry in enumerate(_list(value, where), 1))
 
     return read
@@ -108,7 +108,7 @@ def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
 def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[str, ...]) -> Reader:
     """A reader of a table of tables that may have the `allowed` names."""
 
-    def read(value: object, where: Where) -> dict[str, T]:
+    def read(value: object, where: EntryPlace) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
             raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are required")
         return {name: read_table(entry, where.key(name), kind, readers) for name, entry in value.items()}
@@ -119,7 +119,7 @@ def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[st
 def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unknown: bool = False) -> Reader:
     """A reader of an array of numbers from `lowest` to `highest`; where `unknown` is true, nan says that it is."""
 
-    def read(value: object, where: Where) -> Floats:
+    def read(value: object, where: EntryPlace) -> Floats:
         array = _array(value, shape)
         if array is None or not (np.isfinite(array) | (unknown & np.isnan(array))).all():
             raise CalibrationError(f"{where} must have {' x '.join(map(str, shape))} finite numbers")
@@ -149,7 +149,7 @@ def _is_number(value: object) -> bool:
 def covariance(size: int) -> Reader:
     """A reader of a covariance (size, size): symmetric, no negative variance in any direction."""
 
-    def read(value: object, where: Where) -> Floats:
+    def read(value: object, where: EntryPlace) -> Floats:
         matrix = np.asarray(numbers(size, size)(value, where))
         slack = _ASYMMETRY * float(np.abs(matrix).max())
         if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
@@ -162,7 +162,7 @@ def covariance(size: int) -> Reader:
 def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
     """A reader of one number from `lowest` to `highest`, as it stands."""
 
-    def read(value: object, where: Where) -> object:
+    def read(value: object, where: EntryPlace) -> object:
         if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]
             raise CalibrationError(f"{where} is not a plausible number for a sensor")
         return value
@@ -170,7 +170,7 @@ def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
     return read
 
 
-def whole(value: object, where: Where) -> int:
+def whole(value: object, where: EntryPlace) -> int:
     """A reader of a whole number from 0 to a million."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _HUGE:
         raise CalibrationError(f"{where}: a whole number is required")
@@ -180,7 +180,7 @@ def whole(value: object, where: Where) -> int:
 def text(*allowed: str, empty: bool = False) -> Reader:
     """A reader of a text, one of `allowed` if any are named."""
 
-    def read(value: object, where: Where) -> str:
+    def read(value: object, where: EntryPlace) -> str:
         if not isinstance(value, str) or not (value or empty) or (allowed and value not in allowed):
             choice = f"; allowed are {', '.join(allowed)}" if allowed else "; a text is required"
             raise CalibrationError(f"{where}: {value!r:.40}{choice}")
@@ -192,7 +192,7 @@ def text(*allowed: str, empty: bool = False) -> Reader:
 def several(reader: Reader, count: int | None = None) -> Reader:
     """A reader of a list, into a tuple, of `count` entries if that is said."""
 
-    def read(value: object, where: Where) -> tuple[object, ...]:
+    def read(value: object, where: EntryPlace) -> tuple[object, ...]:
         entries = _list(value, where)
         if count not in (None, len(entries)):
             raise CalibrationError(f"{where}: {count} entries are required")
@@ -201,7 +201,7 @@ def several(reader: Reader, count: int | None = None) -> Reader:
     return read
 
 
-def _list(value: object, where: Where) -> list[object]:
+def _list(value: object, where: EntryPlace) -> list[object]:
     if not isinstance(value, list):
         raise CalibrationError(f"{where}: a list is required")
     return value

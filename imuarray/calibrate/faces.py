@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, left_out_of, moved_within, worst
 from imuarray.calibrate.fits import TriadFit, straight_lines
 from imuarray.calibrate.labels import axes_text, check_labels
 from imuarray.calibrate.model import SensorCalibration, nominal
@@ -41,7 +41,7 @@ class Faces:
 
     fitted: tuple[Pose, ...]
     checks: tuple[Pose, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Exclusion, ...]
 
     @property
     def up_box(self) -> Floats:
@@ -70,7 +70,7 @@ def sound_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> F
     return Faces(fitted, tuple(pose for pose in kept if pose.is_check), left_out)
 
 
-def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[LeftOut]) -> None:
+def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[Exclusion]) -> None:
     """Faces that don't tell a bias and three columns apart."""
     if not tell_all(faces):
         names = ", ".join(pose.label for pose in faces) or "none"

@@ -25,7 +25,7 @@ from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.bundle import Bundle, in_box_frame, solve
-from imuarray.calibrate.disturbed import LeftOut, another_go, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.disturbed import Exclusion, another_go, chance_of_misfit, left_out_of, moved_within, worst
 from imuarray.calibrate.faces import accelerometer_of
 from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
 from imuarray.calibrate.model import SensorCalibration
@@ -118,7 +118,7 @@ class GravityFit:
     force_apart_g: Floats
     drift_lsb: Floats
     drift_terms: int
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Exclusion, ...]
 
     @property
     def residual_g(self) -> Floats:
@@ -162,7 +162,7 @@ def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lam
         bad[kept[strange]] = left_out_of(poses[kept[strange]], reason)
 
 
-def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[LeftOut] = ()) -> GravityFit:
+def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[Exclusion] = ()) -> GravityFit:
     """Every axis in every pose by the variances (3 s, k) that are given, in g squared, without a drift.
 
     CalibrationError where the poses don't spread enough.
@@ -178,7 +178,7 @@ def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence
     return _told(joint, np.full((len(readings.sensors), len(readings.poses)), np.nan), left_out)
 
 
-def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[LeftOut]) -> None:
+def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Exclusion]) -> None:
     if count < MIN_POSES:
         why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)
         sound = "static" if not left_out else "undisturbed"
@@ -282,7 +282,7 @@ def _lengths(coefficients: Floats, values: Floats, terms: Floats) -> Floats:
     return np.asarray(np.linalg.norm(np.linalg.solve(response, pulled), axis=1))
 
 
-def _told(joint: _Joint, apart: Floats, left_out: Sequence[LeftOut]) -> GravityFit:
+def _told(joint: _Joint, apart: Floats, left_out: Sequence[Exclusion]) -> GravityFit:
     """The result in counts and in the box frame."""
     readings, bundle = joint.readings, joint.bundle
     orientations = np.array([sensor.orientation for sensor in readings.sensors])

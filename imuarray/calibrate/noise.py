@@ -25,7 +25,7 @@ from imuarray.calibrate.pose_readings import (
     SEGMENT_ROWS,
     Pose,
     ReadingInterval,
-    Readings,
+    SegmentReadings,
     Stretches,
     clock_of,
     find_poses,
@@ -207,7 +207,7 @@ _ENOUGH_SEGMENTS = 16
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ReadingNoise:
     """Standard deviation of single readings (3,) in counts about the means of segments and its standard error; the
     correlation of neighbouring readings (3,), 0 on an axis that doesn't scatter, None where no readings are neighbours;
     the lines, axis by axis.
@@ -219,7 +219,7 @@ class Scatter:
     lines: tuple[NoiseLine, ...]
 
 
-def scatter_of(stretches: Stretches, false_alarm: float) -> Scatter | None:
+def scatter_of(stretches: Stretches, false_alarm: float) -> ReadingNoise | None:
     """Pooled over the `stretches` of one sensor at rest; None if no segment of any has two sound readings.
 
     `false_alarm` is the chance that the spectrum of an axis without lines shows one.
@@ -242,7 +242,7 @@ def scatter_of(stretches: Stretches, false_alarm: float) -> Scatter | None:
         return None
     rms = pooled.rms_lsb()
     lines = () if welch is None else noise_lines(stretches, welch.result(), clock, rms, false_alarm)
-    return Scatter(rms, pooled.rms_sem_lsb(), _neighbours(products), lines)
+    return ReadingNoise(rms, pooled.rms_sem_lsb(), _neighbours(products), lines)
 
 
 class _PooledSquares:
@@ -256,7 +256,7 @@ class _PooledSquares:
         self._mixed = np.zeros(3)
         self._squares_squares = np.zeros(3)
 
-    def add(self, part: Readings) -> None:
+    def add(self, part: SegmentReadings) -> None:
         """The readings of a block that ends where a segment does."""
         begin = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
         number = np.diff(begin, append=len(part.segment))

@@ -419,7 +419,7 @@ def clock_of(stretches: Stretches) -> ReadingInterval:
     return ReadingInterval(1e9 / float(usual.mean()) if len(usual) else 0.0, limit_ns)
 
 
-class Readings(NamedTuple):
+class SegmentReadings(NamedTuple):
     """Sound readings of one block: counts (n, 3), the segment of the stretch that each is in, and whether it doesn't
     continue the one before.
     """
@@ -429,7 +429,7 @@ class Readings(NamedTuple):
     is_first: npt.NDArray[np.bool_]
 
 
-def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Readings]:
+def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[SegmentReadings]:
     """The sound readings of `rows`, block after block; an interval longer than `limit_ns` is a gap."""
     last_ns, breaks, breaks_then = -np.inf, 0, 0
     for start in range(rows.start, rows.stop, _BLOCK_ROWS):
@@ -445,11 +445,11 @@ def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Readin
         apart = np.diff(time, prepend=last_ns) > limit_ns
         apart |= np.diff(so_far[kept], prepend=breaks_then) > 0
         segment = (np.flatnonzero(sound) + start - rows.start) // SEGMENT_ROWS
-        yield Readings(np.asarray(sensor.counts[part])[kept].astype(float), segment, apart)
+        yield SegmentReadings(np.asarray(sensor.counts[part])[kept].astype(float), segment, apart)
         last_ns, breaks_then = float(time[-1]), int(so_far[kept][-1])
 
 
-def runs_of(part: Readings) -> Iterator[tuple[bool, Floats]]:
+def runs_of(part: SegmentReadings) -> Iterator[tuple[bool, Floats]]:
     """The readings between gaps, and whether there is one before them."""
     edges = np.flatnonzero(part.is_first)
     if len(edges) == 0 or edges[0] > 0:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import LeftOut, left_out_of
+from imuarray.calibrate.disturbed import Exclusion, left_out_of
 from imuarray.calibrate.gravity import GravityFit, fit_weighted
 from imuarray.calibrate.pose_readings import Pose, PoseReadings
 from imuarray.errors import CalibrationError
@@ -77,7 +77,7 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
     readings, motion_g = readings.only(kept), motion_g[kept]
     scale = readings.sensitivity[:, None, None]
     noise = (readings.variance_lsb2 / scale**2).transpose(0, 2, 1).reshape(-1, len(readings.poses))
-    left_out: list[LeftOut] = []
+    left_out: list[Exclusion] = []
     factor = 1.0
     for _ in range(_ROUNDS):
         fit = fit_weighted(readings, noise + len(sensors) * (factor * motion_g) ** 2, left_out)

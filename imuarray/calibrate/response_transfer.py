@@ -60,7 +60,7 @@ Calibrated = tuple[SensorLog, SensorCalibration]
 
 
 @dataclass(frozen=True)
-class Transfer:
+class ResponseTransfer:
     """A calibration whose uncertain columns were determined: `axes` by sensor, from the rates of `references` (or from
     "gravity"); `refused` names sensors whose rates contradict their calibration.
     """
@@ -71,7 +71,7 @@ class Transfer:
     refused: tuple[str, ...]
 
 
-def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = ()) -> Transfer:
+def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = ()) -> ResponseTransfer:
     """Determine the uncertain columns of the gyroscopes of `log` (`only` these, if any are named) from the gyroscopes
     whose response is known, or from gravity if none is, as far as the box turned in `log`. Returns the same calibration
     if there is nothing to do.
@@ -97,7 +97,7 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
         sensors[sensor.name] = updated
         if gained := "".join(axis for axis in before if axis not in updated.uncertain_axes()):
             axes[sensor.name] = gained
-    return Transfer(
+    return ResponseTransfer(
         replace(calibration, sensors=sensors),
         axes,
         tuple(sensor.name for sensor, _ in references) or (GRAVITY,),

@@ -53,7 +53,7 @@ class Segments:
 
 
 @dataclass(frozen=True)
-class Thermometer:
+class TemperatureSeries:
     """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`."""
 
     kind: str
@@ -138,7 +138,7 @@ def _means(
     return Segments((begin + moments[full] / number[full]) * 1e-9, sums[full] / number[full, None])
 
 
-def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
+def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSeries | None:
     """The best thermometer for `sensor` in its log, averaged over `width_s`: the barometer's, that of `/reference`,
     the chip's own, that of the other chips with one, first those that have a zero; None if there is none.
     """
@@ -152,7 +152,7 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer |
     return _chip_thermometer(log, sensor, width_s)
 
 
-def chip_thermometer(log: Log, width_s: float) -> Thermometer | None:
+def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
     """The first thermometer of a log, averaged over `width_s`: one whose zero is known (a thermometer of its own before
     those of the chips), else one that measures changes only ("relative"); None without any.
     """
@@ -162,7 +162,7 @@ def chip_thermometer(log: Log, width_s: float) -> Thermometer | None:
     return _chip_thermometer(log, known[0], width_s) if known else None
 
 
-def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
+def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSeries | None:
     others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, not has_zero(other)))
     for other in others:
         column, degc = other.temperature_counts, degc_of(other)
@@ -171,7 +171,9 @@ def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermomete
     return None
 
 
-def _read(kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float) -> Thermometer:
+def _read(
+    kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float
+) -> TemperatureSeries:
     """Segment means of a temperature column; values that are not finite don't count. CalibrationError if none are."""
 
     def values(rows: slice) -> Floats:
@@ -185,4 +187,4 @@ def _read(kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: 
         column.name,
         slice(0, int(time.shape[0])),
     )
-    return Thermometer(kind, means.time_s, zero + step * means.mean[:, 0])
+    return TemperatureSeries(kind, means.time_s, zero + step * means.mean[:, 0])

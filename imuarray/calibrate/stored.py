@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from imuarray.calibrate.entries import (
+    EntryPlace,
     Reader,
-    Where,
     covariance,
     named_tables,
     number,
@@ -64,7 +64,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
         raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are required")
     sensors: dict[str, SensorCalibration] = {}
-    array = Where(str(path), key_lines(content), ("sensor",), "sensor")
+    array = EntryPlace(str(path), key_lines(content), ("sensor",), "sensor")
     for index, entry in enumerate(entries, start=1):
         sensor = _from_table(entry, array.entry(index))
         if sensor.name in sensors:
@@ -73,7 +73,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     return Calibration(sensors, tuple(sources))
 
 
-def _from_table(entry: object, where: Where) -> SensorCalibration:
+def _from_table(entry: object, where: EntryPlace) -> SensorCalibration:
     sensor = read_table(entry, where, SensorCalibration, _SENSOR)
     if _UNITS.get(sensor.quantity) != sensor.unit:
         allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())

@@ -29,7 +29,7 @@ from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
-from imuarray.calibrate.segments import Segments, Thermometer, segment_means, thermometer_of
+from imuarray.calibrate.segments import Segments, TemperatureSeries, segment_means, thermometer_of
 from imuarray.calibrate.slow_wander import SlowRegression, cosines
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
@@ -78,7 +78,7 @@ class AxesFit:
     lag_interval_s: Floats
 
 
-def fit_axes(segments: Segments, thermometer: Thermometer, reference_degc: float) -> AxesFit:
+def fit_axes(segments: Segments, thermometer: TemperatureSeries, reference_degc: float) -> AxesFit:
     """Fit the segment means (n, 3) of one sensor; n of 20 at least."""
     span_s = float(segments.time_s[-1] - segments.time_s[0])
     shortest_s = float(np.median(np.diff(segments.time_s))) / 2
@@ -208,7 +208,7 @@ _LEAST_BEND = 0.05
 
 
 @dataclass(frozen=True)
-class Heating:
+class HeatingFit:
     """One sensor in one log: the fit of its axes, the thermometer's kind and span (coldest, warmest, degC), and the
     gravity (3,) in g along its axes.
     """
@@ -228,7 +228,7 @@ class ThermalResult:
     """
 
     calibration: Calibration
-    heatings: tuple[Heating, ...]
+    heatings: tuple[HeatingFit, ...]
     pairs: tuple[OpposedSlopes, ...]
 
     def plot(self) -> Figure:
@@ -301,11 +301,13 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
     return np.asarray(mean / np.linalg.norm(mean)) if mean.any() else None
 
 
-def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float) -> list[Heating]:
+def _heatings(
+    sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float
+) -> list[HeatingFit]:
     """The sensor in every log, all about the middle of the first one's temperatures: a parabola's slope there is the
     mean one over them, wherever the box spent most of its time.
     """
-    results: list[Heating] = []
+    results: list[HeatingFit] = []
     for log, up in zip(logs, ups, strict=True):
         here = log[sensor.name]
         if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
@@ -325,8 +327,13 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
 
 
 def _heating(
-    sensor: SensorLog, log: Log, up: Floats | None, thermometer: Thermometer, reference_degc: float, segment_s: float
-) -> Heating:
+    sensor: SensorLog,
+    log: Log,
+    up: Floats | None,
+    thermometer: TemperatureSeries,
+    reference_degc: float,
+    segment_s: float,
+) -> HeatingFit:
     """Fit one sensor of one log; CalibrationError if there is too little to fit."""
     segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
     if len(segments.time_s) < _FEWEST_SEGMENTS:
@@ -344,10 +351,10 @@ def _heating(
         raise CalibrationError(f"{sensor.where}: the temperature changed so steadily that its effect could be drift")
     gravity = np.zeros(3) if up is None else np.asarray(sensor.orientation.T @ up)
     fit = fit_axes(segments, thermometer, reference_degc)
-    return Heating(sensor.name, str(log.path), thermometer.kind, span, gravity, fit)
+    return HeatingFit(sensor.name, str(log.path), thermometer.kind, span, gravity, fit)
 
 
-def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibration:
+def _combined(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibration:
     """One sensor's slopes from all its heatings; the lag of the one that knows it best."""
     slopes, sems = (
         np.array([getattr(h.fit, f"slope_{name}") for h in heatings]) for name in ("lsb_per_degc", "sem_lsb_per_degc")

@@ -19,14 +19,14 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, face_up
-from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit
+from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit
 from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
 from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
 from imuarray.calibrate.gravity import MIN_POSES, fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, noted_faces, read_poses
 from imuarray.calibrate.quasi_static import fit_path
-from imuarray.calibrate.segments import Thermometer, thermometer_of
+from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
@@ -108,7 +108,7 @@ class Tumble:
     pose_residual_g: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
     fits: Mapping[str, TriadFit] = field(default_factory=lambda: MappingProxyType({}))
     turns: Mapping[str, TurnFit] = field(default_factory=lambda: MappingProxyType({}))
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
     warnings: tuple[str, ...] = ()
     """Sentences on what the poses tell badly."""
 
@@ -152,7 +152,7 @@ class _Reference:
     names: tuple[str, ...]
     residual_g: dict[str, Floats]
     apart_g: dict[str, Floats]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Exclusion, ...]
 
 
 def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lambda what, done, of: None) -> Tumble:
@@ -351,6 +351,6 @@ def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
     return float(np.concatenate(parts).mean()) if parts else None
 
 
-def _thermometer(log: Log, sensor: SensorLog) -> Thermometer | None:
+def _thermometer(log: Log, sensor: SensorLog) -> TemperatureSeries | None:
     result = thermometer_of(log, sensor, SEGMENT_S) if len(sensor) else None
     return None if result is None or result.kind == "relative" else result

@@ -23,7 +23,7 @@ from itertools import pairwise
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
+from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
 from imuarray.calibrate.model import COLUMN_ERROR, SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, read_pose
@@ -72,7 +72,7 @@ class TurnFit:
     residual_deg: float
     chi_squared: float
     freedom: float
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[Exclusion, ...]
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,12 @@ def fit_turns(
     before = _response_before(sensor, known)
     fewest = FEWEST_TURNS if known.response_sem_lsb_per_unit is None else FEWEST_MORE_TURNS
     good: list[_Turn] = []
-    left_out: list[LeftOut] = []
+    left_out: list[Exclusion] = []
     for place, (first, second) in enumerate(pairwise(poses)):
         if first.log is not second.log:
             continue
         turn = _turn(sensor, known, (first, second), place, up_box, accelerometers)
-        if isinstance(turn, LeftOut):
+        if isinstance(turn, Exclusion):
             left_out.append(turn)
         else:
             good.append(turn)
@@ -124,7 +124,7 @@ def fit_turns(
         if strange is None:
             return fit
         reason = f"ends {np.degrees(off[strange]):.2f} degrees from where the other turns predict its end"
-        left_out.append(LeftOut(good[strange].name, good[strange].log, reason))
+        left_out.append(Exclusion(good[strange].name, good[strange].log, reason))
         good.pop(strange)
     return None
 
@@ -136,7 +136,7 @@ def _turn(
     place: int,
     up_box: Floats,
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]],
-) -> _Turn | LeftOut:
+) -> _Turn | Exclusion:
     """Return the readings of the gyroscope between two poses, the first at `place`, or the reason why they can't be
     integrated.
     """
@@ -152,11 +152,11 @@ def _turn(
     usual_s = rests_s[0] / readings[0].rows
     clipped = int(np.count_nonzero(np.asarray(here.status[rows]) & (SATURATED | SUSPECT)))
     if clipped:
-        return LeftOut(name, log, f"{clipped} readings clip or are suspect")
+        return Exclusion(name, log, f"{clipped} readings clip or are suspect")
     if seconds > LONGEST_S:
-        return LeftOut(name, log, f"took {seconds:.0f} s")
+        return Exclusion(name, log, f"took {seconds:.0f} s")
     if len(time) < 4 or np.diff(time).max() > _GAP * usual_s:
-        return LeftOut(name, log, "readings are missing")
+        return Exclusion(name, log, "readings are missing")
     share = ((time - time[0]) / seconds)[:, None]
     means = [reading.mean_lsb for reading in readings]
     counts = np.asarray(here.counts[rows], float) - means[0] - share * (means[1] - means[0])
@@ -202,7 +202,7 @@ def _fit(
     before: tuple[Floats, Floats],
     turns: Sequence[_Turn],
     up_covariance: Floats,
-    left_out: Sequence[LeftOut],
+    left_out: Sequence[Exclusion],
 ) -> tuple[TurnFit, list[float], Floats]:
     """The response from all `turns` and from what is known before; for each turn the chance that it misses as far as it
     does, and how far in radians, by what the others say.

@@ -9,7 +9,7 @@ import click
 if TYPE_CHECKING:
     from imuarray.calibrate import SensorCalibration, ThermalResult
     from imuarray.calibrate.opposed import OpposedSlopes
-    from imuarray.calibrate.thermal import Heating
+    from imuarray.calibrate.thermal import HeatingFit
 
 
 def report_of(result: ThermalResult) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def _sensor(sensor: SensorCalibration) -> dict[str, Any]:
     return {"name": sensor.name, "unit": sensor.unit, **to_table(sensor.thermal)}
 
 
-def _heating(heating: Heating) -> dict[str, Any]:
+def _heating(heating: HeatingFit) -> dict[str, Any]:
     fit = heating.fit
     return {
         "sensor": heating.sensor,

@@ -26,7 +26,7 @@ from imuarray.shipped import find_config, find_model
 if TYPE_CHECKING:
     from imuarray.log import Log
     from imuarray.simulate import Model, Plan, Written
-    from imuarray.simulate.series import Run
+    from imuarray.simulate.series import BootRun
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 """Experiments of `imuarray.simulate.experiments`, repeated here because that module imports NumPy."""
@@ -255,7 +255,7 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
             raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
 
 
-def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[Run]]:
+def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[BootRun]]:
     """The logs to write; the recorded log that they are like, if there is one."""
     from imuarray.array import load_array
     from imuarray.errors import ConfigError

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.segments import Thermometer, degc_of, has_zero
+from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero
 from imuarray.errors import ExportError, LogError
 from imuarray.export.formats import UNITS, ExportRequest
 from imuarray.export.fused import fused_content
@@ -33,14 +33,14 @@ from imuarray.units import SI_NAME, SI_PER_UNIT
 _AXES = ("x", "y", "z")
 
 
-def warmth(log: Log, calibration: Calibration) -> dict[str, Thermometer]:
+def warmth(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
     """The temperature that the bias of each sensor follows, of those whose slopes are known."""
     inertial = [*log.of("specific_force"), *log.of("angular_rate")]
     return element_temperatures(log, (sensor for sensor in inertial if len(sensor)), calibration)
 
 
 def physical_columns(
-    sensor: SensorLog, calibration: Calibration, units: str, warm: Mapping[str, Thermometer]
+    sensor: SensorLog, calibration: Calibration, units: str, warm: Mapping[str, TemperatureSeries]
 ) -> tuple[TableColumn, ...]:
     """The columns of a sensor, but for time and status, in `units` ("si" or "sensor"); CalibrationError if what is
     known does not fit, or nothing is. Counts stay where there is no way to a unit.
@@ -61,7 +61,7 @@ def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     return tuple(columns)
 
 
-def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: Thermometer | None) -> TableColumn:
+def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: TemperatureSeries | None) -> TableColumn:
     scale = 1.0 if units == "si" else 1 / SI_PER_UNIT[sensor.unit]
 
     def read(rows: slice) -> npt.NDArray[np.float64]:

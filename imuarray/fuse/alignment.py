@@ -1,6 +1,6 @@
 """Alignment of all sensor axes of one quantity to one time grid, as a pure function of the readings around it.
 
-`Rows` holds the rows of one sensor as they arrive, as long as they are required. `choose` selects the times of the
+`RowWindow` holds the rows of one sensor as they arrive, as long as they are required. `choose` selects the times of the
 frames: those of a sensor that is read in the middle of them, and those of others while it is silent. `align` computes
 the frames.
 
@@ -40,7 +40,7 @@ FOREVER_NS = 1 << 62
 """Later than any time of a log."""
 
 
-class Rows:
+class RowWindow:
     """A window that slides over one sensor's rows: `append` at its end, `forget` at its beginning."""
 
     def __init__(self) -> None:
@@ -350,7 +350,7 @@ class ElementTemperature(Protocol):
 
 
 @dataclass(frozen=True)
-class Unit:
+class AlignedSensor:
     """One sensor of a quantity: its calibration, the end of its range in counts, how warm it was (None: unknown), how
     long it takes to make a reading (0: unknown), and by how much its filter is behind.
     """
@@ -380,7 +380,7 @@ class _Part(NamedTuple):
 
 
 def align(
-    units: Sequence[Unit], rows: Sequence[Block | None], grid: Times, period_ns: float, directions: Floats
+    units: Sequence[AlignedSensor], rows: Sequence[Block | None], grid: Times, period_ns: float, directions: Floats
 ) -> Frames:
     """The frames of one quantity at the times `grid` (n,) from the `rows` of its `units` around them; `directions`
     (m, 3) are those of all their axes in the box frame.
@@ -404,7 +404,7 @@ def _by_axis(sensors: Booleans) -> Booleans:
     return np.ascontiguousarray(np.repeat(sensors, 3, axis=0).T)
 
 
-def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> _Part:
+def _on_grid(unit: AlignedSensor, block: Block | None, grid: Times, period_ns: float) -> _Part:
     """The readings nearest to each grid time, within half a frame."""
     if block is None or len(block.time) == 0:
         nothing, empty = np.zeros(len(grid), bool), np.zeros((3, len(grid)))
@@ -427,7 +427,7 @@ def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> 
     return _Part(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
 
 
-def _bias(unit: Unit, time: Times) -> Floats:
+def _bias(unit: AlignedSensor, time: Times) -> Floats:
     """(3,) or (n, 3) the bias in counts, at the temperature of the readings where it is known."""
     if unit.element is None:
         return unit.known.bias_lsb
@@ -435,7 +435,7 @@ def _bias(unit: Unit, time: Times) -> Floats:
     return np.where(np.isfinite(degc)[:, None], unit.known.bias_at(np.nan_to_num(degc)), unit.known.bias_lsb)
 
 
-def _clipped(unit: Unit, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
+def _clipped(unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
     """(n, 3) the end at which an axis of a triad that is flagged as saturated stands."""
     flagged = (status & SATURATED) != 0
     if not flagged.any():

@@ -19,7 +19,7 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.calibrate.segments import Thermometer, degc_of, has_zero, thermometer_of
+from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero, thermometer_of
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.alignment import ElementTemperature
@@ -47,7 +47,7 @@ def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
 
 def element_temperatures(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration, *, of_all: bool = False
-) -> dict[str, Thermometer]:
+) -> dict[str, TemperatureSeries]:
     """The temperature that the bias of each sensor follows, behind its lag, by sensor: one row for 5 s, or longer.
 
     Read as `calibrate thermal` reads it: barometer, `/reference`, the chip's own thermometer, that of another chip.
@@ -64,9 +64,9 @@ def element_temperatures(
     }
 
 
-def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[SensorLog, Thermometer]]:
+def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[SensorLog, TemperatureSeries]]:
     """Each sensor that has one with its best thermometer; one that serves the whole box is read once."""
-    of_box: Thermometer | None = None
+    of_box: TemperatureSeries | None = None
     for sensor in sensors:
         thermometer = of_box or thermometer_of(log, sensor, SEGMENT_S)
         if thermometer is not None:
@@ -81,7 +81,7 @@ def is_compatible(kind: str, thermal: Thermal | None) -> bool:
     return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
 
-def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:
+def _behind(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
     """The thermometer behind the lag of the slopes, unless their interval holds no lag at all."""
     lag_s = thermal.significant_lag_s
     if lag_s == 0:

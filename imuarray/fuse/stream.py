@@ -21,7 +21,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, Grid, Rows, Unit, align, choose
+from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, AlignedSensor, Grid, RowWindow, align, choose
 from imuarray.fuse.axes import axes_of, directions
 from imuarray.fuse.axis_offsets import AxisOffsets
 from imuarray.fuse.element_temperature import TemperatureSources
@@ -49,7 +49,7 @@ class FixedWeighing(Protocol):
 class DirectCombination:
     """One quantity by a technique that weighs alike in every frame."""
 
-    def __init__(self, technique: FixedWeighing, units: Sequence[Unit]) -> None:
+    def __init__(self, technique: FixedWeighing, units: Sequence[AlignedSensor]) -> None:
         gain, self._estimate = technique.whole()
         bias = np.concatenate([unit.known.bias_lsb for unit in units])
         scale = np.concatenate([unit.known.lsb_per_si for unit in units])
@@ -61,7 +61,7 @@ class DirectCombination:
 
 
 def direct_combinations(
-    techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]
+    techniques: Mapping[str, object], units: Mapping[str, Sequence[AlignedSensor]]
 ) -> dict[str, DirectCombination]:
     """The short way of every quantity; empty if one of them has none."""
     result = {
@@ -72,7 +72,7 @@ def direct_combinations(
     return result if len(result) == len(techniques) else {}
 
 
-def _is_plain(unit: Unit) -> bool:
+def _is_plain(unit: AlignedSensor) -> bool:
     """Return whether nothing but its counts says what it feels, and when."""
     known = unit.known
     return unit.element is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
@@ -99,7 +99,7 @@ TIMEOUT_S = 3.0
 
 
 @dataclass(frozen=True)
-class Group:
+class SensorGroup:
     """The sensors of one quantity (numbers of all sensors), and where their axes point (m, 3)."""
 
     numbers: tuple[int, ...]
@@ -127,9 +127,9 @@ class FusionStream(Generic[Out]):
         self._feeds = dict(temperatures.feeds)
         self._names = [sensor.name for sensor in inertial]
         self._where = [sensor.where for sensor in inertial]
-        self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
+        self._rows = {name: RowWindow() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
         self._units = [
-            Unit(
+            AlignedSensor(
                 calibration.or_nominal(sensor),
                 sensor.range * sensor.sensitivity,
                 temperatures.elements.get(sensor.name),
@@ -140,13 +140,13 @@ class FusionStream(Generic[Out]):
         ]
         self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in temperatures.delays_s.items()}
         self._elements = dict(temperatures.elements)
-        self._groups: dict[str, Group] = {}
+        self._groups: dict[str, SensorGroup] = {}
         self._offsets: dict[str, AxisOffsets] = {}
         self._combined = 0
         """How many of the last frames were combined directly: their offsets are still to be observed."""
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
-            self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
+            self._groups[quantity] = SensorGroup(numbers, directions(axes_of(group, calibration)))
             self._offsets[quantity] = AxisOffsets(self._groups[quantity].directions)
         self._making = making
         self._pipeline: Pipeline[Out] | None = None
@@ -317,7 +317,7 @@ class FusionStream(Generic[Out]):
             if response is not None:
                 frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T
 
-    def _responses(self, group: Group) -> list[Floats | None]:
+    def _responses(self, group: SensorGroup) -> list[Floats | None]:
         """Return the reading of each sensor of a group, in SI along its axes, under one g along each box axis; None if
         unknown.
         """

@@ -13,10 +13,10 @@ import numpy as np
 
 from imuarray.figures import PALETTE
 from imuarray.report.gap_sheet import NARROW, legend_above, make_logarithmic, plain, sheet
-from imuarray.validation.rates import Bin, Estimate, rate
+from imuarray.validation.rates import Bin, RateEstimate, rate
 from imuarray.validation.score_closure import WITHIN, Closure
-from imuarray.validation.score_detection import DETECTION, FALSE_ALARMS, Curve
-from imuarray.validation.score_rows import Row
+from imuarray.validation.score_detection import DETECTION, FALSE_ALARMS, DetectionCurve
+from imuarray.validation.score_rows import ScoreRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def plots_of(figures: Figures) -> dict[str, Figure]:
     return {name: plot for name, plot in plots.items() if plot is not None}
 
 
-def alarms_figure(rows: Sequence[Row]) -> Figure:
+def alarms_figure(rows: Sequence[ScoreRow]) -> Figure:
     """False alarms of each plan, the band that is allowed, and the nominal rate."""
     figure, panel = sheet(NARROW, 1.2 + 0.4 * len(rows))
     low, high = (100 * (end or 0.0) for end in FALSE_ALARMS)
@@ -61,7 +61,7 @@ def alarms_figure(rows: Sequence[Row]) -> Figure:
     panel.axvline(100 * _NOMINAL, color=_GREY, linewidth=1, linestyle="--", label="nominal")
     for place, row in enumerate(rows):
         colour = _RED if row.passes is False else _BLUE
-        _whisker(panel, Estimate(row.value, row.low, row.high, row.cases), place, colour)
+        _whisker(panel, RateEstimate(row.value, row.low, row.high, row.cases), place, colour)
     names = [f"{plain(row.name.partition('plan ')[2])} ({row.cases})" for row in rows]
     panel.set_yticks(range(len(rows)), names)
     panel.set_ylim(len(rows) - 0.5, -0.5)
@@ -71,7 +71,7 @@ def alarms_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def detection_figure(curves: Sequence[Curve]) -> Figure:
+def detection_figure(curves: Sequence[DetectionCurve]) -> Figure:
     """Share of cases in which a gap is reported against severity, all plans together and each."""
     figure, panel = sheet(NARROW, 4.0)
     for number, curve in enumerate(curves):
@@ -170,7 +170,7 @@ def closure_figure(closures: Sequence[Closure]) -> Figure:
     return figure
 
 
-def _whisker(panel: Axes, estimate: Estimate, place: float, colour: str) -> None:
+def _whisker(panel: Axes, estimate: RateEstimate, place: float, colour: str) -> None:
     """A share in percent, lying."""
     if not estimate.cases:
         return

@@ -16,7 +16,7 @@ from imuarray.report.validation_figures import plots_of
 from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines, transfer_rows
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
-from imuarray.validation.score_rows import Row
+from imuarray.validation.score_rows import ScoreRow
 from imuarray.validation.scoring import Figures, decimal, format_row, lost_by
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
@@ -172,7 +172,7 @@ def _plan_text(figures: Figures) -> str:
     return f"the plan {figures.full!r}" if figures.full else "all plans"
 
 
-def _plan_of(row: Row) -> str:
+def _plan_of(row: ScoreRow) -> str:
     """Return the plan of a row of false alarms."""
     return row.name.partition("plan ")[2] or "all"
 

@@ -19,7 +19,7 @@ from imuarray.spelling import guess
 
 
 @dataclass(frozen=True)
-class Run:
+class BootRun:
     """One log to write: where, of what, and which boot of the units it is."""
 
     path: Path
@@ -28,14 +28,14 @@ class Run:
     boot: int
 
 
-def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> Run:
+def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
     """A log with the sensors, times, faces and temperature of another; LogError for a sensor that it does not have."""
-    return Run(path, plan_like(log, only), LikeLog(log), boot)
+    return BootRun(path, plan_like(log, only), LikeLog(log), boot)
 
 
 def turn_on_series(
     array: ArrayConfig, path: Path, wanted: ExperimentOptions, rate_hz: float, boots: Sequence[int]
-) -> list[Run]:
+) -> list[BootRun]:
     """The logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder of `path`."""
     digits = max(2, len(str(len(boots))))
     listed = []
@@ -47,10 +47,10 @@ def turn_on_series(
 
 def run_of(
     array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int
-) -> Run:
+) -> BootRun:
     """One log of one of `EXPERIMENTS`; of a turn-on series the run `wanted.run`."""
     motion = EXPERIMENTS[experiment](wanted)
-    return Run(path, plan_of(array, rate_hz, wanted.seconds or motion.seconds), motion, boot)
+    return BootRun(path, plan_of(array, rate_hz, wanted.seconds or motion.seconds), motion, boot)
 
 
 def with_effects(

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 
 BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")
 
-Rows = Sequence[tuple["Case", Gain]]
+Rows = Sequence[tuple["GainCase", Gain]]
 
 
 @dataclass(frozen=True)
-class Case:
+class GainCase:
     """One comparison: a technique, on some sensors of one run, by the scatter or by the drift of its error.
 
     `claim` is the quantity for which the paper expects a gain here, "" where it expects none.
@@ -61,21 +61,21 @@ class Case:
 
 
 CASES = (
-    Case("opposed", "heating", "angular_rate", slow=True),
-    Case("planes", "static", "specific_force"),
-    Case("ranges", "static", "specific_force", BMA180S),
-    Case("ranges", "shaking", only=BMA180S, phases=("motion",)),
-    Case("opposed", "static"),
-    Case("opposed", "shaking"),
-    Case("planes", "heating", slow=True),
-    Case("planes", "shaking"),
-    Case("ranges", "static"),
-    Case("ranges", "heating"),
+    GainCase("opposed", "heating", "angular_rate", slow=True),
+    GainCase("planes", "static", "specific_force"),
+    GainCase("ranges", "static", "specific_force", BMA180S),
+    GainCase("ranges", "shaking", only=BMA180S, phases=("motion",)),
+    GainCase("opposed", "static"),
+    GainCase("opposed", "shaking"),
+    GainCase("planes", "heating", slow=True),
+    GainCase("planes", "shaking"),
+    GainCase("ranges", "static"),
+    GainCase("ranges", "heating"),
 )
 """First where the paper says that a technique helps, then elsewhere."""
 
 
-def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Case, Gain]]:
+def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
     """Every case's gains, per quantity and axis."""
     rows = []
     for case in CASES:
@@ -86,7 +86,7 @@ def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Ca
     return rows
 
 
-def _best(rows: Rows, case: Case) -> Gain:
+def _best(rows: Rows, case: GainCase) -> Gain:
     """The axis on which a technique gains most where it should."""
     of_case = [
         gain for result, gain in rows if result == case and gain.quantity == case.claim and gain.box_axis != "XYZ"

@@ -25,7 +25,7 @@ _MEANS = 200
 _ROUNDING = 1e-9
 
 
-class Estimate(NamedTuple):
+class RateEstimate(NamedTuple):
     """A figure with its 95 % interval over `cases` cases; nan without cases."""
 
     value: float
@@ -34,7 +34,7 @@ class Estimate(NamedTuple):
     cases: int
 
 
-NOTHING = Estimate(nan, nan, nan, 0)
+NOTHING = RateEstimate(nan, nan, nan, 0)
 
 
 class Bin(NamedTuple):
@@ -55,15 +55,15 @@ class Chance(NamedTuple):
     deviation: float
 
 
-def rate(hits: int, cases: int) -> Estimate:
+def rate(hits: int, cases: int) -> RateEstimate:
     """Return a proportion of cases with Wilson's interval."""
     if not cases:
         return NOTHING
     interval = stats.binomtest(hits, cases).proportion_ci(CONFIDENCE, method="wilson")
-    return Estimate(hits / cases, float(interval.low), float(interval.high), cases)
+    return RateEstimate(hits / cases, float(interval.low), float(interval.high), cases)
 
 
-def bootstrap(statistic: Callable[..., float], *samples: Numbers, seed: int) -> Estimate:
+def bootstrap(statistic: Callable[..., float], *samples: Numbers, seed: int) -> RateEstimate:
     """Return `statistic` of samples (n,), (m,), ..., each resampled independently; `cases` counts the first sample.
 
     The interval is nan if a sample has a single value.
@@ -73,7 +73,7 @@ def bootstrap(statistic: Callable[..., float], *samples: Numbers, seed: int) -> 
         return NOTHING
     value, cases = float(statistic(*arrays)), len(arrays[0])
     if min(map(len, arrays)) < 2:
-        return Estimate(value, nan, nan, cases)
+        return RateEstimate(value, nan, nan, cases)
     drawn = stats.bootstrap(
         tuple(arrays),
         statistic,
@@ -84,12 +84,12 @@ def bootstrap(statistic: Callable[..., float], *samples: Numbers, seed: int) -> 
         random_state=np.random.default_rng(seed),
     )
     interval = drawn.confidence_interval
-    return Estimate(value, float(interval.low), float(interval.high), cases)
+    return RateEstimate(value, float(interval.low), float(interval.high), cases)
 
 
 def bootstrap_groups(
     statistic: Callable[[Floats, Booleans], float], groups: Sequence[tuple[Numbers, Any]], seed: int
-) -> Estimate:
+) -> RateEstimate:
     """Return `statistic` of probabilities (n,) and whether they were right (n,), grouped by case. Whole groups are
     resampled, because values of one case are not independent. `cases` counts the probabilities.
     """

@@ -183,7 +183,7 @@ class LostCase:
 
 
 @dataclass(frozen=True)
-class Run:
+class ValidationRun:
     """The results of a validation run: its plan (`plan.json`), the answers in the order of their numbers, lost cases,
     notes.
     """
@@ -194,7 +194,7 @@ class Run:
     notes: tuple[str, ...] = ()
 
 
-def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
+def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> ValidationRun:
     """Read a run's folder with its sealed truth. Cases without outcome are lost, as are outcomes without truth and
     those of `planned` without any file. A case in which a random mechanism never acted has no answer. ConfigError if it
     is not the folder of a run.
@@ -223,7 +223,7 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
         f"In {idle} cases the fault, which occurs by chance, did not occur while logs were recorded: they"
         f" are not counted.": idle,
     }
-    return Run(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
+    return ValidationRun(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
 
 
 def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.validation.rates import Estimate, auroc, bootstrap, limit_of, permute_labels, rate
+from imuarray.validation.rates import RateEstimate, auroc, bootstrap, limit_of, permute_labels, rate
 from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, ActiveMechanism, Answer, meets
 from imuarray.validation.score_detection import Hidden, shown_singles
-from imuarray.validation.score_rows import NO_BAR, Bar, Breakdown, Row, make_row, on_plan, rate_row, severity_name
+from imuarray.validation.score_rows import NO_BAR, Bar, Breakdown, ScoreRow, make_row, on_plan, rate_row, severity_name
 
 FIRST: Bar = (0.90, None)
 FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
@@ -39,7 +39,7 @@ class Confusion(NamedTuple):
 
 def cause_rows(
     answers: Sequence[Answer], hidden: Hidden, full: str, sensors: Collection[str], seed: int
-) -> Iterator[Row]:
+) -> Iterator[ScoreRow]:
     """Yield the figures of detected single mechanisms, unknown mechanisms, pairs and removals, and the control."""
     singles = [answer for answer in shown_singles(answers, hidden) if answer.is_detected]
     yield from _first_rows(singles, full)
@@ -137,7 +137,7 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
     return Confusion(tuple(rows), columns, counts, right)
 
 
-def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
+def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
     about = "single mechanisms that were detected: the most probable cause has a right name"
     yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, Breakdown(full))
     large = [answer for answer in singles if answer.limits >= LARGE]
@@ -146,7 +146,7 @@ def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
     yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, Breakdown(full))
 
 
-def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
+def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[ScoreRow]:
     strangers = [answer for answer in answers if answer.case.kind in ("unnamed", "withheld") and answer.is_detected]
     groups = ("kind", "severity", "mechanism")
     about = "detected mechanisms that no name of the library fits: the verdict"
@@ -160,7 +160,7 @@ def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: st
 
 def _unknown_scores(
     strangers: Sequence[Answer], known: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int
-) -> Iterator[Row]:
+) -> Iterator[ScoreRow]:
     """Yield the figures of the stated probability that an unknown effect is present."""
     above = [answer.unknown for answer in strangers]
     at_large = [answer.unknown for answer in on_plan(known, full)]
@@ -180,14 +180,14 @@ def _unknown_scores(
     yield make_row("unknown against known at 5x, AUROC", area, UNKNOWN, about, [cell])
 
 
-def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[Row]:
+def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
     for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
         own = [answer for answer in pairs if _are_apart(answer.active) == is_apart]
         about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
         yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, Breakdown(full))
 
 
-def _control(singles: Sequence[Answer], seed: int) -> Row:
+def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
     """Permute the labels of the cases: no more of them may be right than by chance."""
     labels = [frozenset(effect for work in answer.active for effect in work.resembles) for answer in singles]
     effects = {
@@ -196,7 +196,7 @@ def _control(singles: Sequence[Answer], seed: int) -> Row:
     }
     hits = np.stack([effects[label] for label in labels], axis=1) if labels else np.zeros((0, 0), bool)
     chance = permute_labels(hits, seed)
-    share: Estimate = rate(chance.hits, len(singles))
+    share: RateEstimate = rate(chance.hits, len(singles))
     bar = (None, chance.mean + _SURE * chance.deviation) if isfinite(chance.mean) else (None, 0.5)
     about = f"a control of the scoring: labels of cases permuted once, which gives {chance.mean:.3f} on average"
     return make_row("right cause first, labels shuffled", share, bar, about)

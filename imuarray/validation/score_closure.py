@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.validation.rates import (
     Bin,
-    Estimate,
+    RateEstimate,
     bootstrap,
     bootstrap_groups,
     brier,
@@ -26,7 +26,7 @@ from imuarray.validation.score_rows import (
     NO_BAR,
     Bar,
     Breakdown,
-    Row,
+    ScoreRow,
     group_answers,
     make_row,
     on_plan,
@@ -56,7 +56,7 @@ class Closure(NamedTuple):
     is_right: bool
 
 
-def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
+def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[ScoreRow]:
     """Yield the figures of the closed share: against the oracle, for wrong causes, and without a gap."""
     solvable = [answer for answer in answers if _has_oracle(answer)]
     groups = ("kind", "severity", "mechanism")
@@ -74,7 +74,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, Breakdown(full, ()))
 
 
-def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
+def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[ScoreRow]:
     """Yield the calibration error and Brier score of all reported causes, and the error expected by chance."""
     counted = on_plan(answers, full)
     about = "all reported causes in cases of one mechanism, two or none: right if the name is, at one of the sensors"
@@ -94,10 +94,10 @@ def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterato
         "what the calibration error would be, on average, if all these probabilities were right: bins have few causes"
     )
     floor = calibration_error_by_chance(values, seed) if len(values) else nan
-    yield make_row("calibration error by chance alone", Estimate(floor, nan, nan, len(values)), NO_BAR, about)
+    yield make_row("calibration error by chance alone", RateEstimate(floor, nan, nan, len(values)), NO_BAR, about)
 
 
-def time_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
+def time_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[ScoreRow]:
     """Yield the median and the 90 % quantile of the processing time of a case."""
     seconds = [answer.outcome.seconds for answer in on_plan(answers, full)]
     for name, share in (("median", 0.5), ("90 % quantile", 0.9)):
@@ -139,7 +139,7 @@ def reliability_of(answers: Sequence[Answer], full: str) -> tuple[Bin, ...]:
     return reliability([value for own, _ in groups for value in own], [flag for _, own in groups for flag in own])
 
 
-def _wrong(answers: Sequence[Answer], seed: int) -> Row:
+def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
     wrong = [
         number(answer.first.get("closed"))
         for answer in answers
@@ -150,7 +150,7 @@ def _wrong(answers: Sequence[Answer], seed: int) -> Row:
     return make_row("closure claimed for a wrong cause", bootstrap(_mean, claims, seed=seed), WRONG, about)
 
 
-def _without(answers: Sequence[Answer], seed: int) -> Row:
+def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
     """Measure how much a wrong cause can close when no right one is available, unlike for wrong causes that were
     reported.
     """

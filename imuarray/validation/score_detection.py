@@ -6,14 +6,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from math import isclose
 from typing import NamedTuple
 
-from imuarray.validation.rates import Estimate, rate
+from imuarray.validation.rates import RateEstimate, rate
 from imuarray.validation.score_answers import Answer, meets
 from imuarray.validation.score_rows import (
     EVERY,
     NO_BAR,
     Bar,
     Breakdown,
-    Row,
+    ScoreRow,
     cells_of,
     group_answers,
     make_row,
@@ -31,11 +31,11 @@ Hidden = Mapping[str, Collection[str]]
 """The effects that a plan cannot show, by plan."""
 
 
-class Curve(NamedTuple):
+class DetectionCurve(NamedTuple):
     """Detection on one plan ("all": on all of them): (limits, share) in ascending order, of mechanisms with a size."""
 
     plan: str
-    points: tuple[tuple[float, Estimate], ...]
+    points: tuple[tuple[float, RateEstimate], ...]
 
 
 class Power(NamedTuple):
@@ -46,7 +46,7 @@ class Power(NamedTuple):
     counts: tuple[tuple[tuple[int, int], ...], ...]
 
 
-def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iterator[Row]:
+def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iterator[ScoreRow]:
     """Yield false alarms by plan, detection at 2 and 5 limits, and the reporting of effects that a plan cannot show."""
     yield from _false_alarms([answer for answer in answers if answer.case.kind == "none"], full)
     shown = shown_singles(answers, hidden)
@@ -84,12 +84,14 @@ def is_reported_undetermined(answer: Answer) -> bool:
     )
 
 
-def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[Curve, ...]:
+def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[DetectionCurve, ...]:
     """Return the detection curves of all plans together and of each; for random worlds by experiment."""
     find_severity = [answer for answer in shown_singles(answers, hidden) if answer.limits == answer.limits]
     parts = group_answers("experiment" if any(answer.case.world for answer in find_severity) else "plan", find_severity)
     return tuple(
-        Curve(plan, tuple((own[0].limits, _detection_rate(own)) for own in group_answers("severity", part).values()))
+        DetectionCurve(
+            plan, tuple((own[0].limits, _detection_rate(own)) for own in group_answers("severity", part).values())
+        )
         for plan, part in {"all": find_severity, **parts}.items()
         if part
     )
@@ -107,7 +109,7 @@ def power_of(answers: Sequence[Answer], full: str) -> Power:
     return Power(tuple(mechanisms), severities, tuple(counts))
 
 
-def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
+def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
     about = "no fault, but a gap is reported (nominally 5 %)"
     if full == EVERY and controls:
         parts = ("experiment", "chip", "stratum")
@@ -120,7 +122,7 @@ def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
         yield make_row("false alarms", _false_alarm_rate(controls), FALSE_ALARMS, about)
 
 
-def _undetermined_row(answers: Sequence[Answer]) -> Row:
+def _undetermined_row(answers: Sequence[Answer]) -> ScoreRow:
     about = "the plan can't show the mechanism: the diagnosis says that it can't tell, and what to record"
     cells = [
         make_row(name, _reported_rate(own), (1.0, None), "", group=group)
@@ -130,15 +132,15 @@ def _undetermined_row(answers: Sequence[Answer]) -> Row:
     return make_row("what a plan can't show is told", _reported_rate(answers), (1.0, None), about, cells)
 
 
-def _reported_rate(answers: Sequence[Answer]) -> Estimate:
+def _reported_rate(answers: Sequence[Answer]) -> RateEstimate:
     return rate(sum(map(is_reported_undetermined, answers)), len(answers))
 
 
-def _detection_rate(answers: Sequence[Answer]) -> Estimate:
+def _detection_rate(answers: Sequence[Answer]) -> RateEstimate:
     return rate(sum(map(_is_detected, answers)), len(answers))
 
 
-def _false_alarm_rate(answers: Sequence[Answer]) -> Estimate:
+def _false_alarm_rate(answers: Sequence[Answer]) -> RateEstimate:
     return rate(sum(map(_is_false_alarm, answers)), len(answers))
 
 

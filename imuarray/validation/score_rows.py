@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from imuarray.validation.rates import Estimate, rate
+from imuarray.validation.rates import RateEstimate, rate
 from imuarray.validation.score_answers import Answer
 
 Bar = tuple[float | None, float | None]
@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreRow:
     """A figure: `value` with its 95 % interval over `cases`; `about` says what is counted. `cells` are the same figure
     for parts of the cases; `group` says which parts ("plan", "severity", "mechanism", ...).
     """
@@ -35,7 +35,7 @@ class Row:
     cases: int
     bar: Bar = NO_BAR
     about: str = ""
-    cells: tuple[Row, ...] = ()
+    cells: tuple[ScoreRow, ...] = ()
     group: str = ""
 
     @property
@@ -57,7 +57,7 @@ class Row:
             return ""
         return {True: "ok", False: "FAIL", None: "n.a."}[self.passes]
 
-    def failing(self) -> tuple[Row, ...]:
+    def failing(self) -> tuple[ScoreRow, ...]:
         """Return the cells that miss their bar, the most certain first."""
         failed = [cell for cell in self.cells if cell.passes is False]
         return tuple(sorted(failed, key=lambda cell: (not cell.is_refuted, -cell.cases)))
@@ -78,9 +78,11 @@ class Row:
         }
 
 
-def make_row(name: str, estimate: Estimate, bar: Bar, about: str, cells: Iterable[Row] = (), group: str = "") -> Row:
+def make_row(
+    name: str, estimate: RateEstimate, bar: Bar, about: str, cells: Iterable[ScoreRow] = (), group: str = ""
+) -> ScoreRow:
     """Return the row of an estimate."""
-    return Row(name, *estimate, bar, about, tuple(cells), group)
+    return ScoreRow(name, *estimate, bar, about, tuple(cells), group)
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def rate_row(
     bar: Bar,
     about: str,
     breakdown: Breakdown,
-) -> Row:
+) -> ScoreRow:
     """Return the share of hits on the full plan with cells by plan; if bars are judged on every plan, with cells by
     experiment and by chip. The cells by the breakdown's groups cover the counted cases and have the same bar.
     """
@@ -148,14 +150,14 @@ _GROUPS: Mapping[str, Callable[[Answer], tuple[str, ...]]] = {
 }
 
 
-def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], bool], bar: Bar) -> Iterable[Row]:
+def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], bool], bar: Bar) -> Iterable[ScoreRow]:
     """Yield the share of hits in each part."""
     parts = group_answers(group, answers)
     for name, own in parts.items() if len(parts) > 1 or group == "plan" else ():
         yield make_row(name, _rate(own, is_hit), bar, "", group=group)
 
 
-def _rate(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> Estimate:
+def _rate(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> RateEstimate:
     return rate(sum(map(is_hit, answers)), len(answers))
 
 

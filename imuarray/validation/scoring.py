@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
-from imuarray.validation.score_answers import Answer, LostCase, Run, read_run
+from imuarray.validation.score_answers import Answer, LostCase, ValidationRun, read_run
 from imuarray.validation.score_causes import LARGE, Confusion, cause_rows, confusion_of, is_in_class
 from imuarray.validation.score_closure import (
     Closure,
@@ -36,19 +36,27 @@ from imuarray.validation.score_closure import (
     reliability_of,
     time_rows,
 )
-from imuarray.validation.score_detection import Curve, Hidden, Power, curves_of, detection_rows, power_of, shown_singles
-from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, Row, finite, group_answers, make_row
+from imuarray.validation.score_detection import (
+    DetectionCurve,
+    Hidden,
+    Power,
+    curves_of,
+    detection_rows,
+    power_of,
+    shown_singles,
+)
+from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, ScoreRow, finite, group_answers, make_row
 
 LEAST_CASES = 5
 """Minimum number of cases of a part for a figure."""
 
 
 @dataclass(frozen=True)
-class Transfer:
+class TransferRow:
     """A figure and its row in each world, first the world on which the diagnosis was developed."""
 
     name: str
-    rows: Mapping[str, Row]
+    rows: Mapping[str, ScoreRow]
 
     @property
     def lost(self) -> float:
@@ -60,7 +68,7 @@ class Transfer:
         return max((row.value - home.value) * (1 if is_most else -1) for row in others)
 
 
-class LeftOut(NamedTuple):
+class SplitFigure(NamedTuple):
     """A figure on the cases with a chip or an experiment and on all others; `cases` counts those with it."""
 
     part: str
@@ -70,14 +78,14 @@ class LeftOut(NamedTuple):
     cases: int
 
 
-def left_out_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[LeftOut, ...]:
+def left_out_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigure, ...]:
     """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities
     fitted to the cases without it see `imuarray.validation.calibration`.
     """
     return tuple(_left_out(answers, hidden))
 
 
-def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
+def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[SplitFigure]:
     shown = shown_singles(answers, hidden)
     detected = [answer for answer in shown if answer.is_detected]
     figures: Mapping[str, tuple[Sequence[Answer], Callable[[Answer], bool]]] = {
@@ -91,7 +99,7 @@ def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
             for name, (counted, is_hit) in figures.items():
                 own, others = _split(counted, group, part)
                 if min(len(own), len(others)) >= LEAST_CASES:
-                    yield LeftOut(f"{group} {part}", name, _share(own, is_hit), _share(others, is_hit), len(own))
+                    yield SplitFigure(f"{group} {part}", name, _share(own, is_hit), _share(others, is_hit), len(own))
 
 
 def _split(answers: Sequence[Answer], group: str, part: str) -> tuple[list[Answer], list[Answer]]:
@@ -170,27 +178,27 @@ class Figures:
     cases: int
     lost: tuple[LostCase, ...]
     notes: tuple[str, ...]
-    rows: tuple[Row, ...]
-    curves: tuple[Curve, ...]
+    rows: tuple[ScoreRow, ...]
+    curves: tuple[DetectionCurve, ...]
     power: Power
     confusion: Confusion
     reliability: tuple[Bin, ...]
     closures: tuple[Closure, ...]
     world: str = ""
-    elsewhere: Mapping[str, tuple[Row, ...]] = field(default_factory=dict)
-    left_out: tuple[LeftOut, ...] = ()
+    elsewhere: Mapping[str, tuple[ScoreRow, ...]] = field(default_factory=dict)
+    left_out: tuple[SplitFigure, ...] = ()
 
     @property
-    def worlds(self) -> Mapping[str, tuple[Row, ...]]:
+    def worlds(self) -> Mapping[str, tuple[ScoreRow, ...]]:
         """The rows of each world, its own first."""
         return {self.world or "fixed plans": self.rows, **self.elsewhere}
 
     @property
-    def transfers(self) -> tuple[Transfer, ...]:
+    def transfers(self) -> tuple[TransferRow, ...]:
         """The `TRANSFERRED` figures that at least two worlds have."""
         tables = {world: {row.name: row for row in rows} for world, rows in self.worlds.items()}
         transfers = [
-            Transfer(name, {world: own[name] for world, own in tables.items() if name in own and own[name].cases})
+            TransferRow(name, {world: own[name] for world, own in tables.items() if name in own and own[name].cases})
             for name in TRANSFERRED
         ]
         return tuple(transfer for transfer in transfers if len(transfer.rows) > 1)
@@ -206,11 +214,11 @@ class Figures:
         return dict(self.plan.get("frozen") or {})
 
     @property
-    def failed(self) -> tuple[Row, ...]:
+    def failed(self) -> tuple[ScoreRow, ...]:
         """The rows that miss their bar."""
         return tuple(row for row in self.rows if row.passes is False)
 
-    def row(self, name: str) -> Row:
+    def row(self, name: str) -> ScoreRow:
         """Return the row of a name; KeyError if there is none."""
         for row in self.rows:
             if row.name == name:
@@ -232,7 +240,7 @@ def score_folder(
 
 
 def score(
-    run: Run, *, hidden: Hidden = NOTHING, full: str = FULL, sensors: Collection[str] = (), seed: int = 0
+    run: ValidationRun, *, hidden: Hidden = NOTHING, full: str = FULL, sensors: Collection[str] = (), seed: int = 0
 ) -> Figures:
     """Return the figures of a run. `hidden`: by plan, the effects that it cannot show; `sensors`: the sensors that
     mechanisms can affect (default: all that any truth names), the only ones of a cause that count; `seed` draws
@@ -245,7 +253,7 @@ def score(
     answers = worlds.get(world, [])
     full = EVERY if world else full
 
-    def rows_of(own: Sequence[Answer]) -> tuple[Row, ...]:
+    def rows_of(own: Sequence[Answer]) -> tuple[ScoreRow, ...]:
         return (
             *detection_rows(own, hidden, full),
             *cause_rows(own, hidden, full, sensors, seed),
@@ -279,7 +287,7 @@ def _order(world: str) -> tuple[int, str]:
     return {"emulator": 0, "": 1}.get(world, 2), world
 
 
-def _with_bars(rows: Iterable[Row], world: str) -> tuple[Row, ...]:
+def _with_bars(rows: Iterable[ScoreRow], world: str) -> tuple[ScoreRow, ...]:
     """Return the rows, and their cells, with the bars of another world."""
     bars = BARS_ELSEWHERE.get(world, {})
     barred = []
@@ -339,13 +347,13 @@ def format_text(figures: Figures) -> str:
     return "\n".join(line.rstrip()[:WIDTH] for line in lines) + "\n"
 
 
-def transfer_line(transfer: Transfer) -> str:
+def transfer_line(transfer: TransferRow) -> str:
     """Return a line with a figure in each world, and the loss from the first to the worst."""
     values = ", ".join(f"{world} {decimal(row.value)} ({row.cases})" for world, row in transfer.rows.items())
     return f"transfer gap of {transfer.name}: {decimal(transfer.lost)} ({values})"
 
 
-def format_row(row: Row) -> tuple[str, str, str, str]:
+def format_row(row: ScoreRow) -> tuple[str, str, str, str]:
     """Return value, interval, cases and bar as text."""
     low, high = row.bar
     if row.bar == NO_BAR:
@@ -372,7 +380,7 @@ def lost_by(lost: Iterable[LostCase]) -> Mapping[str, int]:
     return counts
 
 
-def _failing(row: Row) -> Iterator[str]:
+def _failing(row: ScoreRow) -> Iterator[str]:
     failed = row.failing()
     for cell in failed[:MOST_CELLS]:
         value, interval, cases, _ = format_row(cell)
@@ -385,7 +393,7 @@ def _format_line(mark: str, name: str, value: str, interval: str, cases: str, ba
     return f"{mark:<5}{name:<48.48}{value:>8}  {interval:>16}{cases:>8}  {bar}"
 
 
-def _lost(run: Run) -> Row:
+def _lost(run: ValidationRun) -> ScoreRow:
     share = rate(len(run.lost), len(run.answers) + len(run.lost))
     return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error: in no other figure")
 

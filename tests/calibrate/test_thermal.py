@@ -13,9 +13,9 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.correlated import Noise, products, regress
+from imuarray.calibrate.correlated import CorrelatedNoise, products, regress
 from imuarray.calibrate.opposed import cancelled
-from imuarray.calibrate.segments import Segments, Thermometer, segment_means
+from imuarray.calibrate.segments import Segments, TemperatureSeries, segment_means
 from imuarray.calibrate.thermal import ThermalResult, _tells_curvature, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
@@ -61,7 +61,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """
     assert binom.cdf(180, 201, 0.95) + binom.sf(198, 201, 0.95) < 0.01
     rng = np.random.default_rng(2)
-    thermometer, slopes = Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), np.array([0.1, -0.2, 0.3])
+    thermometer, slopes = TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), np.array([0.1, -0.2, 0.3])
     held, lags = [], []
     for _ in range(67):
         noise = rng.normal(0, [1.0, 0.7, 0.3], (len(TIME_S), 3))
@@ -90,7 +90,7 @@ def test_intervals_on_one_curved_ramp_hold_the_slope_in_its_middle() -> None:
     assert binom.cdf(186, 210, 0.95) + binom.sf(206, 210, 0.95) < 0.01
     middle = 0.5 * (RAMP[0] + RAMP[-1])
     curvatures, slopes = np.array([1.5, 0.1, 0.0]), np.array([-28.2, 4.0, 0.5])
-    rng, thermometer = np.random.default_rng(5), Thermometer("chip", RAMP_S, RAMP)
+    rng, thermometer = np.random.default_rng(5), TemperatureSeries("chip", RAMP_S, RAMP)
     above = (RAMP - middle)[:, None]
     held, curves = [], []
     for _ in range(70):
@@ -118,7 +118,7 @@ def test_intervals_hold_the_slope_in_white_noise_and_in_random_walks(degc: Float
     assert binom.cdf(277, 300, 0.95) < 0.03 and binom.sf(297, 300, 0.97) < 0.02 and binom.cdf(818, 900, 0.93) < 0.01
     middle = 0.5 * (degc.min() + degc.max())
     slopes, curvatures = np.array([-3.0, 1.0, 0.0]), np.array([0.05, 0.0, 0.0])
-    rng, thermometer = np.random.default_rng(12), Thermometer("chip", RAMP_S, degc)
+    rng, thermometer = np.random.default_rng(12), TemperatureSeries("chip", RAMP_S, degc)
     above = (degc - middle)[:, None]
 
     def held(end: float) -> float:
@@ -153,7 +153,7 @@ def test_wander_makes_the_errors_larger_than_white_noise_would() -> None:
     """A wander of 300 s over 2400 s: ordinary least squares would claim several times less."""
     rng = np.random.default_rng(4)
     counts = np.stack([gauss_markov(rng, len(TIME_S), STEP_S, 1.0, 300.0) for _ in range(3)], axis=1)
-    fit = fit_axes(Segments(TIME_S, counts), Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    fit = fit_axes(Segments(TIME_S, counts), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
     ordinary = counts.std() / np.sqrt(len(TIME_S)) / ROOM_HEAT_COOL.std()
     assert (fit.slope_sem_lsb_per_degc > 2 * ordinary).all()
 
@@ -168,7 +168,7 @@ def test_without_noise_everything_comes_back() -> None:
         + np.array([0, 1e-3, -2e-3]) * TIME_S[:, None]
     )
     noise = np.random.default_rng(1).normal(0, 1e-3, exact.shape)
-    fit = fit_axes(Segments(TIME_S, exact + noise), Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    fit = fit_axes(Segments(TIME_S, exact + noise), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
     assert fit.lag_s == pytest.approx(60, rel=0.15)
     assert fit.slope_lsb_per_degc == pytest.approx([0.5, -1, 2], abs=0.03)
     assert fit.quadratic_lsb_per_degc2 == pytest.approx(quadratic, abs=2e-3)
@@ -176,7 +176,7 @@ def test_without_noise_everything_comes_back() -> None:
 
 
 def test_a_lag_follows_its_differential_equation() -> None:
-    lagged = Thermometer("barometer", TIME_S, ROOM_HEAT_COOL).lagged(TIME_S, [0.0, 60.0, 1e9])
+    lagged = TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL).lagged(TIME_S, [0.0, 60.0, 1e9])
     assert lagged[:, 0] == pytest.approx(ROOM_HEAT_COOL)
     assert lagged[:, 1] == pytest.approx(LAGGED, abs=0.01)
     assert lagged[:, 2] == pytest.approx(np.full(len(TIME_S), 24.0), abs=1e-4)
@@ -185,7 +185,7 @@ def test_a_lag_follows_its_differential_equation() -> None:
 def test_products_are_those_of_the_whole_covariance() -> None:
     rng = np.random.default_rng(3)
     time, columns = np.sort(rng.uniform(0, 100, 30)), rng.normal(size=(30, 3))
-    for noise in (Noise(20.0, 0.3), Noise(500.0, 0.9), Noise(1.0, 1.0)):
+    for noise in (CorrelatedNoise(20.0, 0.3), CorrelatedNoise(500.0, 0.9), CorrelatedNoise(1.0, 1.0)):
         whole = (1 - noise.white) * np.exp(-np.abs(time[:, None] - time) / noise.correlation_s) + noise.white * np.eye(
             30
         )
@@ -456,7 +456,7 @@ def test_two_temperatures_alone_tell_no_curve() -> None:
     """A step: the square of the temperature says nothing that the temperature does not."""
     step = np.where(TIME_S < 1200, 20.0, 40.0)
     counts = np.random.default_rng(9).normal(size=(len(TIME_S), 3)) + 0.5 * step[:, None]
-    fit = fit_axes(Segments(TIME_S, counts), Thermometer("reference", TIME_S, step), 30.0)
+    fit = fit_axes(Segments(TIME_S, counts), TemperatureSeries("reference", TIME_S, step), 30.0)
     assert (fit.quadratic_lsb_per_degc2 == 0).all()
     assert (np.abs(fit.slope_lsb_per_degc - 0.5) < 4 * fit.slope_sem_lsb_per_degc).all()
 

@@ -43,13 +43,13 @@ def peak(work: Callable[[], object]) -> int:
 )
 def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int) -> None:
     """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show."""
-    monkeypatch.setattr("imuarray.export.tables.Table.blocks.__defaults__", (250,))
+    monkeypatch.setattr("imuarray.export.tables.ExportTable.blocks.__defaults__", (250,))
     monkeypatch.setattr("imuarray.export.mcap_file._BLOCK", 250)
     monkeypatch.setattr("imuarray.export.mcap_file._CHUNK_BYTES", 1 << 14)
     monkeypatch.setattr("imuarray.export.parquet_files._GROUP_ROWS", 2000)
     monkeypatch.setattr("imuarray.importers.exported_npz._ROWS", 250)
     monkeypatch.setattr("imuarray.importers.exported_parquet._ROWS", 2000)
-    monkeypatch.setattr("imuarray.importers.cells.Table.blocks.__defaults__", (250, None))
+    monkeypatch.setattr("imuarray.importers.cells.TextTable.blocks.__defaults__", (250, None))
     monkeypatch.setattr("imuarray.log.writer.CHUNK", 250)
 
     def peaks(rows: int) -> tuple[int, int]:

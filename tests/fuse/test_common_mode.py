@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import TECHNIQUES, Axis, Frames, fuse
-from imuarray.fuse.techniques.opposed import CommonMode, OpposingGroup, Smoother, opposing_groups
+from imuarray.fuse.techniques.opposed import CommonErrorEstimate, OpposingGroup, Smoother, opposing_groups
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined, pointing
 
@@ -136,10 +136,10 @@ def test_frame_by_frame_it_is_the_same() -> None:
     time = np.arange(250, dtype=np.int64) * 100_000_000
     residual = np.linspace(0, 1, 250)[:, None] + 0.01 * rng.normal(size=(250, 3))
     valid = rng.random((250, 3)) > 0.1
-    whole = CommonMode(OpposingGroup((0,), (1, 2)), seconds=2.0).estimate(time, residual, valid)
+    whole = CommonErrorEstimate(OpposingGroup((0,), (1, 2)), seconds=2.0).estimate(time, residual, valid)
     assert whole[-1] > 0.5
     for edges in (range(251), (0, 1, 8, 250), (0, 20, 21, 250)):
-        mode = CommonMode(OpposingGroup((0,), (1, 2)), seconds=2.0)
+        mode = CommonErrorEstimate(OpposingGroup((0,), (1, 2)), seconds=2.0)
         parts = [mode.estimate(time[a:b], residual[a:b], valid[a:b]) for a, b in pairwise(edges)]
         assert np.concatenate(parts) == pytest.approx(whole, abs=1e-12)
 
@@ -228,6 +228,6 @@ def test_a_common_error_is_believed_by_the_ratio_of_variances() -> None:
     """Three axes one way and two the other: their own errors have 2 + 1 degrees of freedom, and the sum of the ways'
     means varies by them by 1/3 + 1/2. Squares of 6 are 2 each, so 5/3 in the sum; 600 are 360 times as much.
     """
-    mode = CommonMode(OpposingGroup((0, 1, 2), (3, 4)))
+    mode = CommonErrorEstimate(OpposingGroup((0, 1, 2), (3, 4)))
     own = [2.0, 2.0, 2.0, 0.0, 0.0]
     assert mode._trust(np.array([[600.0, *own], [5 / 3, *own], [0.0, *own]])) == pytest.approx([1 - 1 / 360, 0, 0])

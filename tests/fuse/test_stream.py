@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
 from imuarray.fuse import TECHNIQUES, Axis, Frames, FusedBlock, FusionStream, Pipeline, QuantityPipeline, fuse, live
-from imuarray.fuse.alignment import Rows, cut
+from imuarray.fuse.alignment import RowWindow, cut
 from imuarray.fuse.fuse import Patience
 from imuarray.log import Block, Log, open_log
 from imuarray.log.sensor_log import recorded_header
@@ -136,7 +136,7 @@ def test_it_is_back_when_it_speaks_again(run: Path) -> None:
 def test_rows_must_follow_one_another(run: Path) -> None:
     with open_log(run) as log:
         block = read(log)["A0"]
-    rows = Rows()
+    rows = RowWindow()
     rows.append(cut(block, slice(0, 10)))
     with pytest.raises(ValueError, match="comes after one at"):
         rows.append(cut(block, slice(9, 12)))

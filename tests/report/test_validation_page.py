@@ -21,11 +21,11 @@ from imuarray.report.validation_figures import (
 )
 from imuarray.report.validation_page import NO_FIGURES, write_validation_page
 from imuarray.report.validation_words import markdown
-from imuarray.validation.rates import Bin, Estimate
+from imuarray.validation.rates import Bin, RateEstimate
 from imuarray.validation.score_causes import Confusion
 from imuarray.validation.score_closure import Closure
-from imuarray.validation.score_detection import Curve
-from imuarray.validation.score_rows import Row
+from imuarray.validation.score_detection import DetectionCurve
+from imuarray.validation.score_rows import ScoreRow
 from imuarray.validation.scoring import Figures, format_row, score_folder
 from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
@@ -226,14 +226,14 @@ def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
 
 def test_points_are_where_they_belong() -> None:
     """Shares in percent, whiskers at the ends of intervals, limits on a logarithmic axis."""
-    alarms = alarms_figure([Row("false alarms, plan full", 0.05, 0.02, 0.09, 100, (0.035, 0.065))]).axes[0]
+    alarms = alarms_figure([ScoreRow("false alarms, plan full", 0.05, 0.02, 0.09, 100, (0.035, 0.065))]).axes[0]
     band = alarms.patches[0].get_extents().transformed(alarms.transData.inverted())
     assert (band.x0, band.x1) == pytest.approx((3.5, 6.5))
     (whisker,) = alarms.collections[-1].get_segments()  # type: ignore[attr-defined]
     np.testing.assert_allclose(whisker[:, 0], [2, 9])
     assert [text.get_text() for text in alarms.get_yticklabels()] == ["full (100)"]
-    points = ((0.5, Estimate(0.1, 0.05, 0.2, 20)), (20.0, Estimate(1.0, 0.9, 1.0, 20)))
-    curves = detection_figure([Curve("all", points)]).axes[0]
+    points = ((0.5, RateEstimate(0.1, 0.05, 0.2, 20)), (20.0, RateEstimate(1.0, 0.9, 1.0, 20)))
+    curves = detection_figure([DetectionCurve("all", points)]).axes[0]
     assert curves.get_xscale() == "log"
     np.testing.assert_allclose(np.asarray(curves.lines[0].get_xydata(), float), np.array([[0.5, 0.1], [20.0, 1.0]]))
     assert [text.get_text() for text in curves.get_xticklabels()] == ["0.5", "20"]

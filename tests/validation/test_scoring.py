@@ -13,7 +13,7 @@ from imuarray.errors import ConfigError
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.score_causes import extra_of, is_place_right
-from imuarray.validation.score_rows import Row
+from imuarray.validation.score_rows import ScoreRow
 from imuarray.validation.scoring import Figures, as_json, format_text, score_folder
 from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
@@ -29,11 +29,11 @@ def figures(made: Made, **more: Any) -> Figures:
     return score_folder(made.folder, **more)
 
 
-def shares(row: Row) -> Any:
+def shares(row: ScoreRow) -> Any:
     return row.value, row.cases
 
 
-def cells(row: Row, group: str) -> Any:
+def cells(row: ScoreRow, group: str) -> Any:
     return {cell.name: shares(cell) for cell in row.cells if cell.group == group}
 
 
@@ -446,9 +446,9 @@ def test_json_and_text(made: Made) -> None:
 
 
 def test_bars_include_their_ends() -> None:
-    inside, outside = Row("a", 0.3, 0.1, 0.5, 9, (0.1 + 0.2, None)), Row("b", 0.29, 0.2, 0.31, 9, (0.3, None))
+    inside, outside = ScoreRow("a", 0.3, 0.1, 0.5, 9, (0.1 + 0.2, None)), ScoreRow("b", 0.29, 0.2, 0.31, 9, (0.3, None))
     assert inside.passes is True and outside.passes is False and not outside.is_refuted
-    assert Row("c", 0.29, 0.2, 0.295, 9, (0.3, None)).is_refuted
-    assert Row("d", 0.7, 0.65, 0.8, 9, (None, 0.6)).is_refuted
-    assert not Row("one case", 0.1, nan, nan, 1, (0.3, None)).is_refuted
-    assert Row("e", inf, 0, 0, 0, (0.3, None)).passes is None
+    assert ScoreRow("c", 0.29, 0.2, 0.295, 9, (0.3, None)).is_refuted
+    assert ScoreRow("d", 0.7, 0.65, 0.8, 9, (None, 0.6)).is_refuted
+    assert not ScoreRow("one case", 0.1, nan, nan, 1, (0.3, None)).is_refuted
+    assert ScoreRow("e", inf, 0, 0, 0, (0.3, None)).passes is None

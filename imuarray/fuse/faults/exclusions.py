@@ -11,8 +11,8 @@ import numpy as np
 from imuarray.arrays import Booleans
 from imuarray.fuse.faults.events import FaultEvent, State
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, energy_limit
-from imuarray.fuse.faults.kinds import Kind
-from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.kinds import FaultKind
+from imuarray.fuse.faults.normal import NormalModel
 from imuarray.fuse.faults.window import WindowResiduals
 
 AGREES_S = 3.0
@@ -40,8 +40,8 @@ class Exclusion:
     agreed: int = 0
     named: bool = False
     drifted_si: float = 0.0
-    first: Kind | None = None
-    kind: Kind | None = None
+    first: FaultKind | None = None
+    kind: FaultKind | None = None
 
     def hears(self, agrees: Booleans) -> bool:
         """Counts one more window in which its axes agreed, or not; whether they may come back."""
@@ -54,7 +54,7 @@ def needs(offences: int, window_s: float) -> int:
     return max(1, round(min(AGREES_S * 2.0 ** (offences - 1), _LONGEST_S) / window_s))
 
 
-def agreeing(seen: WindowResiduals, normal: Normal, present: Booleans) -> Booleans:
+def agreeing(seen: WindowResiduals, normal: NormalModel, present: Booleans) -> Booleans:
     """(m,) the axes whose readings, included or not, are what the included ones and the normal model say."""
     mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
@@ -67,7 +67,7 @@ def agreeing(seen: WindowResiduals, normal: Normal, present: Booleans) -> Boolea
     return np.asarray(mean & (energy < limit / 2) & present)
 
 
-_UNKNOWN = Kind("bias", 0.0)
+_UNKNOWN = FaultKind("bias", 0.0)
 _ALL = (0, 1, 2)
 
 
@@ -80,7 +80,7 @@ class FaultReport:
         """Windows in which all sensors disagree, so that none is suspected."""
         self._names, self._quantity = names, quantity
 
-    def isolated(self, exclusion: Exclusion, kind: Kind | None) -> None:
+    def isolated(self, exclusion: Exclusion, kind: FaultKind | None) -> None:
         """Axes are left out: known from the window after it, told with the time when it was found."""
         exclusion.named = True
         self._add(
@@ -97,7 +97,9 @@ class FaultReport:
         kind = exclusion.kind or _UNKNOWN
         self._add(exclusion.sensor, exclusion.axes, time_ns, kind, "readmitted")
 
-    def doubted(self, axes: Sequence[int], rivals: Sequence[int], time_ns: int, kind: Kind | None, gain: float) -> None:
+    def doubted(
+        self, axes: Sequence[int], rivals: Sequence[int], time_ns: int, kind: FaultKind | None, gain: float
+    ) -> None:
         """A fault that may be of one sensor as well as of others."""
         others = tuple(self._names[rival] for rival in rivals)
         self._add(
@@ -116,17 +118,17 @@ class FaultReport:
 
     def silent(self, sensor: int, seconds: float, time_ns: int) -> None:
         """A sensor has had nothing valid to say for some time."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", seconds), "silent")
+        self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", seconds), "silent")
 
     def back(self, sensor: int, time_ns: int) -> None:
         """Note that it gives readings again."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "back")
+        self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", 0.0), "back")
 
     def blind(self, sensor: int, time_ns: int) -> None:
         """Return true if the sensors left besides this one can't be checked any more."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "no redundancy")
+        self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", 0.0), "no redundancy")
 
-    def _add(self, sensor: int, axes: Sequence[int], time_ns: int, kind: Kind, state: State, **more: Any) -> None:
+    def _add(self, sensor: int, axes: Sequence[int], time_ns: int, kind: FaultKind, state: State, **more: Any) -> None:
         """Appends an event; `more` are further fields of `FaultEvent`."""
         labels = tuple("xyz"[axis % 3] for axis in axes)
         fields = {"significance": 0.0, "range": kind.range, **more}

@@ -23,7 +23,7 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
 from imuarray.fuse.faults.kinds import QUIET
-from imuarray.fuse.faults.normal import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, Normal
+from imuarray.fuse.faults.normal import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, NormalModel
 from imuarray.fuse.faults.window import Parity, slopes
 
 try:
@@ -82,7 +82,7 @@ class WindowSeries:
         self._usual = np.ones((len(time), len(rows), STATES))
         self._usual[:, :, 1:4] = triad.mean(axis=1)[:, None]
         self._usual[:, :, 4] = along.mean(axis=1)
-        self._jitter = Normal.jitter_of((along**2).mean(axis=1))
+        self._jitter = NormalModel.jitter_of((along**2).mean(axis=1))
         self._moments = _moments(triad, along)
         self.changes = (np.diff(values, axis=1) ** 2).sum(axis=1) / (self._frames - 1)
         # No triad is left in the residuals, so that the deleted ones are these by weight over A's diagonal.
@@ -94,7 +94,7 @@ class WindowSeries:
         normal = rows[self.included].T @ rows[self.included]
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 
-    def advance(self, windows: range, normal: Normal, waiting: Sequence[Sequence[int]]) -> int:
+    def advance(self, windows: range, normal: NormalModel, waiting: Sequence[Sequence[int]]) -> int:
         """Judge consecutive windows and let `normal` learn from them, up to the first one of which `seen` is to tell;
         return how many were passed. No sensor stood still before them, and nothing else is asked of them.
         """
@@ -119,13 +119,13 @@ class WindowSeries:
             normal.relearn(learnt)
         return passed
 
-    def usual(self, index: int, normal: Normal) -> Floats:
+    def usual(self, index: int, normal: NormalModel) -> Floats:
         """(m, 5) the mean regressors of a window, in which the triad is without what the biases make of it."""
         result: Floats = self._usual[index].copy()
         result[:, 1:4] -= self._gain @ normal.state[:, 0]
         return result
 
-    def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
+    def seen(self, index: int, normal: NormalModel, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
         """Return what a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting`
         to be used again may agree with the others, or where this way does not tell.
         """

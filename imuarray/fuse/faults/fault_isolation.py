@@ -18,9 +18,9 @@ from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, disagreement, separate_rivals, strongest
-from imuarray.fuse.faults.kinds import QUIET, Kind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
-from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
+from imuarray.fuse.faults.kinds import QUIET, FaultKind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
+from imuarray.fuse.faults.normal import NormalModel
+from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.techniques.technique import noise_of
 from imuarray.units import SI_PER_UNIT
@@ -83,7 +83,7 @@ class Stillness:
         """(s,) the sensors that show no change in the last window."""
         return np.asarray((self._quiet.length > 0) | (self._stale.length > 0))
 
-    def __call__(self, window: Window, normal: Normal) -> Booleans:
+    def __call__(self, window: DecisionWindow, normal: NormalModel) -> Booleans:
         """(s,) the sensors that stood still in this window and in the one before."""
         usual = np.minimum(normal.change, 2 * normal.variance)  # after a shake `change` is too large for a rest
         share = (window.changes / usual).reshape(-1, 3).mean(axis=1)
@@ -98,7 +98,7 @@ class Stillness:
         """Return whether any sensor stood still in the window before."""
         return self._quiet.any or self._stale.any
 
-    def moves(self, changes: Floats, normal: Normal) -> bool:
+    def moves(self, changes: Floats, normal: NormalModel) -> bool:
         """Return true if no sensor stood still in the window before nor does in this one, of which every reading is
         there and none is stale: its mean squares of `changes` (m,).
         """
@@ -162,7 +162,7 @@ class FaultIsolation:
         self._axes, self._rows, self._ranges = axes, rows, ranges
         self._unit_si = SI_PER_UNIT[UNIT[quantity]]
         self._window_s = window * period_s
-        self._normal = Normal(noise_of(axes), quantity, window, period_s)
+        self._normal = NormalModel(noise_of(axes), quantity, window, period_s)
         self._baseline = Baseline(rows, quantity)
         self._spaces = Spaces(rows)
         names = [axis.sensor for axis in axes[::3]]
@@ -228,7 +228,7 @@ class FaultIsolation:
         return passed
 
     def undisturbed(
-        self, stretch: WindowSeries, index: int, window: Callable[[], Window], masks: Sequence[Booleans]
+        self, stretch: WindowSeries, index: int, window: Callable[[], DecisionWindow], masks: Sequence[Booleans]
     ) -> bool:
         """Judges the next window, number `index` of `stretch`, by the short way; False, with nothing done, where that
         does not lead to the end.
@@ -259,7 +259,7 @@ class FaultIsolation:
             masks[-1][list(exclusion.axes)] = True
         return True
 
-    def __call__(self, window: Window, masks: Sequence[Booleans]) -> None:
+    def __call__(self, window: DecisionWindow, masks: Sequence[Booleans]) -> None:
         """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
         be left out.
         """
@@ -274,7 +274,11 @@ class FaultIsolation:
         self._decide(window, masks, before)
 
     def _decide(
-        self, window: Window, masks: Sequence[Booleans], before: Booleans, departed: tuple[Suspect, float] | None = None
+        self,
+        window: DecisionWindow,
+        masks: Sequence[Booleans],
+        before: Booleans,
+        departed: tuple[Suspect, float] | None = None,
     ) -> None:
         """Exclude further sensors than those `before`, and readmit others; `departed` is the sensor that has drifted
         away, where that was tested already.
@@ -301,7 +305,7 @@ class FaultIsolation:
                 self.report.isolated(exclusion, exclusion.first)
 
     def _search(
-        self, window: Window, time_ns: int, departed: tuple[Suspect, float] | None = None
+        self, window: DecisionWindow, time_ns: int, departed: tuple[Suspect, float] | None = None
     ) -> tuple[WindowResiduals | None, Booleans]:
         """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
         little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
@@ -329,7 +333,7 @@ class FaultIsolation:
                 return seen, self._doubt(suspect, seen, window, drifted)
         return self._look(window), nobody
 
-    def _look(self, window: Window) -> WindowResiduals | None:
+    def _look(self, window: DecisionWindow) -> WindowResiduals | None:
         """The window as those see it who are in; says so once if they can't check each other."""
         seen = self._seen_by(~self.out, window)
         if (
@@ -342,11 +346,13 @@ class FaultIsolation:
             self.report.blind(self._out[-1].sensor, int(window.time[0]))
         return seen
 
-    def _seen_by(self, included: Booleans, window: Window) -> WindowResiduals | None:
+    def _seen_by(self, included: Booleans, window: DecisionWindow) -> WindowResiduals | None:
         """The window as the axes `included` see it."""
         return window_residuals(window, self._normal, self._rows, window.present & included, self._spaces)
 
-    def _exclude(self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: Window | None = None) -> bool:
+    def _exclude(
+        self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: DecisionWindow | None = None
+    ) -> bool:
         """Leaves axes out; False where the others would no longer tell all of a triad."""
         out = self.out
         axes = [axis for axis in suspect.axes if not out[axis]]
@@ -365,11 +371,11 @@ class FaultIsolation:
         return True
 
     def _kind(
-        self, sensor: int, axes: Sequence[int], drifted: float, seen: WindowResiduals, window: Window
-    ) -> Kind | None:
+        self, sensor: int, axes: Sequence[int], drifted: float, seen: WindowResiduals, window: DecisionWindow
+    ) -> FaultKind | None:
         """Return the kind of fault that a window shows; None if it shows none."""
         if drifted:
-            return Kind("random_walk", drifted)
+            return FaultKind("random_walk", drifted)
         view = compare_triad(seen, window, self._normal, _members(sensor))
         return None if view is None else kind_of(view, [axis % 3 for axis in axes], self._reset(view, sensor))
 
@@ -377,7 +383,7 @@ class FaultIsolation:
         """The range that explains a view of a sensor."""
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
-    def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: Window) -> None:
+    def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: DecisionWindow) -> None:
         """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures
         in another range is left out as a whole.
         """
@@ -394,7 +400,7 @@ class FaultIsolation:
                 exclusion.axes = _members(exclusion.sensor)
         self.report.isolated(exclusion, exclusion.kind)
 
-    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: Window, drifted: float) -> Booleans:
+    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
         """Counts the windows in which a fault shows that is nobody's, and says so when it lasts."""
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
@@ -411,7 +417,7 @@ class FaultIsolation:
         doubted.reshape(-1, 3)[among] = True
         return doubted
 
-    def _learn(self, seen: WindowResiduals, window: Window, doubted: Booleans) -> None:
+    def _learn(self, seen: WindowResiduals, window: DecisionWindow, doubted: Booleans) -> None:
         """Learn what is normal from the readings of sound axes."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)

@@ -23,8 +23,8 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.fuse.faults.kinds import QUIET, TriadComparison, compare_triad
-from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
+from imuarray.fuse.faults.normal import NormalModel
+from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
 from imuarray.units import STANDARD_GRAVITY
 
 AXIS_GAIN = 50.0
@@ -58,7 +58,7 @@ class Suspect:
     rivals: tuple[int, ...] = ()
 
 
-def strongest(seen: WindowResiduals, normal: Normal, disagreement: float = 0.0) -> Suspect | None:
+def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
     """The most likely fault of a window, None if it shows none.
 
     `disagreement` is the variance of single readings (SI) by which the sensors of this window differ from each other
@@ -113,7 +113,7 @@ _USUAL_READING = 9.0
 """Square of a single normal reading, over its variance, that is not unusual: three standard deviations."""
 
 
-def disagreement(seen: WindowResiduals, normal: Normal) -> float:
+def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
     """Variance (SI) of single readings by which at least half of the sensors differ from the others in this window,
     beyond noise, on average or in one frame; 0 where fewer do, infinite where too few have three complete readings, as
     when most clip.
@@ -211,7 +211,7 @@ class Baseline:
         self._state: Floats | None = None
         self._covariance: Floats | None = None
 
-    def departed(self, included: Booleans, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
+    def departed(self, included: Booleans, usual: Floats, normal: NormalModel) -> tuple[Suspect | None, float]:
         """Return, of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off
         farthest, beyond what drift allows, and how far in SI; None if none has.
 
@@ -230,7 +230,7 @@ class Baseline:
         gain = float((departure[worst] / allowed[worst] * _SIGMAS) ** 2)
         return Suspect((worst,), gain, "mean", tuple(np.flatnonzero(sensors).tolist())), float(departure[worst])
 
-    def stays(self, included: Booleans, usual: Floats, normal: Normal) -> bool:
+    def stays(self, included: Booleans, usual: Floats, normal: NormalModel) -> bool:
         """Return whether `departed` would only count the axes, all of which are where they may be: nobody has walked
         off, and nobody settles.
         """
@@ -244,7 +244,7 @@ class Baseline:
         """Count the axes, as `departed` does, where they stay."""
         self._seen += included
 
-    def _shares(self, begun: Booleans, usual: Floats, normal: Normal) -> tuple[Floats, Floats, Floats] | None:
+    def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
         """(m,) how far each axis has departed over what is allowed, how far that is, and what is allowed; None where
         those that have `begun` do not tell.
         """
@@ -258,12 +258,12 @@ class Baseline:
         allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
         return np.where(space.observable, np.abs(departure) / allowed, 0.0), departure, allowed
 
-    def send_back(self, axis: int, normal: Normal) -> None:
+    def send_back(self, axis: int, normal: NormalModel) -> None:
         """Forgets what `normal` learnt of an axis since it began: its walk is no calibration."""
         if self._state is not None and self._covariance is not None:
             normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
 
-    def _settle(self, included: Booleans, normal: Normal) -> None:
+    def _settle(self, included: Booleans, normal: NormalModel) -> None:
         """Notes the state of each axis when it has been in use for long enough."""
         self._seen += included
         if self._state is None or self._covariance is None:
@@ -283,7 +283,7 @@ _CALM = 2.0
 
 
 def separate_rivals(
-    suspect: Suspect, window: Window, seen: WindowResiduals, normal: Normal, resets: Resets
+    suspect: Suspect, window: DecisionWindow, seen: WindowResiduals, normal: NormalModel, resets: Resets
 ) -> Suspect | None:
     """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of
     its chip, or is noisy while all others are as ever; None if that is true of none or of several.

@@ -9,8 +9,8 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Window, WindowResiduals
+from imuarray.fuse.faults.normal import NormalModel
+from imuarray.fuse.faults.window import DecisionWindow, WindowResiduals
 
 Ranges = Mapping[str, Mapping[float, float]]
 """Keyed by name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
@@ -36,7 +36,7 @@ _AS_EVER = 3.0
 
 
 @dataclass(frozen=True)
-class Kind:
+class FaultKind:
     """An effect's name, its size (see `FaultEvent.size_si`), whether all of the sensor is concerned, and the range."""
 
     name: str
@@ -72,7 +72,9 @@ class TriadComparison:
         return np.asarray((self.own - self.expected).std(axis=0) / self.noise)
 
 
-def compare_triad(seen: WindowResiduals, window: Window, normal: Normal, axes: Sequence[int]) -> TriadComparison | None:
+def compare_triad(
+    seen: WindowResiduals, window: DecisionWindow, normal: NormalModel, axes: Sequence[int]
+) -> TriadComparison | None:
     """A triad (its three `axes`) beside the axes included in `seen`; None where it has too few valid readings."""
     members = list(axes)
     rows = window.valid[:, members].all(axis=1)
@@ -106,12 +108,12 @@ def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) 
     return (best, factors[best]) if abs(ratio / factors[best] - 1) < tolerance else None
 
 
-def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
+def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> FaultKind:
     """Return the kind of fault of the axes `which` (0, 1, 2) of a triad."""
     if view.stale or (view.quiet < QUIET and reset is None):
-        return Kind("stuck", 0.0, whole=True)
+        return FaultKind("stuck", 0.0, whole=True)
     if reset is not None:
-        return Kind("range_reset", reset[1], whole=True, range=reset[0])
+        return FaultKind("range_reset", reset[1], whole=True, range=reset[0])
     chosen = list(which)
     off = (view.own - view.expected)[:, chosen]
     size = float(off.mean(axis=0)[np.abs(off.mean(axis=0)).argmax()])
@@ -120,10 +122,10 @@ def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, flo
     scatter = float((about**2).mean(axis=0).max() ** 0.5 / noise.max())
     if abs(size) * np.sqrt(len(off)) < 6 * scatter * noise.max() and scatter > 2:
         return _scattered(off, noise, scatter)
-    return _by_scale(view, chosen, about) or Kind("bias", size)
+    return _by_scale(view, chosen, about) or FaultKind("bias", size)
 
 
-def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Kind | None:
+def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> FaultKind | None:
     """Another scale, where that explains a window far better than another bias."""
     expected, own = view.expected[:, chosen], view.own[:, chosen]
     power = (expected**2).sum(axis=0)
@@ -131,12 +133,14 @@ def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Ki
         return None
     factor = (own * expected).sum(axis=0) / power
     remaining = ((own - factor * expected) ** 2).sum()
-    return Kind("scale", float(factor[np.abs(factor - 1).argmax()])) if remaining < 0.3 * (about**2).sum() else None
+    return (
+        FaultKind("scale", float(factor[np.abs(factor - 1).argmax()])) if remaining < 0.3 * (about**2).sum() else None
+    )
 
 
-def _scattered(off: Floats, noise: Floats, scatter: float) -> Kind:
+def _scattered(off: Floats, noise: Floats, scatter: float) -> FaultKind:
     """Spikes or noise: most readings are as ever, or all of them wilder."""
     about = np.abs(off - np.median(off, axis=0))
     if (np.quantile(about, _LOW, axis=0) < _AS_EVER * _LOW_SIGMAS * noise).all():
-        return Kind("glitches", float(about.max()))
-    return Kind("white_noise", scatter)
+        return FaultKind("glitches", float(about.max()))
+    return FaultKind("white_noise", scatter)

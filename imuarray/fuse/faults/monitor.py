@@ -25,7 +25,7 @@ from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.fast_path import WindowSeries
 from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from imuarray.fuse.faults.kinds import Ranges
-from imuarray.fuse.faults.window import Window, lever_arms
+from imuarray.fuse.faults.window import DecisionWindow, lever_arms
 from imuarray.fuse.frames import Frames
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.least_squares import consensus
@@ -164,14 +164,14 @@ class FaultMonitor:
             )
         return self._isolation.stretch(time, values)
 
-    def _window_at(self, held: Frames, start: int) -> Window:
+    def _window_at(self, held: Frames, start: int) -> DecisionWindow:
         """The decision window that begins at a row."""
         rows = slice(start, start + self.window)
         values = held.values[rows]
         if self._spread_out:
             values = values - lever_arms(held.time[rows], self._rates[rows], self._positions_m, self._rows)
         stale = None if held.stale is None else held.stale[rows]
-        return Window(held.time[rows], values, held.valid[rows], stale)
+        return DecisionWindow(held.time[rows], values, held.valid[rows], stale)
 
     def _release(self, held: Frames, windows: int) -> Frames:
         """The frames of the first `windows` windows, masked; the others stay."""

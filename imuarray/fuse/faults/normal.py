@@ -60,8 +60,8 @@ Q_WINDOWS = 50
 
 
 class Learnt(NamedTuple):
-    """The changes that windows make to a `Normal` whose noise is settled: `state` (m, 5), `covariance` (m, 5, 5), and
-    (m,) `colour`, `change`, the windows `seen` and the means of the window `before`, NaN where it had none.
+    """The changes that windows make to a `NormalModel` whose noise is settled: `state` (m, 5), `covariance` (m, 5, 5)
+    and (m,) `colour`, `change`, the windows `seen` and the means of the window `before`, NaN where it had none.
     """
 
     state: Floats
@@ -72,7 +72,7 @@ class Learnt(NamedTuple):
     before: Floats
 
 
-class Normal:
+class NormalModel:
     """The running model of every axis; states (m, 5), their covariances (m, 5, 5).
 
     `noise` (m,) the standard deviation of a single reading in SI, NaN where it is to be learnt from the first windows.

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
-from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.normal import NormalModel
 from imuarray.fuse.least_squares import frame_gains, spans
 
 
@@ -143,7 +143,7 @@ class Spaces:
 
 
 @dataclass(frozen=True)
-class Window:
+class DecisionWindow:
     """n consecutive frames of m axes: time (n,) ns, values (n, m) in SI, valid and stale (n, m)."""
 
     time: Times
@@ -204,7 +204,7 @@ class WindowResiduals:
         squares: Floats = (centred @ self.white.deleted.T) ** 2
         return np.asarray(squares.sum(axis=0))
 
-    def energies(self, normal: Normal) -> tuple[Floats, Floats]:
+    def energies(self, normal: NormalModel) -> tuple[Floats, Floats]:
         """(m,) the sum of squares, in variances, of each included axis' deleted residual about its mean; and the share
         of that variance that is no noise but doubt about calibration, and so the same from reading to reading.
         """
@@ -219,7 +219,7 @@ class WindowResiduals:
 
 
 def window_residuals(
-    window: Window, normal: Normal, rows: Floats, included: Booleans, spaces: Spaces
+    window: DecisionWindow, normal: NormalModel, rows: Floats, included: Booleans, spaces: Spaces
 ) -> WindowResiduals | None:
     """The window as the axes `included` see it; None where these don't tell all of a triad."""
     weights = np.where(included, 1 / normal.variance, 0.0)

@@ -2,7 +2,7 @@
 
 The stimulus of every frame is unknown, so only the parities of a frame, the combinations of its readings that no
 stimulus changes, carry information about errors. Slow errors are constant during a segment, so sums over its frames
-(`Evidence`) hold all that the frames say.
+(`SegmentEvidence`) hold all that the frames say.
 
 Segments are counted from the first frame and have 1, 1, 2, 4, 8, ... frames, up to the full length. The frames of a
 segment are solved with the estimate from the segments before it. The cuts between blocks have no effect.
@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
-from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, segment_view, solve
-from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
-from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
+from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, segment_view, solve
+from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, held, patterns
+from imuarray.fuse.optimal.states import Gaussian, States, corrected, predicted
 
 OVER_S = 0.05
 """Time over which a change is evaluated: noise of a frame is little beside it, and shaking by hand is slower."""
@@ -47,7 +47,9 @@ class Dynamics:
         self._sum, self._frames = 0.0, 0
         return self._mean
 
-    def __call__(self, view: SegmentView, readings: Readings, solution: Solution, frames: slice) -> Floats | None:
+    def __call__(
+        self, view: SegmentView, readings: FrameReadings, solution: FrameSolution, frames: slice
+    ) -> Floats | None:
         """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
         if not self._geometry.timing.any() or not len(readings.time):
             return None
@@ -91,7 +93,7 @@ class _Sums:
         self.blur = np.zeros((3, 3))
 
 
-class Evidence:
+class SegmentEvidence:
     """The sums of the segment that is being gathered, and the `parity` of every set of rows there was."""
 
     def __init__(self, geometry: Geometry, terms: int) -> None:
@@ -99,7 +101,9 @@ class Evidence:
         self._parities: dict[bytes, Floats] = {}
         self._sums: dict[bytes, _Sums] = {}
 
-    def add(self, readings: Readings, solution: Solution, frames: slice, weights: Floats | None = None) -> None:
+    def add(
+        self, readings: FrameReadings, solution: FrameSolution, frames: slice, weights: Floats | None = None
+    ) -> None:
         """Take in the readings of `frames` of the solution, by `weights` (n,) up to 1."""
         triad, covariance = solution.unknowns[frames, :3], solution.covariance[frames, :3, :3]
         for valid, which in patterns(self._fair(readings.valid, triad, solution.used[frames])):
@@ -174,7 +178,7 @@ class Step(NamedTuple):
     and the variance that is `added` by it, how much warmer than their biases the rows were, and the measurements.
     """
 
-    before: Normal
+    before: Gaussian
     remaining: Floats
     added: Floats
     warmer_degc: Floats
@@ -182,7 +186,7 @@ class Step(NamedTuple):
     values: Floats
 
 
-class Segments:
+class SegmentEnds:
     """The ends of segments of up to `full` frames, counted from the first frame."""
 
     def __init__(self, full: int) -> None:
@@ -221,19 +225,19 @@ class ArrayFilter:
         record: Callable[[Step], None] | None = None,
     ) -> None:
         self.states, self.geometry = states, geometry
-        self.belief = Normal(np.zeros(len(states.names)), states.prior)
+        self.belief = Gaussian(np.zeros(len(states.names)), states.prior)
         self.warmer_degc = np.zeros(len(geometry.noise))
-        self._segments = Segments(segment_frames)
-        self._evidence = Evidence(geometry, states.terms)
+        self._segments = SegmentEnds(segment_frames)
+        self._evidence = SegmentEvidence(geometry, states.terms)
         self._record, self._dynamics = record, dynamics
         self._since: int | None = None
         self._stimulus = np.zeros(3)
         self._view: SegmentView | None = None
         self._step = (self.belief, np.ones(len(states.names)), np.zeros(len(states.names)))
 
-    def __call__(self, readings: Readings, warmer: Callable[[int], Floats]) -> Solution:
+    def __call__(self, readings: FrameReadings, warmer: Callable[[int], Floats]) -> FrameSolution:
         """The triads of the next frames."""
-        solution = Solution.empty(len(readings.time), self.geometry)
+        solution = FrameSolution.empty(len(readings.time), self.geometry)
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
             view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view
@@ -243,7 +247,7 @@ class ArrayFilter:
                 self.end()
         return solution
 
-    def _begun(self, part: Readings, warmer_degc: Floats) -> SegmentView:
+    def _begun(self, part: FrameReadings, warmer_degc: Floats) -> SegmentView:
         """Return the state that is believed as a segment begins."""
         since = int(part.time[0]) if self._since is None else self._since
         decay, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices
-from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, patterns
-from imuarray.fuse.optimal.states import Normal, States
+from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patterns
+from imuarray.fuse.optimal.states import Gaussian, States
 
 _TOLERATED = 0.1
 """Share by which the stimulus may change the variance of a row before a frame gets a gain of its own; what a gain that
@@ -55,7 +55,7 @@ class SegmentView:
         self.rows[:, :3] += response
         self._usual: dict[bytes, NominalGain | None] = {}
 
-    def begin(self, readings: Readings, before: Floats, change: float) -> None:
+    def begin(self, readings: FrameReadings, before: Floats, change: float) -> None:
         """Make the stimulus of the first of the frames the usual one (`before` if that can't be told), and `change`,
         the mean square of its change per second, what times in doubt are weighed by.
         """
@@ -132,7 +132,7 @@ class SegmentView:
 
 
 def segment_view(
-    states: States, geometry: Geometry, belief: Normal, warmer_degc: Floats, *, final: bool = False
+    states: States, geometry: Geometry, belief: Gaussian, warmer_degc: Floats, *, final: bool = False
 ) -> SegmentView:
     """The states as the rows of `geometry` feel them while they are warmer than their biases by (r,)."""
     rows = states.rows(warmer_degc)
@@ -211,7 +211,7 @@ _CERTAIN = 5.0
 
 
 @dataclass(frozen=True)
-class Solution:
+class FrameSolution:
     """n frames: `unknowns` (n, k), NaN if the axes don't span space, `covariance` (n, k, k), `used` (n, m)."""
 
     unknowns: Floats
@@ -219,7 +219,7 @@ class Solution:
     used: Booleans
 
     @classmethod
-    def empty(cls, frames: int, geometry: Geometry) -> Solution:
+    def empty(cls, frames: int, geometry: Geometry) -> FrameSolution:
         """Frames that are not solved yet."""
         unknowns = geometry.rows.shape[1]
         return cls(
@@ -228,12 +228,12 @@ class Solution:
             np.zeros((frames, geometry.axes), bool),
         )
 
-    def part(self, frames: slice) -> Solution:
+    def part(self, frames: slice) -> FrameSolution:
         """Some of the frames: the same memory."""
-        return Solution(self.unknowns[frames], self.covariance[frames], self.used[frames])
+        return FrameSolution(self.unknowns[frames], self.covariance[frames], self.used[frames])
 
 
-def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) -> None:
+def solve(view: SegmentView, readings: FrameReadings, into: FrameSolution, frames: slice) -> None:
     """The triads of `readings`, which are `frames` of `into`."""
     into = into.part(frames)
     every = np.arange(len(readings.time))
@@ -254,7 +254,12 @@ def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) 
 
 
 def _solve_odd(
-    view: SegmentView, readings: Readings, valid: Booleans, frames: Indices, into: Solution, clipped: Booleans | None
+    view: SegmentView,
+    readings: FrameReadings,
+    valid: Booleans,
+    frames: Indices,
+    into: FrameSolution,
+    clipped: Booleans | None,
 ) -> None:
     """Frames with a gain of their own, and with the bounds of those axes that are `clipped` (n, m)."""
     terms = view.terms(into.unknowns[frames, :3])
@@ -271,7 +276,7 @@ def _solve_odd(
             into.unknowns[at], into.covariance[at] = censored(into.unknowns[at], into.covariance[at], beyond)
 
 
-def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: Solution) -> Booleans:
+def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
     """(n, m) the clipped axes of these frames whose bounds say anything: not those that are expected far beyond."""
     ends = bounds.ends[which]
     telling: Booleans = np.asarray(ends != 0)

@@ -98,7 +98,7 @@ class Bounds(NamedTuple):
     at: Floats
 
 
-class Readings(NamedTuple):
+class FrameReadings(NamedTuple):
     """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any."""
 
     time: Times
@@ -106,10 +106,10 @@ class Readings(NamedTuple):
     valid: Booleans
     bounds: Bounds | None = None
 
-    def part(self, frames: slice) -> Readings:
+    def part(self, frames: slice) -> FrameReadings:
         """Some of the frames."""
         bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
-        return Readings(self.time[frames], self.values[frames], self.valid[frames], bounds)
+        return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds)
 
 
 def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | slice]]:
@@ -132,7 +132,7 @@ def held(triad: Floats) -> Floats:
     return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]
 
 
-def readings_of(frames: Frames, geometry: Geometry) -> Readings:
+def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
     """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
     space.
     """
@@ -149,7 +149,7 @@ def readings_of(frames: Frames, geometry: Geometry) -> Readings:
     if frames.stale is not None and (valid & frames.stale).any():
         valid = _without_stale(valid, frames.stale, geometry)
     values = frames.values if valid.all() else np.where(valid, frames.values, 0.0)
-    return Readings(frames.time, values, valid, bounds)
+    return FrameReadings(frames.time, values, valid, bounds)
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, held
+from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, held
 
 FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
@@ -78,7 +78,7 @@ class Lever:
         self._time, self._rate = np.zeros(2, np.int64), np.full((2, 3), np.nan)
         self._held = np.zeros(3)
 
-    def __call__(self, readings: Readings, rate: Floats) -> Readings:
+    def __call__(self, readings: FrameReadings, rate: Floats) -> FrameReadings:
         """`readings` at the origin but for the angular acceleration, and that; `rate` (n, 3) rad/s, NaN where unknown:
         then it is taken to be the last one known, and there is no slope.
         """
@@ -91,7 +91,7 @@ class Lever:
         values = np.where(readings.valid, readings.values - turning, 0.0)
         reported = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
         others = np.concatenate([np.repeat(known[:, None], 3, axis=1), np.ones((len(known), 3), bool)], axis=1)
-        return Readings(
+        return FrameReadings(
             readings.time,
             np.concatenate([values, reported, np.zeros((len(known), 3))], axis=1),
             np.concatenate([readings.valid, others], axis=1),

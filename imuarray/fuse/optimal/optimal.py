@@ -27,11 +27,11 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock, entries
 from imuarray.fuse.fusion_notes import FusionNotes, LearnedBias
 from imuarray.fuse.optimal.error_model import ErrorModel
-from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, Segments
-from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, solve
-from imuarray.fuse.optimal.geometry import Geometry, Readings, geometry_of, readings_of
+from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, SegmentEnds
+from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, solve
+from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, geometry_of, readings_of
 from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
-from imuarray.fuse.optimal.smoother import Recorder
+from imuarray.fuse.optimal.smoother import SegmentSmoother
 from imuarray.fuse.optimal.states import states_of
 from imuarray.fuse.pipeline import fused_block
 
@@ -178,17 +178,17 @@ class _Group:
         self._geometry, self.lever = geometry, lever
         others = ROWS if lever is not None else 0
         states = states_of(axes, model, others)
-        self._recorder = Recorder(geometry, states) if recording else None
+        self._recorder = SegmentSmoother(geometry, states) if recording else None
         self.filter = ArrayFilter(
             geometry, states, timing.segment_frames, Dynamics(geometry, timing.period_s), self._recorder
         )
         self._bias_temperature = BiasTemperature(axes, model, others)
-        self._again: Segments | None = None
+        self._again: SegmentEnds | None = None
         self._view: SegmentView | None = None
         self._stimulus = np.zeros(3)
         self._segment_frames, self._dynamics = timing.segment_frames, Dynamics(geometry, timing.period_s)
 
-    def __call__(self, frames: Frames, degc: Temperatures, rate: Floats | None) -> Solution:
+    def __call__(self, frames: Frames, degc: Temperatures, rate: Floats | None) -> FrameSolution:
         readings = readings_of(frames, self._geometry)
         if self.lever is not None:
             readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
@@ -212,15 +212,15 @@ class _Group:
             self._recorder.smooth()
         if self.lever is not None:
             self.lever.forget()
-        self._again = Segments(self._segment_frames)
+        self._again = SegmentEnds(self._segment_frames)
 
     def close(self) -> None:
         """Give back the room on the disk."""
         if self._recorder is not None:
             self._recorder.close()
 
-    def _with_views(self, readings: Readings, segments: Segments) -> Solution:
-        solution = Solution.empty(len(readings.time), self._geometry)
+    def _with_views(self, readings: FrameReadings, segments: SegmentEnds) -> FrameSolution:
+        solution = FrameSolution.empty(len(readings.time), self._geometry)
         for frames, starts, _ in segments.parts(len(readings.time)):
             part = readings.part(frames)
             if (starts or self._view is None) and self._recorder is not None:
@@ -233,9 +233,9 @@ class _Group:
         return solution
 
 
-def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures) -> dict[str, Solution]:
+def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures) -> dict[str, FrameSolution]:
     """Angular rate first: the specific force away from the origin needs it."""
-    solutions: dict[str, Solution] = {}
+    solutions: dict[str, FrameSolution] = {}
     for quantity, group in groups.items():
         if quantity in frames:
             rate = solutions[_RATE].unknowns if _RATE in solutions else None
@@ -243,11 +243,11 @@ def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Te
     return solutions
 
 
-def _estimate(solution: Solution) -> Estimate:
+def _estimate(solution: FrameSolution) -> Estimate:
     return Estimate(solution.unknowns[:, :3], entries(solution.covariance[:, :3, :3]), solution.used)
 
 
-def _acceleration(solutions: Mapping[str, Solution]) -> Estimate | None:
+def _acceleration(solutions: Mapping[str, FrameSolution]) -> Estimate | None:
     """The angular acceleration, where it is an unknown."""
     solution = solutions.get(_FORCE)
     if solution is None or solution.unknowns.shape[1] == 3:

@@ -18,7 +18,16 @@ from imuarray.arrays import Floats
 from imuarray.fuse.optimal.filter import Step
 from imuarray.fuse.optimal.frame_solution import SegmentView, segment_view
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.states import Adjoint, Innovation, Normal, States, backwards, corrected, predicted, smoothed
+from imuarray.fuse.optimal.states import (
+    Adjoint,
+    Gaussian,
+    Innovation,
+    States,
+    backwards,
+    corrected,
+    predicted,
+    smoothed,
+)
 
 _PLACE = struct.Struct("<qq")
 """Trailer of a group: the length of its head, the shapes, and where the group begins."""
@@ -70,7 +79,7 @@ class Spool:
 _STRIDE = 32
 
 
-class Recorder:
+class SegmentSmoother:
     """Takes the steps of an `ArrayFilter`, then gives the smoothed views of the segments in their order."""
 
     def __init__(self, geometry: Geometry, states: States) -> None:
@@ -107,8 +116,8 @@ class Recorder:
 
     def _back(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
         """One stride, in order of time, of which the first begins with a known belief."""
-        belief = Normal(*stride[0][-2:])
-        taken: list[tuple[Normal, Innovation]] = []
+        belief = Gaussian(*stride[0][-2:])
+        taken: list[tuple[Gaussian, Innovation]] = []
         for decay, added, _, rows, values, *_ in stride:
             at = predicted(belief, decay, added)
             belief, innovation = corrected(at, rows, values)

@@ -22,7 +22,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
 
 
-class Normal(NamedTuple):
+class Gaussian(NamedTuple):
     """The belief about n states: mean (n,) and covariance (n, n)."""
 
     mean: Floats
@@ -48,25 +48,25 @@ class Adjoint(NamedTuple):
     matrix: Floats
 
 
-def predicted(before: Normal, remaining: Floats, added: Floats) -> Normal:
+def predicted(before: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     """The states a while later: the share `remaining` (n,) of each, and the variance `added` (n,)."""
     covariance = before.covariance * (remaining[:, None] * remaining)
     covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
-    return Normal(before.mean * remaining, covariance)
+    return Gaussian(before.mean * remaining, covariance)
 
 
-def corrected(before: Normal, rows: Floats, values: Floats) -> tuple[Normal, Innovation]:
+def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
     """The states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
     seen = rows @ before.covariance
     root = np.linalg.cholesky(seen @ rows.T + np.eye(len(rows)))
     inverse_root = np.linalg.inv(root)
     gain = inverse_root @ seen
     innovation = inverse_root @ (values - rows @ before.mean)
-    after = Normal(before.mean + gain.T @ innovation, before.covariance - gain.T @ gain)
+    after = Gaussian(before.mean + gain.T @ innovation, before.covariance - gain.T @ gain)
     return after, Innovation(rows, inverse_root.T @ inverse_root, inverse_root.T @ innovation)
 
 
-def backwards(later: Adjoint, at: Normal, step: Innovation) -> Adjoint:
+def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
     """Return what these and all later measurements say of the state `at`, as predicted before them."""
     kept = np.eye(len(at.mean)) - at.covariance @ step.rows.T @ (step.inverse @ step.rows)
     vector = kept.T @ later.vector - step.rows.T @ step.weighted
@@ -74,9 +74,9 @@ def backwards(later: Adjoint, at: Normal, step: Innovation) -> Adjoint:
     return Adjoint(vector, (matrix + matrix.T) / 2)
 
 
-def smoothed(at: Normal, adjoint: Adjoint) -> Normal:
+def smoothed(at: Gaussian, adjoint: Adjoint) -> Gaussian:
     """The state `at` with all that came after it."""
-    return Normal(
+    return Gaussian(
         at.mean - at.covariance @ adjoint.vector,
         at.covariance - at.covariance @ adjoint.matrix @ at.covariance,
     )

@@ -210,7 +210,7 @@ def _limits(along: int, against: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-class CommonMode:
+class CommonErrorEstimate:
     """The running estimate of one group's common error; fed with consecutive blocks."""
 
     def __init__(self, group: OpposingGroup, seconds: float = SMOOTHING_S) -> None:
@@ -329,7 +329,7 @@ def opposed(axes: Sequence[Axis]) -> Technique:
     """
     average = mean(axes)
     rows = directions(axes)
-    modes = [CommonMode(group) for group in opposing_groups(axes)]
+    modes = [CommonErrorEstimate(group) for group in opposing_groups(axes)]
 
     def fused(frames: Frames) -> Estimate:
         weights = frames.valid.astype(float)

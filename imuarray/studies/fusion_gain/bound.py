@@ -94,7 +94,7 @@ class StretchReadings:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class BoundStretch:
     """Frames about `time_s` in which slow errors are taken as constant, at a temperature."""
 
     time_s: float
@@ -125,7 +125,7 @@ class Bound:
         return _rms(self.smoothed, self.frames)
 
 
-def bound(law: ErrorLaw, stretches: Sequence[Stretch]) -> Bound:
+def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
     """The bound over a log; FusionError if the axes known in some frame don't span space."""
     axes, count = len(law.noise_si), len(stretches)
     covariance = slow_covariance(law, stretches)
@@ -143,7 +143,7 @@ def bound(law: ErrorLaw, stretches: Sequence[Stretch]) -> Bound:
     return Bound(causal, np.array(smoothed), frames, past, mean.reshape(count, axes))
 
 
-def slow_covariance(law: ErrorLaw, stretches: Sequence[Stretch]) -> Floats:
+def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
     """(T m, T m) prior covariance of the slow errors, stretch after stretch."""
     time_s = np.array([stretch.time_s for stretch in stretches])
     degc = np.array([stretch.temperature_degc for stretch in stretches])
@@ -342,7 +342,7 @@ class Posterior:
         names = [sensor.name for sensors in self._sensors.values() for sensor in sensors]
         return (frames for frames, _ in aligned(self._log, self._calibration, only=names))
 
-    def _stretches(self, quantity: str) -> list[Stretch]:
+    def _stretches(self, quantity: str) -> list[BoundStretch]:
         """Return the observations of each stretch, pattern by pattern of the axes that had a reading."""
         sums: list[dict[bytes, tuple[int, Floats]]] = [{} for _ in range(STRETCHES)]
         for part in (frames[quantity] for frames in self._frames()):
@@ -354,7 +354,7 @@ class Posterior:
                     sums[number][pattern.tobytes()] = count + len(rows), total + read
         middle_s = (self._edges[:-1] + self._edges[1:]) / 2e9
         return [
-            Stretch(
+            BoundStretch(
                 time_s,
                 tuple(StretchReadings(np.frombuffer(key, bool), n, total / n) for key, (n, total) in seen.items()),
             )

@@ -29,7 +29,7 @@ from imuarray.studies.fusion_gain.study import (
     OPTIMAL_CAUSAL,
     SMOOTHED,
     WORDS,
-    Row,
+    GainRow,
     Study,
     changed,
     interval_text,
@@ -86,7 +86,7 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
 _MARKERS = "osD^vPX*"
 
 
-def ratios_figure(panels: Mapping[str, Sequence[Row]], of: str) -> Drawing:
+def ratios_figure(panels: Mapping[str, Sequence[GainRow]], of: str) -> Drawing:
     """A panel for each heading, a row an experiment, a mark a technique: its `over_mean` or `over_bound` (`of`) with
     its interval.
     """
@@ -105,7 +105,7 @@ def ratios_figure(panels: Mapping[str, Sequence[Row]], of: str) -> Drawing:
     return figure
 
 
-def _panel(axes: Axes, heading: str, rows: Sequence[Row], techniques: Sequence[str], of: str) -> None:
+def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequence[str], of: str) -> None:
     experiments = list(dict.fromkeys(row.experiment for row in rows))
     for number, technique in enumerate(techniques):
         mine = [row for row in rows if row.technique == technique]
@@ -206,7 +206,7 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     return drawn
 
 
-def _by_sensors(rows: Sequence[Row]) -> dict[str, list[Row]]:
+def _by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
     """A panel for each quantity of each set of sensors."""
     keys = dict.fromkeys((row.sensors, row.quantity) for row in rows)
     return {
@@ -288,7 +288,7 @@ def summary(study: Study) -> list[str]:
     return lines
 
 
-def _best_rows(study: Study) -> dict[str, Row]:
+def _best_rows(study: Study) -> dict[str, GainRow]:
     """Each technique's row where it gains most."""
     vectors = [
         row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
@@ -311,11 +311,11 @@ def _section(study: Study, experiment: str) -> Section:
     return Section(experiment, words, tables, fold=f"{count} rows in {len(tables)} tables")
 
 
-def _is_told(row: Row) -> bool:
+def _is_told(row: GainRow) -> bool:
     return row.measure != "noise" and (row.technique == AVERAGE or changed(row))
 
 
-def _line(row: Row) -> list[str]:
+def _line(row: GainRow) -> list[str]:
     factor, unit = READABLE_SI[row.quantity] if row.quantity in INERTIAL else (1.0, _END_UNITS[row.measure])
     over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
     what = f"{row.quantity.replace('_', ' ')} {row.measure}".strip()

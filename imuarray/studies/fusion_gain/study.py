@@ -254,7 +254,7 @@ Job = tuple[str, int, float | None]
 
 
 @dataclass(frozen=True)
-class Row:
+class GainRow:
     """One measure of one technique, over all seeds.
 
     `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: over that of the simple average
@@ -286,11 +286,11 @@ class Row:
 class Study:
     """The rows, the seeds that they are over, and the length that was asked for (None: each experiment's own)."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[GainRow, ...]
     seeds: tuple[int, ...]
     seconds: float | None = None
 
-    def of(self, **wanted: str) -> list[Row]:
+    def of(self, **wanted: str) -> list[GainRow]:
         """The rows with these properties."""
         return [row for row in self.rows if all(getattr(row, name) == value for name, value in wanted.items())]
 
@@ -328,7 +328,7 @@ def _ran(job: Job) -> list[RunErrors]:
     return run(*job)
 
 
-def rows_of(measured: Iterable[RunErrors]) -> list[Row]:
+def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
     """Return the rows that runs give together; boots of one seed share their calibration and count as one."""
     groups: dict[tuple[str, ...], list[RunErrors]] = defaultdict(list)
     for item in measured:
@@ -343,7 +343,7 @@ def rows_of(measured: Iterable[RunErrors]) -> list[Row]:
             known = measure == "rms"
             least = _by_seed(runs, [item.bound[axis] for item in runs]) if known and runs[0].bound else None
             rows.append(
-                Row(
+                GainRow(
                     experiment, calibration, sensors, technique, quantity, measure, axis,
                     value=math.sqrt(after.mean()),
                     over_mean=ratio_of(before, after),
@@ -410,20 +410,20 @@ def _lines(study: Study) -> Iterator[str]:
         yield from _coasting_lines([row for row in chosen if not row.quantity])
 
 
-def changed(row: Row) -> bool:
+def changed(row: GainRow) -> bool:
     """Return whether a technique does anything here."""
     return abs(row.over_mean.ratio - 1) > _NOTHING
 
 
-def _shows(row: Row) -> bool:
+def _shows(row: GainRow) -> bool:
     return row.technique == AVERAGE or changed(row)
 
 
-def _same(row: Row, other: Row) -> bool:
+def _same(row: GainRow, other: GainRow) -> bool:
     return row.technique == other.technique
 
 
-def _vector_line(row: Row, drift: Row) -> str:
+def _vector_line(row: GainRow, drift: GainRow) -> str:
     factor, unit = READABLE_SI[row.quantity]
     over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
     normal = (
@@ -436,7 +436,7 @@ def _vector_line(row: Row, drift: Row) -> str:
     )
 
 
-def _coasting_lines(rows: Sequence[Row]) -> Iterator[str]:
+def _coasting_lines(rows: Sequence[GainRow]) -> Iterator[str]:
     for row in [row for row in rows if row.measure == "heading"]:
         velocity = next(other for other in rows if other.measure == "velocity" and _same(other, row))
         if _shows(row) or changed(velocity):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from imuarray.studies.paper.replica import Curves
-    from imuarray.studies.paper.replica.curves import Noise
+    from imuarray.studies.paper.replica.curves import RestNoise
 
 Result = Mapping[str, Any]
 
@@ -294,7 +294,7 @@ def _draw_profile(panel: Axes, curves: Curves) -> None:
     panel.set_ylabel("temperature (°C)")
 
 
-def _draw_allan(panel: Axes, noise: Noise, scale: float, colours: Mapping[str, str]) -> None:
+def _draw_allan(panel: Axes, noise: RestNoise, scale: float, colours: Mapping[str, str]) -> None:
     curve = allan_deviation(noise.counts, 1 / noise.rate_hz, estimator="decimated")
     for axis, deviation in zip("xyz", curve.deviation.T, strict=True):
         panel.plot(
@@ -316,7 +316,7 @@ def _finish_allan(panel: Axes, label: str) -> None:
     panel.grid(which="major", color="0.88", linewidth=0.8)
 
 
-def _draw_spectrum(panel: Axes, noise: Noise, scale: float) -> None:
+def _draw_spectrum(panel: Axes, noise: RestNoise, scale: float) -> None:
     for axis in "yxz":  # the y axis may have a line that the others would hide behind
         panel.plot(noise.hz, scale * noise.density[:, "xyz".index(axis)], color=_OF_AXES[axis], linewidth=0.8)
     panel.set_ylim(0, None)

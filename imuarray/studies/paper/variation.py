@@ -339,7 +339,7 @@ TRIADS = 12
 
 
 @dataclass(frozen=True)
-class Blend:
+class RangeNoise:
     """Noise of a low-range and a high-range sensor, alone and combined, in mg."""
 
     low_mg: Decimal
@@ -382,12 +382,12 @@ class Blend:
         }
 
 
-def bma180_blend() -> Blend:
+def bma180_blend() -> RangeNoise:
     """The BMA180's noise per range, each the mean of Table 10's six channels with the typical sensitivity."""
     low, high = (
         mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
     )
-    return Blend(low, high)
+    return RangeNoise(low, high)
 
 
 PLANE_COLUMNS: dict[str, tuple[int, str]] = {
@@ -474,7 +474,7 @@ def _extra(row: Row) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Readings:
+class ReadingCount:
     """The number of readings that a column of standard errors admits, `least` to `most`, and what that tells."""
 
     table: int
@@ -519,17 +519,19 @@ def table9_rows(range_name: str) -> tuple[Row, ...]:
     return table(9)[:half] if range_name == "250dps" else table(9)[half:]
 
 
-def readings() -> tuple[Readings, ...]:
+def readings() -> tuple[ReadingCount, ...]:
     """Return the numbers of readings that Table 9's two logs (at 350 Hz) and Table 11's two series (five minutes each)
     admit.
     """
     result = []
     for name in ("250dps", "2k dps"):
         least, most = _common((row, "") for row in table9_rows(name))
-        result.append(Readings(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ))
+        result.append(
+            ReadingCount(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ)
+        )
     for half in ("runs", "cont"):
         least, most = _common((row, f"{half}_") for row in table(11))
-        result.append(Readings(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
+        result.append(ReadingCount(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
     return tuple(result)
 
 
@@ -581,7 +583,7 @@ def _table11() -> Iterable[RecomputedRow]:
             yield _standard_error(reading, row, f"{reading.log}_sem", f"{reading.log}_std", row["channel"])
 
 
-def _standard_error(readings: Readings, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
+def _standard_error(readings: ReadingCount, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
     cell = numeric_cell(row, column, lambda values: values[0] / readings.middle.sqrt(), [number_in(row, deviation)])
     return judged(f"Table {readings.table}", channel, row, cell, f"{deviation} / sqrt({round(readings.middle)})")
 

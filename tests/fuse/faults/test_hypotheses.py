@@ -8,8 +8,8 @@ import pytest
 from imuarray.arrays import Floats
 from imuarray.fuse.faults import hypotheses
 from imuarray.fuse.faults.hypotheses import disagreement, strongest
-from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
+from imuarray.fuse.faults.normal import NormalModel
+from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
 
 FRAMES = 6
 PERIOD_S = 0.016
@@ -27,18 +27,18 @@ KNOCK = np.array(
 of the MIMU4444 board, 397.15 s)."""
 
 
-def window_of(off: Floats) -> tuple[WindowResiduals, Normal]:
+def window_of(off: Floats) -> tuple[WindowResiduals, NormalModel]:
     """A window of a box at rest in whose second frame axes are `off` (24,) standard deviations, as seen by the normal
     model of the half minute of noise before it.
     """
     rng = np.random.default_rng(1)
     rows, every = np.tile(np.eye(3), (8, 1)), np.ones(24, bool)
-    normal, spaces = Normal(SIGMA, "specific_force", FRAMES, PERIOD_S), Spaces(rows)
+    normal, spaces = NormalModel(SIGMA, "specific_force", FRAMES, PERIOD_S), Spaces(rows)
     time = (np.arange(FRAMES) * PERIOD_S * 1e9).astype(np.int64)
     present = np.ones((FRAMES, 24), bool)
     for _ in range(300):
         values = np.tile([0.0, 0.0, 9.8], 8) + rng.normal(0, SIGMA, present.shape)
-        seen = window_residuals(Window(time, values, present, None), normal, rows, every, spaces)
+        seen = window_residuals(DecisionWindow(time, values, present, None), normal, rows, every, spaces)
         assert seen is not None
         normal.age(every)
         normal.learn(seen.regressors, seen.residual, every)
@@ -46,7 +46,7 @@ def window_of(off: Floats) -> tuple[WindowResiduals, Normal]:
             seen.residual, seen.means, seen.white.matrix.diagonal() * normal.variance, seen.counts, every
         )
     values[1] = np.tile([0.0, 0.0, 9.8], 8) + off * SIGMA
-    last = window_residuals(Window(time, values, present, None), normal, rows, every, spaces)
+    last = window_residuals(DecisionWindow(time, values, present, None), normal, rows, every, spaces)
     assert last is not None
     return last, normal
 

@@ -7,16 +7,16 @@ import pytest
 from scipy.signal import lfilter
 
 from imuarray.arrays import Floats
-from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Spaces, Window, window_residuals
+from imuarray.fuse.faults.normal import NormalModel
+from imuarray.fuse.faults.window import DecisionWindow, Spaces, window_residuals
 
 ROWS = np.tile(np.eye(3), (3, 1))
 PERIOD_S = 0.01
 
 
-def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> Normal:
+def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> NormalModel:
     """The normal model after all of `values` (n, 9)."""
-    normal = Normal(np.full(9, sigma), "specific_force", window, PERIOD_S)
+    normal = NormalModel(np.full(9, sigma), "specific_force", window, PERIOD_S)
     normal.begin((np.diff(values[:window], axis=0) ** 2).mean(axis=0))
     spaces, every = Spaces(ROWS), np.ones(9, bool)
     time = np.arange(len(values)) * int(PERIOD_S * 1e9)
@@ -24,7 +24,7 @@ def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> Normal:
         part = slice(start, start + window)
         normal.age(every)
         seen = window_residuals(
-            Window(time[part], values[part], np.ones((window, 9), bool), None), normal, ROWS, every, spaces
+            DecisionWindow(time[part], values[part], np.ones((window, 9), bool), None), normal, ROWS, every, spaces
         )
         assert seen is not None
         normal.learn(seen.regressors, seen.residual, every)
@@ -73,7 +73,7 @@ def test_jerks_teach_no_errors_of_calibration() -> None:
 
 def test_axes_without_a_change_take_the_noise_of_the_others() -> None:
     """Six of nine axes stand still and one next to still: the usual change is that of those that change."""
-    normal = Normal(np.full(9, np.nan), "specific_force", 10, PERIOD_S)
+    normal = NormalModel(np.full(9, np.nan), "specific_force", 10, PERIOD_S)
     normal.begin(np.array([0.0] * 6 + [1e-6, 4.0, 4.0]))
     assert not normal.begun
     assert normal.variance.tolist() == [4.0] * 9

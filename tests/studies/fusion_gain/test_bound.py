@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
-from imuarray.studies.fusion_gain.bound import ErrorLaw, SlowError, Stretch, StretchReadings, bound, frame_weights
+from imuarray.studies.fusion_gain.bound import BoundStretch, ErrorLaw, SlowError, StretchReadings, bound, frame_weights
 from tests.selection import examples
 
 MG = 9.80665e-3
@@ -19,10 +19,12 @@ def triads(noise: list[float], slow: tuple[SlowError, ...] = ()) -> ErrorLaw:
     return ErrorLaw(np.tile(np.eye(3), (len(noise), 1)), np.repeat(noise, 3), slow)
 
 
-def stretches(law: ErrorLaw, times_s: list[float], frames: int = 100, degc: list[float] | None = None) -> list[Stretch]:
+def stretches(
+    law: ErrorLaw, times_s: list[float], frames: int = 100, degc: list[float] | None = None
+) -> list[BoundStretch]:
     everything = np.ones(len(law.noise_si), bool)
     warm = degc or [25.0] * len(times_s)
-    return [Stretch(t, (StretchReadings(everything, frames),), T) for t, T in zip(times_s, warm, strict=True)]
+    return [BoundStretch(t, (StretchReadings(everything, frames),), T) for t, T in zip(times_s, warm, strict=True)]
 
 
 def on(axis: int, rms: float, law: ErrorLaw, **kind: float) -> SlowError:
@@ -120,10 +122,10 @@ def test_axes_without_a_reading_count_for_nothing() -> None:
     law = triads([0.3, 0.4])
     one = np.repeat([True, False], 3)
     both = np.ones(6, bool)
-    found = bound(law, [Stretch(0.0, (StretchReadings(both, 30), StretchReadings(one, 10)))])
+    found = bound(law, [BoundStretch(0.0, (StretchReadings(both, 30), StretchReadings(one, 10)))])
     assert found.causal_rms**2 == pytest.approx([(30 * 0.24**2 + 10 * 0.3**2) / 40] * 3)
     with pytest.raises(FusionError, match="2 of 6 axes known"):
-        bound(law, [Stretch(0.0, (StretchReadings(np.arange(6) < 2, 5),))])
+        bound(law, [BoundStretch(0.0, (StretchReadings(np.arange(6) < 2, 5),))])
 
 
 @settings(max_examples=examples(25), deadline=None)
@@ -139,7 +141,7 @@ def test_more_readings_never_harm(seed: int, axes: int) -> None:
     law = ErrorLaw(rows, rng.uniform(0.1, 2.0, axes), slow)
     whole = bound(law, stretches(law, [0.0, 10.0, 30.0], frames=5))
     fewer = np.arange(axes) < max(4, axes - 1)
-    less = bound(law, [Stretch(t, (StretchReadings(fewer, 3),)) for t in (0.0, 10.0, 30.0)])
+    less = bound(law, [BoundStretch(t, (StretchReadings(fewer, 3),)) for t in (0.0, 10.0, 30.0)])
     order = rng.permutation(axes)
     mixed = ErrorLaw(rows[order], law.noise_si[order], tuple(SlowError(s.loading[order], 20.0) for s in slow))
     assert bound(mixed, stretches(mixed, [0.0, 10.0, 30.0], frames=5)).causal == pytest.approx(whole.causal, rel=1e-6)
@@ -167,7 +169,7 @@ def test_the_posterior_mean_reaches_the_bound() -> None:
         errors = root @ rng.normal(size=(4, 9))
         means = errors + law.noise_si / np.sqrt(5) * rng.normal(size=(4, 9))
         seen = [
-            Stretch(t, (StretchReadings(np.ones(9, bool), 5, mean),))
+            BoundStretch(t, (StretchReadings(np.ones(9, bool), 5, mean),))
             for t, mean in zip(times.tolist(), means, strict=True)
         ]
         found = bound(law, seen)

@@ -22,7 +22,7 @@ from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain import Row, Study, study, true_calibration
+from imuarray.studies.fusion_gain import GainRow, Study, study, true_calibration
 from imuarray.studies.fusion_gain.arrays import FAULTS, NO_SLOPES, martin2013, measured, simulated
 from imuarray.studies.fusion_gain.study import CAUSAL, OPTIMAL_CAUSAL
 
@@ -69,7 +69,7 @@ def study_of() -> StudyOf:
     return cache(lambda experiment: study((experiment,), 2, seconds=100.0))
 
 
-def row_of(of_all: Study, **wanted: str) -> Row:
+def row_of(of_all: Study, **wanted: str) -> GainRow:
     (row,) = of_all.of(**wanted)
     return row
 
@@ -228,7 +228,7 @@ def test_shaken_by_hand_it_is_as_good_as_the_average(study_of: StudyOf, techniqu
             assert row.value <= 1.01 * _best(shaken, row), row.sensors
 
 
-def _best(found: Study, row: Row) -> float:
+def _best(found: Study, row: GainRow) -> float:
     """The error of the best single technique on the same readings."""
     same = found.of(
         experiment=row.experiment, calibration=row.calibration, sensors=row.sensors, quantity=row.quantity,

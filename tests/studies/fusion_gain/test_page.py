@@ -9,12 +9,12 @@ import pytest
 
 from imuarray.fuse import Ratio
 from imuarray.studies.fusion_gain.page import ratios_figure, study_verdict, write_study_page
-from imuarray.studies.fusion_gain.study import Row, Study
+from imuarray.studies.fusion_gain.study import GainRow, Study
 
 
-def row(technique: str, ratio: float, high: float, experiment: str = "heating") -> Row:
+def row(technique: str, ratio: float, high: float, experiment: str = "heating") -> GainRow:
     over = Ratio(ratio, 0.01, ratio - 0.02, high)
-    return Row(experiment, "measured", "all", technique, "angular_rate", "rms", "XYZ", 1e-3, over)
+    return GainRow(experiment, "measured", "all", technique, "angular_rate", "rms", "XYZ", 1e-3, over)
 
 
 def test_the_technique_that_gains_most_is_named() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.studies.paper.variation import Blend, bma180_blend, logging_rate, plane_ratio, planes, table10
+from imuarray.studies.paper.variation import RangeNoise, bma180_blend, logging_rate, plane_ratio, planes, table10
 
 sizes = st.decimals(Decimal("0.1"), 100, places=2)
 
@@ -28,7 +28,7 @@ def test_bma180_blend() -> None:
 
 @given(low=sizes, high=sizes)
 def test_no_other_weight_is_better(low: Decimal, high: Decimal) -> None:
-    blend = Blend(low, high)
+    blend = RangeNoise(low, high)
     weights = np.linspace(0, 1, 1001)
     scanned = np.hypot(weights * float(low), (1 - weights) * float(high))
     assert float(blend.weighted_mg) <= scanned.min() * (1 + 1e-12)

@@ -13,7 +13,7 @@ from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Frames, entries
 from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
-from imuarray.fuse.techniques.ranges.relative import GAP_S, Rows, States, Tracker
+from imuarray.fuse.techniques.ranges.relative import GAP_S, DifferenceStates, TrackedFrames, Tracker
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 
 FOLLOWED_PERIODS = 3
@@ -55,7 +55,7 @@ class RangeBlend:
         share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
         weights = self._weights * share * frames.valid
         steady = np.asarray((share == 1).all(axis=1))
-        states = self.tracker.follow(Rows(frames.time, frames.values, frames.valid, steady))
+        states = self.tracker.follow(TrackedFrames(frames.time, frames.values, frames.valid, steady))
         bias, scale, delay = np.moveaxis(states.differences, -1, 0)[:, states.which]
         level = (frames.values - bias) / (1 + scale)
         first = solve_frames(level, weights, self._rows)
@@ -86,7 +86,7 @@ class RangeBlend:
         return np.asarray(np.nan_to_num(slope[len(times) - len(time) :]))
 
     def _uncertainty(
-        self, states: States, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
+        self, states: DifferenceStates, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
     ) -> Floats:
         """(n, 6) covariance of what the corrections may be wrong, where they don't cancel: by how far the gains are
         from those of the whole blend.

@@ -96,7 +96,7 @@ by more than a tenth.
 _FEWEST = 8
 
 
-class Rows(NamedTuple):
+class TrackedFrames(NamedTuple):
     """n frames to learn from: time (n,), values and valid (n, m); `steady` (n,): no sensor is on its way out or in."""
 
     time: Times
@@ -104,21 +104,21 @@ class Rows(NamedTuple):
     valid: Booleans
     steady: Booleans
 
-    def then(self, other: Rows) -> Rows:
+    def then(self, other: TrackedFrames) -> TrackedFrames:
         """These rows and then the others."""
-        return Rows(
+        return TrackedFrames(
             np.concatenate([self.time, other.time]),
             np.concatenate([self.values, other.values]),
             np.concatenate([self.valid, other.valid]),
             np.concatenate([self.steady, other.steady]),
         )
 
-    def part(self, rows: slice) -> Rows:
+    def part(self, rows: slice) -> TrackedFrames:
         """Some of the rows."""
-        return Rows(self.time[rows], self.values[rows], self.valid[rows], self.steady[rows])
+        return TrackedFrames(self.time[rows], self.values[rows], self.valid[rows], self.steady[rows])
 
 
-class Moments(NamedTuple):
+class SegmentMoments(NamedTuple):
     """Moments of one segment: when it ended (ns), the axes present (m,), which of them moved enough to tell more than a
     bias (m,); sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m, 3);
     all zero where it tells nothing.
@@ -131,7 +131,7 @@ class Moments(NamedTuple):
     residual: Floats
 
 
-def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]:
+def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> Iterator[SegmentMoments]:
     """The sums over each whole segment. A frame counts if it is steady, as its neighbours are, and no axis that is
     present in the segment is missing in it.
     """
@@ -157,7 +157,7 @@ def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]
         known = np.zeros(axes) if blend is None or taken[index].sum() < _FEWEST else blend.seen * 1.0
         end_ns = int(rows.time[(index + 1) * SEGMENT - 1])
         sums = products[index] * known[:, None, None], residual[index] * known[:, None]
-        yield Moments(end_ns, present[index], moved[index], *sums)
+        yield SegmentMoments(end_ns, present[index], moved[index], *sums)
 
 
 def _sums(
@@ -228,7 +228,7 @@ class Relative:
 
 
 @dataclass(frozen=True)
-class States:
+class DifferenceStates:
     """States of n frames: frame i has `differences[which[i]]` (k, m, 3): bias, scale, delay of each axis, with
     `covariances` (k, m, 3, 3) of each axis' own share of them, as if the errors of axes were independent.
     """
@@ -263,7 +263,7 @@ class Tracker:
         self._differences = np.zeros((count, 3))
         self._covariances = self._prior[:, :, None] * np.eye(3)
         self._end_ns: int | None = None
-        self._held: Rows | None = None
+        self._held: TrackedFrames | None = None
 
     def relative(self) -> list[Relative]:
         """Return how each axis differs from the blend, as far as is known by now."""
@@ -273,7 +273,7 @@ class Tracker:
             for axis, result, error in zip(self._axes, self._differences, errors, strict=True)
         ]
 
-    def follow(self, block: Rows) -> States:
+    def follow(self, block: TrackedFrames) -> DifferenceStates:
         """Return the states at each frame of the next block."""
         joined = block if self._held is None else self._held.then(block)
         begin, whole = len(joined.time) - len(block.time), len(joined.time) // SEGMENT * SEGMENT
@@ -284,10 +284,10 @@ class Tracker:
             covariances.append(self._covariances)
         self._held = joined.part(slice(whole, None))
         which = np.arange(begin, len(joined.time)) // SEGMENT
-        return States(which, *self._corrections(np.array(differences), np.array(covariances)))
+        return DifferenceStates(which, *self._corrections(np.array(differences), np.array(covariances)))
 
     def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-        """The differences (k, m, 3) as they are corrected, and their covariances (k, m, 3, 3) as `States` has them.
+        """The corrected differences (k, m, 3), and their covariances (k, m, 3, 3) as in `DifferenceStates`.
 
         A scale or delay that is hardly told from none counts for less, or nothing, so that sensors that agree lose
         nothing; the bias is then what goes with it, and what was left out is in the covariance.
@@ -307,7 +307,7 @@ class Tracker:
         covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
         return result, covariances / self._share[:, None, None]
 
-    def _learn(self, moments: Moments) -> None:
+    def _learn(self, moments: SegmentMoments) -> None:
         """One step of the filters: everything walks, then the segment is taken in."""
         passed_s = 0.0 if self._end_ns is None else (moments.end_ns - self._end_ns) * 1e-9
         self._end_ns = moments.end_ns

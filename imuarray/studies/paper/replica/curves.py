@@ -38,7 +38,7 @@ class Scatter(NamedTuple):
     intercept: float
 
 
-class Noise(NamedTuple):
+class RestNoise(NamedTuple):
     """One sensor at rest: counts (n, 3) and readings per second; autocorrelation (31, 3) at lags 0 to 30; amplitude
     density (k, 3) in LSB/sqrt(Hz) at Hz (k,); codes (m,) of x from the least to the most and how often each was read.
     """
@@ -61,7 +61,7 @@ class Curves(NamedTuple):
     profile: Curve
     against_temperature: Mapping[str, Scatter]
     opposed: Curve
-    noise: Mapping[str, Noise]
+    noise: Mapping[str, RestNoise]
 
 
 def curves_of(observed: ExperimentData) -> Curves:
@@ -78,8 +78,8 @@ def curves_of(observed: ExperimentData) -> Curves:
     )
 
 
-def _noise(counts: npt.NDArray[np.int16], rate: float) -> Noise:
-    return Noise(counts, rate, correlogram(counts), *spectrum(counts, rate), *histogram(counts[:, 0]))
+def _noise(counts: npt.NDArray[np.int16], rate: float) -> RestNoise:
+    return RestNoise(counts, rate, correlogram(counts), *spectrum(counts, rate), *histogram(counts[:, 0]))
 
 
 def rate_hz(series: Series) -> float:

@@ -81,7 +81,7 @@ class Kept:
         return Series(*(np.concatenate(column) for column in zip(*(b[:2] for b in self._blocks), strict=True)))
 
 
-class Line(NamedTuple):
+class TemperatureLine(NamedTuple):
     """A straight line per axis: LSB per degC and LSB at 0 degC (3,)."""
 
     slope: Floats
@@ -115,7 +115,7 @@ def _window(count: Floats, total: Floats, squares: Floats, centre: Floats | None
     return Window(int(count[0]), mean + (0.0 if centre is None else centre), std)
 
 
-def line(sensor: Triad, motion: Motion) -> Line:
+def line(sensor: Triad, motion: Motion) -> TemperatureLine:
     """Counts against the box's temperature, by least squares."""
     moments = np.zeros((2, 5))
     for block in blocks(sensor):
@@ -123,7 +123,7 @@ def line(sensor: Triad, motion: Motion) -> Line:
         with_one = np.stack([np.ones(len(degc)), degc])
         moments += with_one @ np.column_stack([with_one.T, block.counts])
     intercept, slope = np.linalg.solve(moments[:, :2], moments[:, 2:])
-    return Line(slope, intercept)
+    return TemperatureLine(slope, intercept)
 
 
 Progress = Callable[[int, int, str], None]
@@ -154,7 +154,7 @@ class ExperimentData:
     faces: Mapping[str, Sequence[Window]]
     parts: Mapping[str, Sequence[Window]]
     runs: Mapping[str, Sequence[Window]]
-    heated: Mapping[str, Line]
+    heated: Mapping[str, TemperatureLine]
     high_rate: Mapping[str, HighRate]
     even: Mapping[str, float]
     faulty: int
@@ -292,7 +292,7 @@ def _run(seed: int, boot: int, run: int) -> dict[str, list[Window]]:
     return {n: windows(s, whole) for n, s in _simulation(seed, boot, motion, array_rate_hz(11))}
 
 
-def _heating(seed: int, boot: int) -> tuple[dict[str, Line], dict[str, Series]]:
+def _heating(seed: int, boot: int) -> tuple[dict[str, TemperatureLine], dict[str, Series]]:
     motion = Heating()
     lines, warm = {}, {}
     for name, sensor in _simulation(seed, boot, motion, array_rate_hz(10)):
