@@ -48,6 +48,16 @@ COLUMN_ERROR = 0.01
 """Standard error of a column of a response, as a share of the scale factor, up to which turns have determined it: half
 of what the data sheet's tolerance is taken to be."""
 
+
+def uncertain_columns(response_lsb_per_unit: Floats, covariance: Floats) -> str:
+    """The box axes ("XZ") whose column of a response (3, 3) with this covariance (9, 9), row by row, is not known to
+    `COLUMN_ERROR` of the scale factors: those about which a gyroscope was hardly turned.
+    """
+    scale = np.linalg.norm(response_lsb_per_unit, axis=1)
+    shares = np.sqrt(np.diag(covariance)).reshape(3, 3) / scale[:, None]
+    return "".join(axis for axis, share in zip("XYZ", shares.max(axis=0), strict=True) if share > COLUMN_ERROR)
+
+
 _LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\\n]*")),\n\s*\]')
 """A list of numbers or plain texts as tomli_w writes it, a line each. No text holds a line's end: TOML escapes it."""
 
@@ -158,14 +168,9 @@ class SensorCalibration:
         return np.diag(np.repeat(self.response_sem_lsb_per_unit**2, 3))
 
     def uncertain_axes(self) -> str:
-        """The box axes ("XZ") whose column of a measured response is not known to `COLUMN_ERROR` of the scale factors:
-        those about which a gyroscope was hardly turned.
-        """
+        """The `uncertain_columns` of a measured response; "" if it was not measured."""
         covariance = self.response_covariance()
-        if covariance is None:
-            return ""
-        sem = np.sqrt(np.diag(covariance)).reshape(3, 3) / self.scale_lsb_per_unit[:, None]
-        return "".join(axis for axis, column in zip("XYZ", sem.T, strict=True) if column.max() > COLUMN_ERROR)
+        return "" if covariance is None else uncertain_columns(self.response_lsb_per_unit, covariance)
 
     def bias_in_units(self) -> Floats:
         """(3,) bias in the sensor's unit (g or dps), along its own axes."""

@@ -25,6 +25,7 @@ from imuarray.calibrate.pose_readings import Pose, PoseReadings
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
+from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import STANDARD_GRAVITY
 
 STRETCH_S = 0.5
@@ -55,9 +56,6 @@ _FAST = 0.15
 _LEAST_MOTION_G = 1e-3
 """The least motion of a box that is held by hand."""
 
-_MEDIAN_OF_SQUARES = 0.4549
-"""Median of chi-squared with one degree of freedom."""
-
 _CELLS = 3
 """The number of cells along each box axis by which directions are distinguished."""
 
@@ -83,7 +81,7 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
         fit = fit_weighted(readings, noise + len(sensors) * (factor * motion_g) ** 2, left_out)
         off = fit.force_g.mean(axis=0) - 1
         free = len(off) / (len(off) - 9)
-        factor = float(np.sqrt(free * np.median((off / motion_g) ** 2) / _MEDIAN_OF_SQUARES))
+        factor = float(np.sqrt(free * np.median((off / motion_g) ** 2) / MEDIAN_SQUARE))
         sound = np.abs(off) < _STRANGE * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
         if not sound.all() and sound.sum() >= FEWEST_STRETCHES:
             left_out += [

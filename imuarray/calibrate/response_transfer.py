@@ -33,6 +33,7 @@ from imuarray.calibrate.turns import fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
+from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 WINDOW_S = 0.1
@@ -245,7 +246,7 @@ def _covariance(known: SensorCalibration) -> Floats:
 def _noise(off: Floats) -> Floats:
     """(3,) variance of a window's mean: a sixth of the mean square of second differences, without slow motion."""
     bends = np.diff(off, 2, axis=0)
-    squares = np.median(bends**2, axis=0) / 0.4549  # the median of a chi-square with one degree of freedom
+    squares = np.median(bends**2, axis=0) / MEDIAN_SQUARE
     return np.asarray(np.maximum(squares / 6, 1e-6))
 
 

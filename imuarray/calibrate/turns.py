@@ -25,7 +25,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
-from imuarray.calibrate.model import COLUMN_ERROR, SensorCalibration
+from imuarray.calibrate.model import SensorCalibration, uncertain_columns
 from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
@@ -59,7 +59,7 @@ class TurnFit:
     """One gyroscope's response from turns.
 
     `response` (3, 3) in counts per dps, its standard errors `sem` and `covariance` (9, 9) row by row, the data sheet's
-    tolerance or an earlier measurement taken into account; `untold`: the box axes about which too little was turned,
+    tolerance or an earlier measurement taken into account; `uncertain_axes`: the box axes about which few turns lead,
     whose columns are not known to one per cent; `turns` that were used, `residual_deg` rms of the directions that they
     missed by, `chi_squared` by the noise at rest with `freedom` degrees, and turns `left_out`.
     """
@@ -67,7 +67,7 @@ class TurnFit:
     response: Floats
     sem: Floats
     covariance: Floats
-    untold: str
+    uncertain_axes: str
     turns: int
     residual_deg: float
     chi_squared: float
@@ -230,9 +230,9 @@ def _fit(
     change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
     covariance = change @ np.linalg.inv(information / excess + prior) @ change.T
     sem = np.sqrt(np.diag(covariance)).reshape(3, 3)
-    untold = "".join("XYZ"[axis] for axis in range(3) if sem[:, axis].max() > COLUMN_ERROR * sensor.sensitivity)
+    uncertain = uncertain_columns(response, covariance)
     residual_deg = float(np.degrees(np.sqrt((missed**2).sum() / len(turns))))
-    fit = TurnFit(response, sem, covariance, untold, len(turns), residual_deg, chi_squared, freedom, tuple(left_out))
+    fit = TurnFit(response, sem, covariance, uncertain, len(turns), residual_deg, chi_squared, freedom, tuple(left_out))
     return fit, chances, off
 
 

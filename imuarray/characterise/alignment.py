@@ -18,6 +18,7 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, STALE, SUSPECT
+from imuarray.robust import MEDIAN_ABSOLUTE
 from imuarray.units import INERTIAL
 
 WINDOW_S = 60.0
@@ -180,7 +181,7 @@ def _is_strong(times_s: Floats, rates: Floats) -> bool:
     """Return whether the motion is strong enough beside the noise, of which fourth differences are 70 times the
     variance.
     """
-    noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / 0.6745 / math.sqrt(70)
+    noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / MEDIAN_ABSOLUTE / math.sqrt(70)
     derivative = np.gradient(rates, times_s, axis=0)
     step_s = float(np.median(np.diff(times_s)))
     of_noise = noise**2 / (2 * step_s**2)

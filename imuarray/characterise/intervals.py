@@ -21,6 +21,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.characterise.stretch import GAP
+from imuarray.robust import MEDIAN_ABSOLUTE
 
 PLACES = 5
 """The number of longest gaps that are named."""
@@ -32,9 +33,6 @@ _QUARTILE = 0.75
 
 _FINENESS = 16
 _BINS = 4 << _FINENESS
-_ROBUST = 1.4826
-"""Standard deviation over median absolute deviation of Gaussian noise: 1 / 0.6745."""
-
 _SURE = 4.0
 """Standard errors that the square of an alternation must have: a chance of 3e-5."""
 
@@ -116,7 +114,7 @@ class IntervalTally:
         mean = (self._last_ns - self._first_ns - gaps_ns) / number
         variance = float(counts @ (values - float(counts @ values) / number) ** 2) / number
         square = self._alternation(variance)
-        robust = _ROBUST * _quantile(values, self._changes, 0.5) / sqrt(2) if self._changes.any() else nan
+        robust = _quantile(values, self._changes, 0.5) / MEDIAN_ABSOLUTE / sqrt(2) if self._changes.any() else nan
         jitter = sqrt(max(variance - square, 0.0))
         longest = tuple(gap for gap in self._longest if gap.length_s * 1e9 > limit)
         seconds = (median * 1e-9, mean * 1e-9, sqrt(square) * 1e-9, jitter * 1e-9, robust * 1e-9)

@@ -86,7 +86,7 @@ def _fit(fit: TriadFit) -> dict[str, Any]:
 def _turns(fit: TurnFit) -> dict[str, Any]:
     return {
         "used": fit.turns,
-        "untold": fit.untold,
+        "untold": fit.uncertain_axes,
         "response_lsb_per_dps": fit.response.tolist(),
         "sem_lsb_per_dps": fit.sem.tolist(),
         "residual_deg": fit.residual_deg,

@@ -40,6 +40,7 @@ from imuarray.gap.model.populations import (
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.log.sensor_log import recorded_header
+from imuarray.robust import MEDIAN_ABSOLUTE
 from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
 from imuarray.simulate.model import noise_bandwidth_hz
 from imuarray.units import INERTIAL, SI_PER_UNIT
@@ -229,7 +230,7 @@ def _louder(counts: Floats, new_counts: Floats) -> Floats:
 def _leap(counts: Floats) -> Floats:
     """Return (3,) the typical second difference of the readings; that of rounding at least."""
     leaps = np.abs(np.diff(counts, 2, axis=0))
-    return np.maximum(np.median(leaps, axis=0) / 0.6745, 0.5) if len(leaps) else np.full(3, 0.5)
+    return np.maximum(np.median(leaps, axis=0) / MEDIAN_ABSOLUTE, 0.5) if len(leaps) else np.full(3, 0.5)
 
 
 def _spectra(counts: Floats, quiet: Booleans) -> Floats:

@@ -47,7 +47,7 @@ def test_faces_tell_of_gyroscopes_what_their_turns_do(tmp_path: Path) -> None:
     result = on_faces(tmp_path / "run.h5", ((0.0, 0.0),) * 7)
     assert result.method == "faces" and result.left_out == ()
     fit = result.turns["Gyro3"]
-    assert (fit.turns, fit.untold) == (6, "Y")
+    assert (fit.turns, fit.uncertain_axes) == (6, "Y")
     truth = np.diag([1.03, 0.98, 1.01]) @ ideal("-X-Y+Z", 1 / 0.00875)
     assert np.abs((fit.response - truth) / fit.sem).max() < 6
     assert fit.sem[:, [0, 2]].max() < 0.01 / 0.00875

@@ -51,7 +51,7 @@ def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
             fit, known = result.turns[name], result.calibration.sensors[name]
             error = (fit.response - true).ravel()
             squares.append(error @ np.linalg.solve(fit.covariance, error))
-            assert fit.untold == "" and fit.turns == 11 and fit.left_out == ()
+            assert fit.uncertain_axes == "" and fit.turns == 11 and fit.left_out == ()
             assert known.response_lsb_per_unit == pytest.approx(fit.response)
             per_dps = np.linalg.norm(true, axis=1).mean() / (1 + np.mean(SCALE))
             assert known.bias_sem_lsb is not None and known.g_sensitivity_lsb_per_g is not None
@@ -75,8 +75,8 @@ def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:
     made = Rotation.concatenate([still[0] * steps[:6], still[1] * steps[6:10], still[2] * steps[10:]])
     result, truth = tumble(tmp_path / "run.h5", Tumbled(made), 0.017, 0.18, 1, ("Gyro3",))
     fit, known = result.turns["Gyro3"], result.calibration.sensors["Gyro3"]
-    assert "X" not in fit.untold
-    assert fit.untold
+    assert "X" not in fit.uncertain_axes
+    assert fit.uncertain_axes
     # 0.18 dps at 100 Hz over two seconds is 0.025 deg an axis, 17 mg in the means at both ends as much again.
     assert 0.02 < fit.residual_deg < 0.15
     sensitivity = 1 / 0.00875
@@ -106,7 +106,7 @@ def test_what_two_axes_tell_is_used(tmp_path: Path) -> None:
             rows = np.eye(3) + off - np.diag(np.diag(off))
             rows /= np.linalg.norm(rows, axis=1, keepdims=True)
             true = sensitivity * np.diag(1 + np.diag(off)) @ rows @ log["Gyro3"].orientation.T
-        assert fit.untold == "Y"
+        assert fit.uncertain_axes == "Y"
         told, untold = np.abs(fit.response - true)[:, [0, 2]], fit.sem[:, 1]
         assert told.max() < 0.002 * sensitivity
         assert untold == pytest.approx(TOLERANCE * sensitivity, rel=0.1)

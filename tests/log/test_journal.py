@@ -218,6 +218,25 @@ def test_a_head_across_two_pages_of_which_the_second_is_zeros_is_torn(tmp_path: 
             assert bool(journal.damage) == damaged
 
 
+@pytest.mark.parametrize(
+    ("place", "kept"), [(0, False), (1, True), (250, True), (500, True), (501, False), (511, False)]
+)
+def test_a_check_sum_is_trusted_in_the_sector_of_the_block_before(tmp_path: Path, place: int, kept: bool) -> None:
+    """A bad block, head (12 bytes) and payload, of which the check sum alone is right: the block behind it is kept if
+    that sum is in one sector (512 bytes) with the end of the block before, and so of this log.
+    """
+    first = len(written(tmp_path / "o.h5", [(5, 1, b"#")]))
+    comment = b"#" * (1 + (place - first) % 512)
+    content = bytearray(written(tmp_path / "r.h5", [(5, len(comment), comment), *ROWS[:2]]))
+    bad = len(content) - 2 * SIZE
+    assert bad % 512 == place
+    content[bad + 4 : bad + 8] = bytes(4)
+    content[bad + 20] ^= 1
+    journal_of(tmp_path / "r.h5").write_bytes(content)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        assert [record.payload for record in journal.records()] == [comment, ROWS[1][2]][: 1 + kept]
+
+
 @pytest.mark.parametrize("garbage", [b"abc", b"\xff" * 5000, bytes(5000) + b"x", b"\x55" * 12])
 def test_bytes_behind_the_last_block_that_are_no_block_are_told(tmp_path: Path, garbage: bytes) -> None:
     content = written(tmp_path / "r.h5", ROWS)

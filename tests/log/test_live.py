@@ -420,8 +420,8 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
 
 
 def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, writer: Writer) -> None:
-    """Of this log and of others in the folder; not what a process that lives has, nor what HDF5 has locked on another
-    machine, nor what is no log.
+    """Of this log and of others in the folder, also what can't be opened or is only read; not what a process that lives
+    has, nor what HDF5 has locked on another machine, nor what is no log.
     """
     gone, other = 2**22 + 1, os.getppid()
     kept = {f".run.h5.{other}.part", f".film.mp4.{gone}.part", ".run.h5.part", f".run.h5.{gone}.parts"}
@@ -429,9 +429,13 @@ def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, 
         (tmp_path / name).write_bytes(b"")
     locked = os.open(tmp_path / f".run.h5.{gone + 1}.part", os.O_RDWR | os.O_CREAT)
     fcntl.flock(locked, fcntl.LOCK_EX)
+    read = os.open(tmp_path / f".run.h5.{gone + 2}.part", os.O_RDWR | os.O_CREAT)
+    fcntl.flock(read, fcntl.LOCK_SH)
+    (tmp_path / f".run.h5.{gone + 3}.part").symlink_to("nowhere")
     with writer(tmp_path / "run.h5"):
         pass
     os.close(locked)
+    os.close(read)
     assert {path.name for path in tmp_path.iterdir()} == {"run.h5", f".run.h5.{gone + 1}.part", *kept}
 
 
