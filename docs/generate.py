@@ -26,7 +26,7 @@ from pydantic import BaseModel
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for the module beside this one; a hook has another path later on
 
-from effect_pictures import EXAMPLES, picture  # noqa: E402
+from reference_pictures import EXAMPLES, PROBE_EXAMPLES, TECHNIQUE_EXAMPLES, pictures  # noqa: E402
 
 ROOT_PAGES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "VALIDATION.md")
 """Pages at the root of the repository that are part of the site, under their names in lower case."""
@@ -179,6 +179,9 @@ def _chips() -> Pages:
             _escaped(inspect.cleandoc(facts.__doc__ or "")) + "\n",
             "## Settings\n",
             _table(("", ""), settings),
+            f"![{name}: readings at rest](../../images/chips/{name}.svg)\n",
+            "Readings of one simulated chip at rest, by its data sheet, less their mean, and their distribution. A chip"
+            " whose data sheet states no noise repeats one code.\n",
         ]
         made[f"reference/chips/{name}.md"] = "\n".join([*text, "## Registers\n", _registers(facts)])
     return {"reference/chips/index.md": _index("Chips", rows), **made}
@@ -303,7 +306,13 @@ def _probes() -> Pages:
             )
             for name, probe in members
         ]
-        text = [f"# Probes of the domain `{domain}`\n", _docstring(module), "UNIT is the sensor's unit.\n"]
+        text = [
+            f"# Probes of the domain `{domain}`\n",
+            _docstring(module),
+            f"![{domain}: what its probes measure](../../images/probes/{domain}.svg)\n",
+            f"{PROBE_EXAMPLES[domain].caption} Blue: with the effect; grey: without.\n",
+            "UNIT is the sensor's unit.\n",
+        ]
         made[f"reference/probes/{domain}.md"] = "\n".join(
             [*text, _table(("probe", "measures", "unit", "made to see"), table)]
         )
@@ -323,7 +332,13 @@ def _techniques() -> Pages:
             if name in NEEDS_NOISE or name == "optimal"
             else "nothing; better with a calibration"
         )
-        text += [f"Needs: {needs}.\n", "## As the code describes it\n", _docstring(module)]
+        text += [
+            f"Needs: {needs}.\n",
+            f"![{name}: its result beside those of single sensors](../../images/techniques/{name}.svg)\n",
+            f"{TECHNIQUE_EXAMPLES[name].caption} Simulated; blue: `{name}`; grey: single sensors"
+            f"{'' if name == 'mean' else '; red: `mean`'}.\n",
+        ]
+        text += ["## As the code describes it\n", _docstring(module)]
         made[f"reference/techniques/{name}.md"] = "\n".join(text)
     return {"reference/techniques/index.md": _index("Techniques of fusion", rows), **made}
 
@@ -530,8 +545,8 @@ def on_files(files: Any, config: Any) -> Any:
     root = {name.lower(): _root_page(name) for name in ROOT_PAGES}
     for path, text in {**_GENERATED, **root}.items():
         files.append(File.generated(config, path, content=text))
-    for name in EXAMPLES:
-        files.append(File.generated(config, f"images/effects/{name}.svg", content=picture(name)))
+    for path, drawn in pictures():
+        files.append(File.generated(config, f"images/{path}", content=drawn))
     return files
 
 
@@ -568,10 +583,10 @@ def main(folder: Path) -> None:
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
-    for name in EXAMPLES:
-        target = folder / "images" / "effects" / f"{name}.svg"
+    for path, drawn in pictures():
+        target = folder / "images" / path
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(picture(name))
+        target.write_bytes(drawn)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Makes the pictures of the documentation anew: `python docs/screenshots.py DIR`, from the root of the repository.
 
 Every page that the program writes is made in DIR by the commands of `PAGES` (a page that is there already is kept).
-Chromium shows it in light, in dark, on a phone and on paper. docs/gallery.md shows these pictures.
+Chromium shows it in light, in dark, on a phone and on paper. docs/gallery.md shows these pictures. Needed are Chromium
+(Debian's package chromium) and pdftoppm (poppler-utils), which draws the printed page.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import base64
 import io
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -165,4 +167,6 @@ async def main(folder: Path, names: Sequence[str]) -> None:
 if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit("usage: python docs/screenshots.py DIR [NAME...]")
+    if shutil.which("pdftoppm") is None:
+        sys.exit("docs/screenshots.py: pdftoppm is missing; it is in poppler-utils (apt-get install poppler-utils)")
     asyncio.run(main(Path(sys.argv[1]), sys.argv[2:]))

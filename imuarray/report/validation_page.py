@@ -13,7 +13,7 @@ from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import marked
 from imuarray.report.page import Figure, Section, Table, Verdict, write_page
 from imuarray.report.validation_figures import plots_of
-from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines, transfer_rows
+from imuarray.report.validation_words import failing_rows, plain_text, summary_lines, transfer_rows
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
 from imuarray.validation.score_rows import ScoreRow
@@ -281,4 +281,9 @@ def _run(figures: Figures, command: str) -> Section:
     rows += [["cases", str(figures.cases)], ["lost", str(len(figures.lost))]]
     rows += [[f"lost: {name}", str(count)] for name, count in lost_by(figures.lost).items()]
     caption = "The same command and software reproduce this page."
-    return Section("How it was made", frozen_text(figures), [Table(["", "value"], rows, caption, (1,))])
+    words = (
+        "The values called frozen were fixed before the truth was opened."
+        if figures.frozen
+        else "Nothing was frozen before the truth was opened."
+    )
+    return Section("How it was made", words, [Table(["", "value"], rows, caption, (1,))])

@@ -18,6 +18,7 @@ from imuarray.fuse import errors_of, fuse, technique_names
 from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import ten_second_means
 from imuarray.log import open_log
+from imuarray.printable import counted
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
@@ -143,7 +144,7 @@ def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], c
             across = axes.get_yaxis_transform()
             axes.plot([0.985], [place], ">", color=colour, markersize=6, transform=across, clip_on=False)
             text = f"{ratio.ratio:.3g} ×"
-            axes.text(0.95, place, text, color=colour, fontsize=8, ha="right", va="bottom", transform=across)
+            axes.text(0.95, place, text, fontsize=8, ha="right", va="bottom", transform=across)
 
 
 def _furthest(ratios: Sequence[Ratio]) -> float:
@@ -308,7 +309,7 @@ def _section(study: Study, experiment: str) -> Section:
         tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
     count = sum(len(table.rows) for table in tables)
     words = "Every technique that changes something, axis by axis."
-    return Section(experiment, words, tables, fold=f"{count} rows in {len(tables)} tables")
+    return Section(experiment, words, tables, fold=f"{count} rows in {counted(len(tables), 'table')}")
 
 
 def _is_told(row: GainRow) -> bool:

@@ -1,0 +1,45 @@
+"""Every page of the reference has its picture, and the pictures show something."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from imuarray.fuse.fuse import NAMES
+from imuarray.gap.statistics.probes import Domain
+from imuarray.simulate import EFFECTS
+
+PICTURES = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "reference_pictures.py"))
+
+
+def test_every_effect_domain_and_technique_has_a_picture() -> None:
+    assert PICTURES["EXAMPLES"].keys() == EFFECTS.keys()
+    assert set(PICTURES["PROBE_EXAMPLES"]) == set(get_args(Domain))
+    assert set(PICTURES["TECHNIQUE_EXAMPLES"]) == set(NAMES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_changes_what_is_shown(name: str) -> None:
+    """A picture in which both curves are the same shows nothing."""
+    example, pair = PICTURES["EXAMPLES"][name], PICTURES["_pair"](name)
+    shown = [
+        values[(time_s >= example.span_s[0]) & (time_s <= example.span_s[1])]
+        for time_s, values in (pair.without, pair.within)
+    ]
+    assert len(shown[0]) > 20
+    assert not np.array_equal(*shown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("draw", "name"),
+    [("picture", "skew"), ("probe_picture", "allan"), ("chip_picture", "bmp280"), ("technique_picture", "opposed")],
+)
+def test_pictures_are_small_svg(draw: str, name: str) -> None:
+    drawn = PICTURES[draw](name)
+    assert drawn.startswith(b"<?xml") and len(drawn) < 150_000
