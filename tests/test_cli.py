@@ -461,7 +461,7 @@ def test_a_log_is_named_as_one(run: Run, here: Path) -> None:
 
 
 def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imuarray.log.live.free_bytes", lambda path: 0)
+    monkeypatch.setattr("imuarray.log.writer.free_bytes", lambda path: 0)
     code, _, err = run("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "1")
     assert code == 3
     assert err[-1].startswith("imuarray: n.h5: less than ")

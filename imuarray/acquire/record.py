@@ -1,24 +1,330 @@
-"""Records an array into a log: connects its sensors, polls them or listens to a stream, and names the phases."""
+"""Records an array into a log: connects its sensors, polls them or listens to a stream, and names the phases.
+
+The poll loop (`Poll`) reads frame after frame at a steady rate; bursts are kept raw, decoded and written many at a
+time. A sensor that does not answer, has lost its configuration or stands still is recovered in its own place of the
+frame (`imuarray.acquire.sensor_health`); the others are read as before.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import errno
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from os import PathLike
 from typing import Any
 
-from imuarray.acquire.poll import Poll
+import numpy as np
+
+from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment, ConfigurationReadback, Polling
+from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.recording import RecordingOptions, Summary
-from imuarray.acquire.sensor_routes import connect
+from imuarray.acquire.sample_buffer import Intake, SampleBuffer
+from imuarray.acquire.sensor_health import SensorHealth
+from imuarray.acquire.sensor_routes import SensorRoute, connect, there_and_back
 from imuarray.acquire.service import Service
+from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
-from imuarray.log.format import Phase, SensorHeader
-from imuarray.log.missed_frames import duration_s
+from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.missed_frames import duration_s, frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
-from imuarray.log.writer import LogWriter
+from imuarray.log.writer import LogWriter, Stimulus
+from imuarray.printable import counted
+
+BATCH = 1024
+"""Frames between two writes, at most; `BATCH_S` seconds' worth otherwise."""
+BATCH_S = 1.0
+TICK_S = 0.2
+"""The interval between two checks of conditions that are too slow to be checked in every frame."""
+_NAP_NS = 200_000_000
+_FAR_NS = 100_000_000
+"""A set-up that has begun does not wait for a frame that is further away; nor can a conversion's result get too old
+in less (`imuarray.drivers.OnDemandDriver`)."""
+
+
+class Poll:
+    """The state of one recording: `run` it, then read its `summary`."""
+
+    def __init__(
+        self,
+        routes: Sequence[SensorRoute],
+        bus: OpenBus,
+        log: Writer,
+        options: RecordingOptions,
+        epoch_ns: int,
+    ) -> None:
+        """`epoch_ns` is time 0 of the log on the bus's clock."""
+        self.clock = bus.clock
+        self.log = log
+        self.rate_hz = rate_hz = options.rate_hz
+        self.epoch_ns = epoch_ns
+        self.options = options
+        self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
+        self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
+        items = list(self.buffers.values())
+        self.faults = FaultEpisodes(self.event)
+        self.intake = Intake(log, epoch_ns, options.observe, self.faults, self.summary.lost)
+        forth = self._segments(routes)
+        self.orders = forth, forth[::-1]
+        self.places = [(segment, item) for segment in forth for item in segment.items]
+        start_ns = self.clock.now_ns()
+        self.start_up = StartUpCheck(items, options.judge, start_ns) if options.judge else None
+        self.readback = ConfigurationReadback(
+            [item for segment in forth for item in segment.items],
+            rate_hz,
+            lambda buffer, kind, text: self.health.not_as_it_was(buffer, self.clock.now_ns(), kind, text),
+            [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
+        )
+        self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
+        read = clocks_beside(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
+        self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
+        self.missed = self.faults.of("", "late")
+        self.part = 0
+        self.tick_frames = max(1, round(TICK_S * rate_hz))
+        self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
+        self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
+        self.truth_rows: list[tuple[int, Any]] = []
+
+    def _segments(self, routes: Sequence[SensorRoute]) -> list[BusSegment]:
+        """Group the sensors in the order of the configuration. Channels of one multiplexer, and its trunk, are one
+        adapter; a bus of its own is another.
+        """
+        shared, everybody = Adapter(), list(self.buffers.values())
+        polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
+        return [
+            BusSegment(
+                [self.buffers[id(route)] for route in part],
+                everybody,
+                Adapter() if isinstance(part[0].segment, str) else shared,
+                polling,
+            )
+            for part in there_and_back(routes)[0]
+        ]
+
+    def lose(self, adapter: Adapter, at_ns: int) -> None:
+        """Configure the sensors behind a removed adapter once it is back."""
+        for segment in self.orders[0]:
+            if segment.adapter is adapter:
+                for buffer in segment.items:
+                    self.health.set_up_later(buffer, at_ns)
+
+    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
+        """Frame after frame on a grid of their times: one that begins late is counted late, one whose time has passed
+        is counted missed.
+        """
+        period_ns = round(1e9 / self.rate_hz)
+        self.log.keep()
+        due_ns = self.clock.now_ns()  # files take time, which no frame has missed
+        end_ns = None if seconds is None else due_ns + frames_in(seconds, self.rate_hz) * period_ns
+        if isinstance(self.log, RotatingWriter):
+            self.log.starts(due_ns - self.epoch_ns)
+        for buffer in self.buffers.values():
+            if buffer.queue is not None:  # its queue ran over while the others were configured
+                with contextlib.suppress(OSError):
+                    buffer.driver.fetch()
+        try:
+            while (end_ns is None or due_ns < end_ns) and not stopped():
+                self.frame()
+                due_ns += period_ns
+                behind_ns = self.clock.now_ns() - due_ns
+                if behind_ns > 0:
+                    self.summary.late += 1
+                    remaining_ns = behind_ns if end_ns is None else min(behind_ns, end_ns - due_ns)
+                    due_ns += self.skip(max(remaining_ns, 0) // period_ns) * period_ns
+                else:
+                    self.wait(due_ns, stopped)
+        finally:  # whatever ended it: what was read is vouched for or flagged, and written
+            self.finish()
+
+    def skip(self, frames: int) -> int:
+        """Count `frames` missed frames: polled sensors have lost readings, sensors with a queue have not."""
+        if frames:
+            self.summary.missed += frames
+            text = f"{counted(frames, 'frame')} missed: the frame before ended too late"
+            now_ns = self.clock.now_ns()
+            if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
+                part = self.log.part_at(now_ns - self.epoch_ns)
+                if part != self.part:
+                    self.missed.close(now_ns)
+                self.part = part
+            self.missed.happened(now_ns, text, frames)
+            for buffer in self.buffers.values():
+                if buffer.queue is None and not buffer.route.sensor.spec.on_demand:
+                    buffer.mark_lost()
+        return frames
+
+    def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
+        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to do what can't
+        wait for a frame that is far away (`_soonest`).
+        """
+        tried: set[tuple[int, int]] = set()
+        while (now_ns := self.clock.now_ns()) < due_ns:
+            at_ns, place = self._soonest(due_ns, tried)
+            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, at_ns))
+            now_ns = self.clock.now_ns()
+            if at_ns <= now_ns < due_ns:
+                tried.add((place, at_ns))
+                segment, buffer = self.places[place]
+                if buffer.recovery is None:
+                    self.group(segment, buffer)
+                else:
+                    buffer.recovery.go_on(now_ns)
+            if now_ns < due_ns and stopped():
+                return
+
+    def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
+        """Return when a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
+
+        The result of a conversion would be too old by then, and a chip that is being set up would be away for many
+        frames: a set-up has up to ten pieces.
+        """
+        visits: list[tuple[int, int]] = []
+        if self.rate_hz * _FAR_NS >= 1e9:
+            return due_ns, 0
+        for place, (segment, buffer) in enumerate(self.places):
+            if segment.adapter.removed:
+                continue
+            at_ns = buffer.conversion_before(due_ns)
+            if buffer.recovery is not None and (goes_on_ns := buffer.recovery.goes_on_ns) is not None:
+                at_ns = goes_on_ns if due_ns - goes_on_ns > _FAR_NS else None
+            if at_ns is not None and (place, at_ns) not in tried:
+                visits.append((at_ns, place))
+        return min(visits, default=(due_ns, 0))
+
+    def frame(self) -> None:
+        """Read every sensor that is due once, and check whose turn it is while its segment is selected."""
+        if self.truth is not None:
+            now_ns = self.clock.now_ns()
+            self.truth_rows.append((now_ns, self.truth(now_ns)))
+        due = self.readback.due()
+        frames = self.summary.frames
+        for segment in self.orders[frames % 2]:
+            if self.group(segment):
+                for check in due:
+                    if check.buffer.route.segment == segment.key:
+                        self.readback.run(check)
+        self.summary.frames = frames = frames + 1
+        if frames % self.tick_frames == 0:
+            self.tick()
+        if frames % self.batch_frames == 0:
+            self.write()
+
+    def group(self, segment: BusSegment, only: SampleBuffer | None = None) -> bool:
+        """Read one segment's sensors, or one of them, one after the other; whether it was the right segment, so that
+        checks make sense.
+
+        The end of one reading is the start of the next: each is known to lie between two readings of the clock.
+        """
+        adapter = segment.adapter
+        now_ns = segment.begin()
+        for buffer in segment.items:
+            if only not in (None, buffer) or not (buffer.always_due or buffer.due(now_ns)):
+                continue
+            if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(buffer)):
+                self.health.lost(buffer, now_ns, None)
+                continue
+            if buffer.recovery is not None:
+                error = self.health.step(buffer, now_ns)
+                if error is not None:
+                    segment.failed(error)
+            else:
+                self.visit(buffer, segment, now_ns)
+            now_ns = self.clock.now_ns()
+        return segment.confirm(self.readback, self.summary.lost)
+
+    def visit(self, buffer: SampleBuffer, segment: BusSegment, now_ns: int) -> None:
+        """Fetch; once more if nobody acknowledged; then the reading is missing: no row, an event when silence begins.
+
+        Before anything is sent again it is asked which channel is connected: a silent address may be a wrong channel,
+        and what was read before in this visit another chip's.
+        """
+        again = False
+        try:
+            burst = buffer.driver.fetch()
+        except OSError as error:
+            segment.failed(error)
+            if error.errno in REMOVED:  # told once for all of its sensors
+                self.health.lost(buffer, now_ns, None)
+                return
+            if error.errno == errno.ETIMEDOUT:  # to ask again would cost as much time again
+                self.health.lost(buffer, now_ns, error)
+                return
+            if segment.channel is not None:
+                segment.confirm(self.readback, self.summary.lost)
+            now_ns, again = self.clock.now_ns(), True
+            try:
+                burst = buffer.driver.fetch()
+            except OSError as second:
+                segment.failed(second)
+                self.health.lost(buffer, now_ns, second)
+                return
+        if not burst:  # nothing to give yet; maybe it was not even asked
+            return
+        adapter = segment.adapter
+        if adapter.time_outs:
+            segment.answered()
+        start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
+        self.summary.uncertain += not certain
+        buffer.end_silence()
+        if buffer.has_failed:
+            self.health.arrived(buffer, start_ns)
+        buffer.add(burst, start_ns, doubtful=again or not certain)
+
+    def tick(self) -> None:
+        """Do what is not due in every frame."""
+        now_ns = self.clock.now_ns()
+        self.clocks.tick(now_ns)
+        self.health.tick(now_ns)
+        self.faults.settle(now_ns)
+
+    def note(self, at_ns: int, kind: str, text: str) -> None:
+        """Note an event of the array as a whole."""
+        self.faults.of("", kind).happened(at_ns, text)
+
+    def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
+        """Write and report an event of a sensor, or of the array."""
+        event = Event(at_ns - self.epoch_ns, sensor, kind, text)
+        self.log.event(event)
+        self.options.tell(event)
+
+    def finish(self) -> None:
+        """Verify the rows that wait, or flag them; write them; end all fault episodes."""
+        self.readback.finish()
+        self.health.finish(self.clock.now_ns())
+        self.write(last=True)
+        now_ns = self.clock.now_ns()
+        self.faults.close(now_ns)
+        self.summary.silent = [item.route.sensor.name for item in self.buffers.values() if item.silent(now_ns)]
+
+    def write(self, *, last: bool = False) -> None:
+        """Decode and write the waiting rows that are trusted."""
+        now_ns = self.clock.now_ns()
+        for buffer in self.buffers.values():
+            count = len(buffer.times_ns) if last else self.health.trusted_rows(buffer, now_ns)
+            if count > 0:
+                block = self.intake.write(buffer, count, now_ns)
+                self.readback.taken(buffer, count)
+                if len(block.time):
+                    self.health.written(buffer, block, self.epoch_ns)
+        if self.truth_rows:
+            self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
+            self.truth_rows = []
+        self.options.progress(self.summary.frames)
+
+
+def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:
+    """The true state of an emulated world as rows of `/truth`."""
+    return Stimulus(
+        np.array([at_ns for at_ns, _ in rows], np.int64) - epoch_ns,
+        np.array([felt.force_box for _, felt in rows]),
+        np.array([felt.rate_box for _, felt in rows]),
+        np.array([felt.temperature_degc for _, felt in rows]),
+    )
+
 
 _OPEN_END_NS = 1 << 62
 

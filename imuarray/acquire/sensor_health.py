@@ -17,8 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.bus_segment import HUNG, SLACK_NS
-from imuarray.acquire.configuration_readback import ConfigurationReadback
+from imuarray.acquire.bus_segment import HUNG, SLACK_NS, ConfigurationReadback
 from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
 from imuarray.acquire.recovery import SensorRecovery
 from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer

@@ -24,8 +24,7 @@ from imuarray.errors import DiskFullError, ImuArrayError
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
 from imuarray.log.layout import Notes, OpenPhase
-from imuarray.log.live import KEPT
-from imuarray.log.writer import Block, LogWriter, Stimulus, WriterSettings
+from imuarray.log.writer import KEPT, Block, LogWriter, Stimulus, WriterSettings
 
 _LEAD_NS = 5_000_000_000
 """How long before its time a part is begun, at most; rows come a second or two after theirs."""

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
-from imuarray.acquire.poll import Poll
+from imuarray.acquire.record import Poll
 from imuarray.acquire.sensor_routes import routes_of, there_and_back
 from imuarray.acquire.service import Service
 from imuarray.array import load_array, parse_array

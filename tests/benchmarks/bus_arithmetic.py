@@ -12,7 +12,7 @@ from typing import Any
 
 from compare import Row, row
 
-from imuarray.acquire.poll import Poll
+from imuarray.acquire.record import Poll
 from imuarray.acquire.recording import RecordingOptions
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import load_array

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import imuarray.log.journal as journal
-import imuarray.log.live as live
+import imuarray.log.writer as live
 import imuarray.log.writer as writing
 from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError

@@ -17,7 +17,7 @@ from firmware_emulator.board import Board
 from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
 from imuarray.acquire import fault_episode
-from imuarray.acquire.poll import Poll
+from imuarray.acquire.record import Poll
 from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, parse_array

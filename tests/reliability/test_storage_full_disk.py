@@ -221,7 +221,7 @@ def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
 
 
 def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imuarray.log.live.free_bytes", lambda path: 10 * MIB)
+    monkeypatch.setattr("imuarray.log.writer.free_bytes", lambda path: 10 * MIB)
     with (
         pytest.raises(
             DiskFullError, match=r"less than 64 MiB are free; nothing was recorded; make room or choose another disk$"
