@@ -29,7 +29,7 @@ class Frames:
     (n, m) where the chip had nothing newer than the reading before. None: nowhere.
 
     `offsets` (n, m): in frames that lack a reading, how far each axis has recently been from the array's mean, NaN for
-    axes without a recent reading; 0 in all other frames (`imuarray.fuse.axis_offsets`). None: not known.
+    axes without a recent reading; 0 in all other frames (`imuarray.fuse.stream`). None: not known.
     """
 
     time: Times

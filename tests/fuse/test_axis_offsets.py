@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import Frames, fuse
-from imuarray.fuse.axis_offsets import RECENT, AxisOffsets
+from imuarray.fuse.stream import RECENT, AxisOffsets
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.techniques.technique import FixedWeights
 from imuarray.log import open_log
