@@ -56,8 +56,8 @@ class Node:
 
 @dataclass(frozen=True)
 class Localisation:
-    """Where scores (m,) under `keys` are beyond chance: the tree, and the p of each significant statistic by its place,
-    the largest score first. `limit`: reached by chance by a single score in `level` of all campaigns.
+    """The scores (m,) under `keys` that are beyond chance: the tree, and the p of each significant statistic by its
+    place, the largest score first. `limit`: reached by chance by a single score in `level` of all campaigns.
     """
 
     root: Node

@@ -342,6 +342,6 @@ def _most_of(gains: Floats, touched: Booleans, is_of_axis: Booleans) -> float:
 
 
 def _of_axis(bench: Bench, standing: UnitState, axis: int) -> Booleans:
-    """Which of the unit's statistics are of one axis."""
+    """Mask of the unit's statistics that are of one axis."""
     columns = bench.own(standing.unit)
     return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)

@@ -200,7 +200,7 @@ def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats
 
 
 def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
-    """Which statistics (n,) a change moved, widened or narrowed beyond chance."""
+    """Mask (n,) of the statistics that a change moved, widened or narrowed beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
     return np.asarray((np.abs(shift) > before.scale) | widened)

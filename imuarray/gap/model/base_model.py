@@ -616,7 +616,7 @@ def _repeated_share(phase: Summary, is_flagged: bool) -> float:
 
 
 def _is_flagged(phases: Iterable[Summary]) -> bool:
-    """Whether the recorder flags rows that are no new reading."""
+    """Return whether the recorder flags rows without a new reading."""
     return any(phase.flags["stale"] for phase in phases)
 
 

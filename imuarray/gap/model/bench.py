@@ -56,7 +56,7 @@ class Bench(Stage):
 
     @cached_property
     def held_out(self) -> Booleans:
-        """Which keys (n,) are of the held-out part."""
+        """Mask (n,) of the keys of the held-out part."""
         return np.arange(len(self.keys)) >= self.of_train
 
     def columns(self, sensors: Collection[str], *, cross: bool) -> Indices:
@@ -71,7 +71,7 @@ class Bench(Stage):
         return self.columns(unit, cross=len(unit) > 1)
 
     def among(self, unit: Collection[str], sensors: Collection[str]) -> Booleans:
-        """Which of the statistics of these sensors, as a replicate has them, belong to a unit of them (`own`)."""
+        """Mask of the statistics of these sensors, as a replicate has them, that belong to a unit of them (`own`)."""
         return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
     def pairs(self, places: Indices | None = None) -> Pairs:
@@ -123,7 +123,7 @@ class Bench(Stage):
 
     @cached_property
     def is_of_motion(self) -> Booleans:
-        """Which keys (n,) compare a sensor's motion with that of the others."""
+        """Mask (n,) of the keys that compare a sensor's motion with that of the others."""
         probes = [PROBES[key.probe] for key in self.keys]
         return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
 
@@ -137,7 +137,7 @@ class Bench(Stage):
 
     @cached_property
     def _is_cross(self) -> Booleans:
-        """Which keys are shared by sensors at rest; in motion all sensors are simulated, since all feel it."""
+        """Mask of the keys that sensors share at rest; in motion all sensors are simulated, since all feel it."""
         return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
 
     @cached_property

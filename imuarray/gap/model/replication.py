@@ -65,7 +65,7 @@ _KEPT = 64
 
 @dataclass(frozen=True)
 class Stage:
-    """What replicates of a campaign have in common.
+    """The common part of the replicates of a campaign.
 
     `kinds` of the logs and `layouts` of every phase of the split; the `split`, the `experiments` and the base model.
     Boots are numbered from `first_boot`: stages of one array with other numbers have the same parts but other noise.

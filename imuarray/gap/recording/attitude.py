@@ -153,8 +153,8 @@ def array_mean(readings: Floats, noted_g: Floats | None = None) -> Floats:
 
 
 def _within(readings: Floats, reference_g: Floats, most_g: float) -> Booleans:
-    """Which accelerometers (s,) never read `most_g` from the reference (k, 3) in the poses where it is known, False
-    where it never is.
+    """Mask (s,) of the accelerometers that are always within `most_g` of the reference (k, 3) in the poses where it is
+    known; False if it never is.
     """
     known = np.isfinite(reference_g).all(axis=1)
     near = np.abs(readings[known] - reference_g[known][:, None]) < most_g

@@ -95,8 +95,8 @@ class Hypothesis:
 
     @property
     def form(self) -> tuple[str, ...]:
-        """What is done with which effects, and which of their parameters do something: a line that drifts is another
-        form than one that stays, and so is another range than a third one. When it does so doesn't matter.
+        """The action, the effects and their active parameters: a line that drifts and a line that stays are different
+        forms, and so are two different ranges. The time of the effect is not part of the form.
         """
         parameters = [
             f"{effect.name}.{item.name}" + (f"={getattr(effect, item.name)}" if item.name in _CHOICES else "")
@@ -108,7 +108,7 @@ class Hypothesis:
 
     @property
     def action(self) -> Action:
-        """What is done to the model."""
+        """The change to the model: add, remove or replace."""
         if not self.effects:
             return "remove"
         return "replace" if self.removed else "add"

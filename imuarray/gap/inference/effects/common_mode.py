@@ -109,8 +109,8 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _Common(NamedTuple):
-    """Of two sensors: covariances (3, 3) of windows' means within segments and of segments' means, a row for
-    each axis of the first one, and standard scores of the former.
+    """Covariances (3, 3) of two sensors, a row for each axis of the first one: of the means of windows within segments
+    (`fast`), whose standard scores follow, and of the means of segments (`slow`).
     """
 
     fast: Floats

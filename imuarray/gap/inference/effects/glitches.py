@@ -103,7 +103,7 @@ class _Hit(NamedTuple):
 
 
 def _few(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Where chance hit so few readings that it left most phases out: these very readings, all of which are known."""
+    """Guess the very readings that were hit, which are all known, if they are so few that most phases have none."""
     hits = [hit for phase in evidence.still for hit in _hits(phase)]
     hits += _torn_in_motion(evidence)
     if not 0 < len(hits) <= SINGLE:

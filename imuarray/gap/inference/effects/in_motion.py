@@ -27,7 +27,7 @@ class Moments:
     windows: int
 
     def beside(self, columns: slice) -> tuple[Floats, Floats, Floats]:
-        """What the reference doesn't explain: products (c, c) of these columns, (c, 3) of them with the sensor's
+        """Products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
         readings, and (3,) squares of the readings.
         """
         reference_products = self.products[REFERENCE, REFERENCE]

@@ -57,9 +57,9 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Hypothesis]:
-    """Of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its readings. One is repeated
-    if it is late by so much that there is no new one until the next row: the time between rows less what has passed of
-    a period. With `rms_s` of all rows that tells how late they are; without, it is taken to be as much as a row.
+    """Guess the lateness of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its
+    readings. A reading is repeated if it is late by more than the time between rows less the elapsed part of a period. Together
+    with `rms_s` of all rows the share determines the mean lateness; without it, a row is assumed.
     """
     if rate_hz <= 0:
         return
@@ -74,7 +74,7 @@ def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterato
 
 
 def _rms_s(evidence: Evidence) -> float:
-    """Of all rows, from motion; 0 if nothing is left over."""
+    """Rms lateness of all rows in s, from the residual of motion; 0 if there is no excess."""
     name, usual = evidence.header.name, _usual_variance(evidence)
     excess = speed = 0.0
     for _, cross in motions(evidence):

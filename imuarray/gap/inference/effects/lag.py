@@ -34,8 +34,8 @@ class Lag(NamedTuple):
 
 
 def odd_lags(evidence: Evidence) -> list[Lag]:
-    """Of each phase of motion, if these are odd: by themselves, or because a sensor that is far behind shares none of
-    the motion.
+    """The lag in each phase of motion, if the lags are odd, by themselves or because a sensor that is far behind shares
+    none of the motion.
     """
     all_lags = list(lags(evidence))
     large = any(lag.is_large for lag in all_lags) and bool((evidence.score("motion_residual") > ODD).any())
@@ -43,7 +43,7 @@ def odd_lags(evidence: Evidence) -> list[Lag]:
 
 
 def mean_of(lags_seen: Sequence[Lag], name: str) -> float:
-    """Of the field of that name, by how much moved."""
+    """Mean of the field with this name, weighted by the amount of motion."""
     return float(np.average([getattr(lag, name) for lag in lags_seen], weights=[lag.weight for lag in lags_seen]))
 
 

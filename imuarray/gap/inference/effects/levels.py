@@ -74,8 +74,8 @@ def centred(values: Floats, group: Integers) -> Floats:
 
 
 class LogLevels(NamedTuple):
-    """Of l logs, by their numbers `log` (l,): levels `mean` (l, 3) against each other, on the faces that they share,
-    and their square errors (l, 3) if readings are independent.
+    """Levels `mean` (l, 3) of l logs, with the numbers `log` (l,), relative to each other on the faces that they share,
+    and their squared errors (l, 3) for independent readings.
     """
 
     log: Integers

@@ -187,7 +187,7 @@ def _always(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _Guess(NamedTuple):
-    """What it costs; root mean square of the offsets that each pair of sides asks for."""
+    """A guess with its cost and the root mean square of the offsets that the pairs of sides require."""
 
     cost: float
     size: float
@@ -195,14 +195,14 @@ class _Guess(NamedTuple):
 
 
 def _in_some_boots(evidence: Evidence, states: States, probability: float) -> Iterator[Hypothesis]:
-    """By the levels and noises before and after, of the true ones: r (x + offset), r share noise."""
+    """Guess a range that some boots come up in, by the levels before and after, r (x + offset), and the noises."""
     free = _FREE if probability < 1 else _FREE[:2]
     for guess in _cheapest(_guesses(evidence, [states])):
         yield Hypothesis((replace(guess.effect, probability=probability),), free)
 
 
 def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
-    """Of each other range, with the offset and the noise that it leaves in the middle of all pairs of sides."""
+    """A guess for each other range, with the median offset and noise that it leaves over all pairs of sides."""
     step = float(np.median([np.linalg.norm(side.after - side.before) for side in sides]))
     for other, ratio in _ratios(evidence).items():
         offsets = np.array([side.after / ratio - side.before for side in sides])

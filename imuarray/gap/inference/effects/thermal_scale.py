@@ -19,9 +19,9 @@ _CLEAR = 2.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Of an accelerometer, the part of the slope that has the sign of the force. On one face alone it can't be told
-    from a slope of the bias, which is fitted: then nothing is guessed. And the slope that makes the error of the scale
-    at the temperature at which the faces were taken up: no other experiment tells the two apart.
+    """Guess, for an accelerometer, the part of the slope that has the sign of the force; on one face alone it can't be
+    distinguished from a slope of the bias, which is fitted, and there is no guess. The other guess is the slope that
+    makes the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
     """
     yield from with_removal(evidence, ThermalScale.name, _hypotheses(evidence))
 

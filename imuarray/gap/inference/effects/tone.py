@@ -190,8 +190,8 @@ def shown_hz(hertz: float, rows_per_s: float) -> float:
 
 
 def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
-    """Where rows show a line; and if others are read at another rate, the alias that these show as well, best of all.
-    That of the mains if it shows in the same bin.
+    """Frequencies in Hz of a line at `seen_hz`: as the rows show it and, if other sensors have another rate, the alias
+    that agrees best with theirs; the frequency of the mains if it shows in the same bin.
     """
     aliases = [
         hertz

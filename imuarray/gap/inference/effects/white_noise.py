@@ -23,9 +23,9 @@ _GROWN = 0.1
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """What a motion leaves that the other sensors don't explain, of a sensor that was never fitted at rest. Where it
-    was the noise can't be too large everywhere: what some logs, or a spell, have more of than the rest; unless it was
-    fitted to an earlier recording.
+    """Guess the residual of a motion that the other sensors don't explain as noise, for a sensor that was never fitted
+    at rest. For one that was, the noise can't be too large everywhere, unless it was fitted to an earlier recording:
+    guess the excess of some logs, or of a spell, over the rest.
     """
     if not evidence.is_refitted:
         yield from _since(evidence)
@@ -47,7 +47,7 @@ def _more(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterator[Hypothesis]:
-    """What the larger noise has beyond the smaller one, (3,) each as the log of its ratio to the fitted one."""
+    """Guess the excess of the larger noise over the smaller one, (3,) each as the log of its ratio to the fitted."""
     larger, usual = (evidence.noise**2 * np.exp(2 * side) for side in (more, less))
     rms = np.sqrt(np.maximum(np.nan_to_num(larger - usual), 0.0))
     if rms.any():
