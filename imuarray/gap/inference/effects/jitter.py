@@ -58,8 +58,8 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Hypothesis]:
     """Guess the lateness of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its
-    readings. A reading is repeated if it is late by more than the time between rows less the elapsed part of a period. Together
-    with `rms_s` of all rows the share determines the mean lateness; without it, a row is assumed.
+    readings. A reading is repeated if it is late by more than the time between rows less the elapsed part of a period.
+    Together with `rms_s` of all rows the share determines the mean lateness; without it, a row is assumed.
     """
     if rate_hz <= 0:
         return
