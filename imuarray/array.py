@@ -199,16 +199,14 @@ class SensorConfig(BaseModel):
         if self.external_clock_hz is None:
             return
         spec = None if self.on_iio else CHIPS.get(self.chip)
-        if spec is None or spec.external_clock is None:
-            chips = ", ".join(name for name, other in CHIPS.items() if other.external_clock is not None)
+        if spec is None or not spec.external_clocks:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.external_clocks)
             raise ValueError(
                 f"external_clock_hz: the {self.chip} has no clock input that is supported; allowed for {chips}"
             )
-        lowest, highest = spec.external_clock.allowed_hz
-        if not lowest <= self.external_clock_hz <= highest:
-            raise ValueError(
-                f"external_clock_hz {self.external_clock_hz:g}: the {self.chip} supports {lowest:g} to {highest:g} Hz"
-            )
+        if spec.external_clock(self.external_clock_hz) is None:
+            spans = " or ".join("{:.8g} to {:.8g} Hz".format(*clock.allowed_hz) for clock in spec.external_clocks)
+            raise ValueError(f"external_clock_hz {self.external_clock_hz:.8g}: the {self.chip} supports {spans}")
 
     def _check_place(self) -> None:
         if self.channel is not None and self.bus is not None:
@@ -253,7 +251,7 @@ class SensorConfig(BaseModel):
     @property
     def chip_rate_hz(self) -> float:
         """The chip's own update rate in Hz under this configuration; it is proportional to an external clock."""
-        clock = self.spec.external_clock
+        clock = None if self.external_clock_hz is None else self.spec.external_clock(self.external_clock_hz)
         if self.external_clock_hz is None or clock is None:
             return self.nominal_rate_hz
         return self.nominal_rate_hz * self.external_clock_hz / clock.nominal_hz
@@ -280,6 +278,11 @@ class SensorConfig(BaseModel):
     def on_iio(self) -> bool:
         """True if a driver of the kernel serves it."""
         return self.bus is not None and self.bus.startswith(IIO)
+
+    @property
+    def estimates_times(self) -> bool:
+        """True if the times of its rows are estimated from counts of its queue."""
+        return self.fifo and not self.on_iio
 
     @property
     def spi_rules(self) -> SpiRules:

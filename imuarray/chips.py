@@ -99,8 +99,8 @@ class ChipSpec:
     fifo_has_temperature: bool = False
     high_resolution: HighResolution | None = None
     """None: its queue has no packets of more bits."""
-    external_clock: ExternalClock | None = None
-    """None: it has no clock input that is supported."""
+    external_clocks: tuple[ExternalClock, ...] = ()
+    """Empty: it has no clock input that is supported."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -108,6 +108,14 @@ class ChipSpec:
     """None: it has no SPI."""
     proposed: Mapping[str, Any] = field(default_factory=dict)
     """Settings that a hand-held or driven box can live with."""
+
+    def external_clock(self, frequency_hz: float) -> ExternalClock | None:
+        """The clock input that takes this frequency."""
+        for clock in self.external_clocks:
+            lowest, highest = clock.allowed_hz
+            if lowest <= frequency_hz <= highest:
+                return clock
+        return None
 
     @property
     def on_demand(self) -> bool:
@@ -161,7 +169,11 @@ _MPU6500_GYRO = replace(
 )
 _MPU9250_IDENTITY = replace(mpu6500.WHO_AM_I, reset=0x71)  # INV-70
 
-_ICM42688_CLOCK = ExternalClock((31_000.0, 50_000.0), 32_000.0)  # TDK-25
+_MPU6050_CLOCKS = (  # INV-37: within 1 % of the two frequencies that are named
+    ExternalClock((32_440.0, 33_096.0), 32_000.0),
+    ExternalClock((19_008_000.0, 19_392_000.0), 19_200_000.0),
+)
+_ICM42688_CLOCKS = (ExternalClock((31_000.0, 50_000.0), 32_000.0),)  # TDK-25
 _ICM42688_RATES_HZ = (12.5, 25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0)  # TDK-15
 _ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
     rate_hz: tuple(max(400.0, rate_hz) / share for share in (4, 5, 8, 10, 16, 20, 40)) for rate_hz in _ICM42688_RATES_HZ
@@ -237,6 +249,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=44.0,
+            external_clocks=_MPU6050_CLOCKS,
             thermometer=THERMOMETERS["mpu6050"],
             has_fifo=True,
             fifo_has_temperature=True,
@@ -254,6 +267,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=42.0,
+            external_clocks=_MPU6050_CLOCKS,
             thermometer=THERMOMETERS["mpu6050"],
             has_fifo=True,
             fifo_has_temperature=True,
@@ -279,7 +293,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             has_fifo=True,
             fifo_has_temperature=True,
             high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
-            external_clock=_ICM42688_CLOCK,
+            external_clocks=_ICM42688_CLOCKS,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -308,7 +322,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             has_fifo=True,
             fifo_has_temperature=True,
             high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
-            external_clock=_ICM42688_CLOCK,
+            external_clocks=_ICM42688_CLOCKS,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),

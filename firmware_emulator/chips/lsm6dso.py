@@ -82,7 +82,7 @@ class Lsm6dso(SixAxis):
         self._held: dict[int, int] = {}
         self._timestamp_from_ns = at_ns
         trim = max(-128, min(127, round((self._oscillator - 1) / FREQ_FINE_STEP)))
-        self.page[facts.INTERNAL_FREQ_FINE.address] = trim & 0xFF
+        self.page[facts.INTERNAL_FREQ_FINE.address] = (facts.INTERNAL_FREQ_FINE.reset + trim) & 0xFF
         self._clear_queue(at_ns)
 
     # Sampling -------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """MPU-6050 accelerometer and gyroscope: InvenSense RM-MPU-6000A rev. 4.2, PS-MPU-6000A rev. 3.4.
 
-Facts: INV-*, DEC-250 to -253.
+Facts: INV-*, DEC-250 to -254.
 
 Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
 detection, the low-power cycle, standby of single axes, and the settling of the zero-rate level.
@@ -27,6 +27,8 @@ RANGES_G = (2.0, 4.0, 8.0, 16.0)
 RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
 ACCEL_BANDWIDTHS_HZ = (260.0, 184.0, 94.0, 44.0, 21.0, 10.0, 5.0, 260.0)  # by DLPF_CFG: INV-12, DEC-252
 GYRO_BANDWIDTHS_HZ = (256.0, 188.0, 98.0, 42.0, 20.0, 10.0, 5.0, 256.0)
+CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
+"""The clock at CLKIN with which 1 kHz is 1 kHz, by CLKSEL: with 32.768 kHz it is 1.024 kHz (INV-37)."""
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 WORDS = Struct(">7h")
 TRIM_CODE = 17
@@ -36,7 +38,9 @@ _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
 class Mpu6050(MpuFamily):
-    """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03)."""
+    """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03), `clock_input_hz` the
+    frequency at CLKIN (0: no clock is connected).
+    """
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register] = facts.WHO_AM_I
@@ -45,9 +49,16 @@ class Mpu6050(MpuFamily):
     fifo_bytes: ClassVar[int] = 1024  # INV-27
 
     def __init__(
-        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        trim_code: int = TRIM_CODE,
+        clock_input_hz: float = 0.0,
+        **switches: Any,
     ) -> None:
-        self._trim_code = trim_code
+        self._trim_code, self._clock_input_hz = trim_code, clock_input_hz
         super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
@@ -58,6 +69,15 @@ class Mpu6050(MpuFamily):
         self.page[facts.SELF_TEST_X.address : facts.SELF_TEST_A.address + 1] = bytes(
             (high, high, high, low << 4 | low << 2 | low)
         )
+
+    def own_period_ns(self, period_ns: float) -> int:
+        """See `SixAxis.own_period_ns`; by the clock at CLKIN where PWR_MGMT_1 says so, 0 if there is none (INV-37,
+        DEC-254).
+        """
+        source = facts.CLOCK.of(self.page[facts.PWR_MGMT_1.address])
+        if source not in CLOCK_INPUTS_HZ:
+            return super().own_period_ns(period_ns)
+        return round(period_ns * CLOCK_INPUTS_HZ[source] / self._clock_input_hz) if self._clock_input_hz else 0
 
     def _convert(self, at_ns: int) -> None:
         """Bring the sample of this instant into the data registers."""

@@ -23,6 +23,7 @@ from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
 _X_GYRO_CLOCK = 1  # steadier than the internal oscillator: INV-25
+_EXTERNAL_CLOCKS = (4, 5)  # 32.768 kHz and 19.2 MHz: INV-37
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
 _FIFO_BYTES = 1024  # INV-27
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
@@ -44,12 +45,15 @@ class _Half(SixAxisHalf):
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         ranges = tuple(sensor.spec.sensitivity)
-        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
-        self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_X_GYRO_CLOCK).value)
+        nominal_rate_hz = sensor.nominal_rate_hz
+        filter_code = 1 + sensor.spec.allowed_bandwidths_hz(nominal_rate_hz).index(sensor.chip_bandwidth_hz)
+        external_hz = sensor.external_clock_hz
+        source = _X_GYRO_CLOCK if external_hz is None else _EXTERNAL_CLOCKS[external_hz > 1e6]
+        self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(source).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
-            facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
+            facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / nominal_rate_hz) - 1),
             facts.CONFIG[7:0](facts.DLPF(filter_code).value),
             self.range_setting,
             facts.USER_CTRL[7:0](0),
