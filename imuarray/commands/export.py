@@ -10,7 +10,7 @@ import click
 
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 from imuarray.export import TOOLS, UNITS, WRITERS
-from imuarray.printable import counted
+from imuarray.printable import counted, listed
 
 _STEPS = 1000
 
@@ -117,7 +117,7 @@ def _run(options: ExportOptions) -> None:
     rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
     click.echo(f"{options.output}: {rows} rows of {tables}, units: {written.units}")
     if written.uncalibrated:
-        click.echo(f"  not calibrated, data-sheet values used: {', '.join(written.uncalibrated)}")
+        click.echo(f"  not calibrated, data-sheet values used: {listed(written.uncalibrated)}")
     for note in written.notes:
         click.echo(f"  {note}")
     for file in written.files:

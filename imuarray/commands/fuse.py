@@ -19,6 +19,7 @@ from imuarray.commands.options import (
     progress,
     refuse_existing,
 )
+from imuarray.printable import listed
 from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
@@ -355,11 +356,11 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
     if report["uncalibrated"]:
-        click.echo(f"  not calibrated, data-sheet values used: {', '.join(report['uncalibrated'])}")
+        click.echo(f"  not calibrated, data-sheet values used: {listed(report['uncalibrated'])}")
     for sentence in report["start_up"]:
         click.echo(f"  {sentence}")
     if report["thermal"]:
-        click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
+        click.echo(f"  bias follows the log's temperature: {listed(report['thermal'])}")
     for sentence in report["temperature"]:
         click.echo(f"  {sentence}")
     if "fused" in report:

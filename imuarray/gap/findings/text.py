@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Interval, Pull, Unobservable, Where
+from imuarray.printable import listed
 from imuarray.simulate.effect import FOREVER_S
 
 WIDTH = 120
@@ -258,8 +259,13 @@ def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:
     if unshown:
         yield "Not observable in these recordings"
     for item in unshown:
-        sensors = f" of {', '.join(item.sensors)}" if item.sensors else ""
+        sensors = f" of {_by_kind(item.sensors)}" if item.sensors else ""
         yield from _hanging(f"  {_printable(item.effect)}", f"{sensors}: record {item.record}", "    ")
+
+
+def _by_kind(sensors: Sequence[str]) -> str:
+    """Names that differ by a number beside each other, so that they are listed in short: IMU1_acc to IMU8_acc."""
+    return listed(sorted(sensors, key=lambda name: re.sub(r"\d+", "", name)))
 
 
 def _pulls(pulls: Sequence[Pull]) -> Iterator[str]:
