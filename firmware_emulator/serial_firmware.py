@@ -31,12 +31,28 @@ REQUEST_BYTES = 1536
 """The size that fits into 2.5 KiB of memory, all that the paper's microcontroller has, with everything else."""
 
 
+COUNTED = 0x80
+"""Bit of the bytes to write that marks a counted request."""
+CAN_COUNT = 0x04
+
+
 class Request(NamedTuple):
-    """One transaction of a list."""
+    """One transaction of a list; a counted one has a rule of five bytes."""
 
     address: int
     write: bytes
     read: int
+    rule: bytes = b""
+
+    def bytes_of(self, answer: bytes) -> int:
+        """How many bytes are read behind this answer."""
+        if not self.rule:
+            return self.read
+        offset, order, mask, packet = struct.unpack("<BBHB", self.rule)
+        high, low = (offset, offset + 1) if order & 1 else (offset + 1, offset)
+        count = (answer[high] << 8 | answer[low]) & mask
+        packets = count if order & 2 else count // packet
+        return int(min(packets, self.read // packet) * packet)
 
 
 @dataclass
@@ -102,21 +118,29 @@ class Firmware:
         ]
 
     def _gone_through(self, name: int, requests: list[Request], number: int) -> bytes:
-        done = [self._try_twice(request) for request in requests]
+        done: list[tuple[int, int, bytes]] = []
+        before, answer = DONE, b""
+        for request in requests:
+            size = request.bytes_of(answer) if before == DONE else 0
+            if request.rule and not size:
+                done.append((before, self.time_us(), bytes(request.read)))
+            else:
+                done.append(self._try_twice(request, size if request.rule else request.read))
+            before, _, answer = done[-1]
         now_us, payload = self.time_us(), bytearray([name])
         for result, begun_us, data in done:
             age_us = FAILED_AGES.get(result, min(now_us - begun_us, LONGEST_AGE_US))
             payload += age_us.to_bytes(2, "little") + data
         return frame(DATA, number, now_us, bytes(payload))
 
-    def _try_twice(self, request: Request) -> tuple[int, int, bytes]:
-        """Result, when its START was on the wire, and as many bytes as were asked for."""
+    def _try_twice(self, request: Request, size: int) -> tuple[int, int, bytes]:
+        """Result, when its START was on the wire, and the `size` bytes that are read, with zeros behind them."""
         for _ in range(2):
             begun_us = self.time_us()
-            result, data = self._transaction(*request)
+            result, data = self._transaction(request.address, request.write, size)
             if result != NOBODY:
                 break
-        return result, begun_us, data
+        return result, begun_us, data + bytes(request.read - size)
 
     def _transaction(self, address: int, write: bytes, read: int) -> tuple[int, bytes]:
         try:
@@ -135,7 +159,7 @@ class Firmware:
 
     def _hello(self, payload: bytes) -> bytes:
         self._stop(b"")
-        further = struct.pack("<BBI", 0, self._selects, 0) if self._selects else b""
+        further = struct.pack("<BBI", CAN_COUNT, self._selects, 0) if self._selects else b""
         return struct.pack("<BBH", VERSION, LISTS, REQUEST_BYTES) + further
 
     def _transfer(self, payload: bytes) -> bytes:
@@ -186,15 +210,21 @@ def requests_in(body: bytes, selects: int) -> list[Request] | None:
     """The requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI with so
     many chip selects.
     """
-    requests = []
+    requests: list[Request] = []
     while body:
-        if len(body) < 3 or len(body) < 3 + body[1] or body[0] >= FIRST_SELECT + selects:
+        if len(body) < 3 or body[0] >= FIRST_SELECT + selects:
             return None
-        requests.append(Request(body[0], body[3 : 3 + body[1]], body[2]))
-        body = body[3 + body[1] :]
+        begin = 8 if body[1] & COUNTED else 3
+        end = begin + (body[1] & ~COUNTED)
+        request = Request(body[0], body[begin:end], body[2], body[3:begin])
+        before = requests[-1].read if requests else 0
+        if len(body) < end or (request.rule and (request.rule[0] + 2 > before or not request.rule[4])):
+            return None
+        requests.append(request)
+        body = body[end:]
     return requests
 
 
 def size_of(requests: list[Request]) -> int:
     """Bytes that they take in memory."""
-    return sum(3 + len(request.write) for request in requests)
+    return sum(3 + len(request.rule) + len(request.write) for request in requests)

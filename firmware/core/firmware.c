@@ -5,7 +5,8 @@
 enum { HELLO = 0x01, TRANSFER = 0x02, LIST = 0x03, START = 0x04, STOP = 0x05 };
 enum { RESEND = 0x06, STATUS = 0x07, SELECT = 0x08 };
 enum { ANSWER = 0x80, DATA = 0xD0 };
-enum { CAN_RESEND = 1, CAN_STATUS = 2 };
+enum { CAN_RESEND = 1, CAN_STATUS = 2, CAN_COUNT = 4 };
+enum { COUNTED = 0x80, BIG_ENDIAN_COUNT = 1, COUNT_OF_PACKETS = 2 };
 enum { FIRST_SELECT = 0x80 };
 
 #define AGE_NOBODY 0xFFFFu
@@ -158,8 +159,49 @@ static firmware_result transaction(firmware *self, uint8_t address, const uint8_
 
 /* ---- lists ------------------------------------------------------------------------------------------------------- */
 
-/* A request: address, bytes to write, bytes to read, what to write. */
+/* A request: address, bytes to write, bytes to read, what to write; of a counted one the rule stands before that. */
 #define REQUEST_HEAD 3u
+#define RULE 5u
+
+typedef struct {
+    uint8_t address;
+    uint8_t write_size;
+    uint8_t read_size;  /* bytes of its answer; a counted one may read fewer */
+    const uint8_t *rule; /* NULL unless it is counted */
+    const uint8_t *write;
+    size_t size; /* of all of it */
+} request_parts;
+
+/* The request at the beginning of `bytes`; false if they are too few for one. */
+static bool take_apart(const uint8_t *bytes, size_t size, request_parts *request) {
+    bool counted;
+    size_t head;
+    if (size < REQUEST_HEAD) {
+        return false;
+    }
+    counted = (bytes[1] & COUNTED) != 0;
+    head = counted ? REQUEST_HEAD + RULE : REQUEST_HEAD;
+    request->address = bytes[0];
+    request->write_size = (uint8_t)(bytes[1] & ~COUNTED);
+    request->read_size = bytes[2];
+    request->rule = counted ? bytes + REQUEST_HEAD : NULL;
+    request->write = bytes + head;
+    request->size = head + request->write_size;
+    return size >= request->size;
+}
+
+/* How many bytes a counted request reads: whole packets, as many as the answer before it counts and there is room for. */
+static size_t counted_bytes(const request_parts *request, const uint8_t *answer) {
+    const uint8_t *rule = request->rule;
+    const uint8_t *at = answer + rule[0];
+    size_t count = (rule[1] & BIG_ENDIAN_COUNT) != 0 ? (size_t)(at[0] << 8 | at[1]) : (size_t)(at[1] << 8 | at[0]);
+    size_t packet = rule[4];
+    count &= link_get16(rule + 2);
+    if ((rule[1] & COUNT_OF_PACKETS) == 0) {
+        count /= packet;
+    }
+    return smaller(count, request->read_size / packet) * packet;
+}
 
 static void forget_list(firmware *self, firmware_list *list) {
     if (!list->used) {
@@ -186,28 +228,35 @@ static void forget_lists(firmware *self) {
     self->period_us = 0;
 }
 
-/* The requests of a LIST must fill it exactly, name buses that there are, and their answers must fit into a frame. */
-static bool well_formed(const firmware *self, const uint8_t *body, size_t size, uint16_t *count) {
+/*
+ * The requests of a LIST must fill it exactly, name buses that there are, and their answers must fit into a frame. A
+ * counted one has packets of some bytes, and before it an answer in which its count stands.
+ */
+static bool well_formed(const firmware *self, const uint8_t *body, size_t size) {
     size_t at = 0;
     size_t answer = 1;
-    *count = 0;
+    size_t before = 0;
     while (at < size) {
-        if (size - at < REQUEST_HEAD || size - at - REQUEST_HEAD < body[at + 1]) {
+        request_parts request;
+        if (!take_apart(body + at, size - at, &request)) {
             return false;
         }
-        if (body[at] >= FIRST_SELECT && body[at] - FIRST_SELECT >= self->platform.selects) {
+        if (request.address >= FIRST_SELECT && request.address - FIRST_SELECT >= self->platform.selects) {
             return false;
         }
-        answer += 2u + body[at + 2];
-        at += REQUEST_HEAD + body[at + 1];
-        (*count)++;
+        if (request.rule != NULL && (request.rule[0] + 2u > before || request.rule[4] == 0)) {
+            return false;
+        }
+        before = request.read_size;
+        answer += 2u + request.read_size;
+        at += request.size;
     }
     return answer <= LINK_MAX_PAYLOAD;
 }
 
 static firmware_result take_list(firmware *self, const uint8_t *payload, size_t size) {
     firmware_list *list;
-    uint16_t every, offset, count;
+    uint16_t every, offset;
     size_t body;
     if (size < 5 || payload[0] >= FIRMWARE_LISTS) {
         return FIRMWARE_REFUSED;
@@ -216,7 +265,7 @@ static firmware_result take_list(firmware *self, const uint8_t *payload, size_t 
     every = link_get16(payload + 1);
     offset = link_get16(payload + 3);
     body = size - 5;
-    if (offset >= every || !well_formed(self, payload + 5, body, &count)) {
+    if (offset >= every || !well_formed(self, payload + 5, body)) {
         return FIRMWARE_REFUSED;
     }
     if (self->request_bytes - list->size + body > FIRMWARE_REQUEST_BYTES) {
@@ -229,51 +278,75 @@ static firmware_result take_list(firmware *self, const uint8_t *payload, size_t 
     list->offset = offset;
     list->start = (uint16_t)self->request_bytes;
     list->size = (uint16_t)body;
-    list->count = count;
     self->request_bytes += body;
     return FIRMWARE_DONE;
 }
 
-/* One request, tried a second time if nobody acknowledges; when the try began whose result it is. */
-static firmware_result try_twice(firmware *self, const uint8_t *request, uint8_t *read, uint32_t *begun) {
+/*
+ * One request that reads `size` bytes, tried a second time if nobody acknowledges; when the try began whose result it
+ * is. What is not read of the answer is 0.
+ */
+static firmware_result try_twice(firmware *self, const request_parts *request, size_t size, uint8_t *read,
+                                 uint32_t *begun) {
     firmware_result result = FIRMWARE_NOBODY;
+    memset(read, 0, request->read_size);
     for (int attempt = 0; attempt < 2 && result == FIRMWARE_NOBODY; attempt++) {
         *begun = (uint32_t)now_us(self);
-        result = transaction(self, request[0], request + REQUEST_HEAD, request[1], read, request[2]);
+        result = transaction(self, request->address, request->write, request->write_size, read, size);
     }
     if (result != FIRMWARE_DONE) {
-        memset(read, 0, request[2]);
+        memset(read, 0, request->read_size);
         self->counts.failures++;
     }
     return result;
 }
 
+/* The same for a request behind one with this result and answer; a count that failed or is 0 leaves nothing to read. */
+static firmware_result try_request(firmware *self, const request_parts *request, firmware_result before,
+                                   const uint8_t *answer, uint8_t *read, uint32_t *begun) {
+    size_t size = request->read_size;
+    if (request->rule != NULL) {
+        size = before == FIRMWARE_DONE ? counted_bytes(request, answer) : 0;
+        if (size == 0) {
+            *begun = (uint32_t)now_us(self);
+            memset(read, 0, request->read_size);
+            return before;
+        }
+    }
+    return try_twice(self, request, size, read, begun);
+}
+
 /* Read what one list asks for, and send it. */
 static void go_through(firmware *self, uint8_t name, const firmware_list *list, uint64_t number) {
-    const uint8_t *request = self->requests + list->start;
+    const uint8_t *bytes = self->requests + list->start;
+    const uint8_t *end = bytes + list->size;
     uint8_t *payload = self->data + LINK_HEADER;
+    const uint8_t *answer = payload;
+    firmware_result result = FIRMWARE_DONE;
+    request_parts request;
     size_t at = 1;
     size_t size;
     uint32_t sent;
     payload[0] = name;
-    for (uint16_t i = 0; i < list->count; i++) {
-        firmware_result result = try_twice(self, request, payload + at + 2, &self->begun[i]);
+    for (uint16_t i = 0; take_apart(bytes, (size_t)(end - bytes), &request); i++) {
+        result = try_request(self, &request, result, answer, payload + at + 2, &self->begun[i]);
+        answer = payload + at + 2;
         /* 0 for now: an age follows when all is read. */
         link_put16(payload + at, result == FIRMWARE_DONE ? 0 : result == FIRMWARE_HELD ? AGE_HELD : AGE_NOBODY);
-        at += 2u + request[2];
-        request += REQUEST_HEAD + request[1];
+        at += 2u + request.read_size;
+        bytes += request.size;
     }
     size = at;
     sent = (uint32_t)now_us(self);
-    request = self->requests + list->start;
+    bytes = self->requests + list->start;
     at = 1;
-    for (uint16_t i = 0; i < list->count; i++) {
+    for (uint16_t i = 0; take_apart(bytes, (size_t)(end - bytes), &request); i++) {
         if (link_get16(payload + at) == 0) {
             uint32_t age = sent - self->begun[i];
             link_put16(payload + at, (uint16_t)(age < LONGEST_AGE_US ? age : LONGEST_AGE_US));
         }
-        at += 2u + request[2];
-        request += REQUEST_HEAD + request[1];
+        at += 2u + request.read_size;
+        bytes += request.size;
     }
     size = link_complete(self->data, DATA, (uint16_t)(number & 0xFFFFu), sent, size);
     keep(self, (uint32_t)number, self->data, size);
@@ -316,7 +389,7 @@ static size_t hello(firmware *self, uint8_t *answer) {
     answer[0] = FIRMWARE_VERSION;
     answer[1] = FIRMWARE_LISTS;
     link_put16(answer + 2, FIRMWARE_REQUEST_BYTES);
-    answer[4] = CAN_RESEND | CAN_STATUS;
+    answer[4] = CAN_RESEND | CAN_STATUS | CAN_COUNT;
     answer[5] = self->platform.spi != NULL && self->platform.spi_set != NULL ? self->platform.selects : 0;
     link_put32(answer + 6, FIRMWARE_KEPT_BYTES);
     return 10;

@@ -74,7 +74,6 @@ typedef struct {
     uint16_t offset;
     uint16_t start; /* of its requests in `requests` */
     uint16_t size;
-    uint16_t count;
 } firmware_list;
 
 typedef struct {

@@ -323,8 +323,11 @@ def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: flo
     advice = f"free some space: a log ends when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
     if array is None:
         return Check("disk", free > WATERMARK + RESERVE, f"{free / 2**20:.0f} MiB free", advice)
-    rows = ((sensor, min(rate_hz, sensor.chip_rate_hz)) for sensor in array.sensors)
-    rate = sum(sensor_group(header_of(sensor, {})).row_bytes * row_rate for sensor, row_rate in rows) * _LIVE
+    rate = _LIVE * sum(
+        sensor_group(header_of(sensor, {}, is_estimated=sensor.estimates_times)).row_bytes
+        * (sensor.chip_rate_hz if sensor.fifo else min(rate_hz, sensor.chip_rate_hz))
+        for sensor in array.sensors
+    )
     seconds = max(0.0, free - WATERMARK - RESERVE) / rate
     finding = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
     return Check("disk", seconds >= NIGHT_S, finding, advice)

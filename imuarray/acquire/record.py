@@ -268,7 +268,7 @@ class Poll:
         if adapter.time_outs:
             segment.answered()
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
-        self.summary.uncertain += not certain
+        self.summary.uncertain += not certain and buffer.queue is None  # those of a queue have bounds
         buffer.end_silence()
         if buffer.has_failed:
             self.health.arrived(buffer, start_ns)

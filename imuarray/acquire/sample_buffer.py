@@ -25,7 +25,8 @@ from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times
 from imuarray.drivers import FifoDriver, OnDemandDriver
-from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
+from imuarray.drivers.fifo_clock import TOLERANCE
+from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT, TIME_UNCERTAINTY
 from imuarray.log.rotate import Writer
 from imuarray.log.writer import Block
 from imuarray.printable import counted
@@ -62,6 +63,7 @@ class SampleBuffer:
         self.driver = route.driver
         self.rate_hz = rate_hz
         self._times_ns: list[int] = []
+        self._uncertainties_ns: list[float] = []  # of the times, of rows that have it
         self._bursts = bytearray()
         self._lost_before: list[int] = []
         self._overrun: list[int] = []
@@ -84,6 +86,7 @@ class SampleBuffer:
         self._reading_period_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
         self._awaited_ns: int | None = None
         self._overdue = 0
+        self.idle_ns = max(IDLE_NS, round(IDLE_SAMPLES * 1e9 / (sensor.chip_rate_hz * (1 - TOLERANCE))))
         has_own_rate = self.queue is not None or sensor.spec.on_demand
         self.always_due = has_own_rate or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if has_own_rate else min(self.rate_hz, sensor.chip_rate_hz)
@@ -217,11 +220,20 @@ class SampleBuffer:
         else:
             self._overrun += [len(self._times_ns) + row for row in self.queue.gaps]
             self._times_ns += self.queue.drained
+            self._uncertainties_ns += self.queue.uncertainties_ns
         self._bursts += burst
 
-    def add_rows(self, times_ns: Sequence[int], bursts: bytes, gaps: Sequence[int], *, overrun: bool = False) -> None:
+    def add_rows(
+        self,
+        times_ns: Sequence[int],
+        bursts: bytes,
+        gaps: Sequence[int],
+        *,
+        overrun: bool = False,
+        uncertainties_ns: Sequence[float] = (),
+    ) -> None:
         """Add readings of a stream, taken at `times_ns`; before rows `gaps` of them (ascending) readings were lost, and
-        with `overrun` before the first because the chip's queue ran over.
+        with `overrun` before the first because the chip's queue ran over. `uncertainties_ns` of the times of a queue.
         """
         rows = len(self._times_ns)
         if self._set_up_again:
@@ -233,6 +245,7 @@ class SampleBuffer:
         if overrun:
             self._overrun.append(rows)
         self._times_ns += times_ns
+        self._uncertainties_ns += uncertainties_ns
         self._bursts += bursts
 
     def cut(self, row: int) -> int:
@@ -241,7 +254,7 @@ class SampleBuffer:
         if count:
             self._missing = True
             self._set_up_again |= any(index >= row for index in self._reconfigured)
-            del self._times_ns[row:], self._bursts[row * self.driver.burst :]
+            del self._times_ns[row:], self._uncertainties_ns[row:], self._bursts[row * self.driver.burst :]
             self._lost_before = [index for index in self._lost_before if index < row]
             self._overrun = [index for index in self._overrun if index < row]
             self._doubtful = [index for index in self._doubtful if index < row]
@@ -354,9 +367,12 @@ class SampleBuffer:
         self.newest_ns = self._times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
         self.doubtful_rows[[row for row in self._doubtful if row < count]] = True
+        further = dict(decoded.compensated)
+        if self.route.sensor.estimates_times:
+            further[TIME_UNCERTAINTY] = 1e-9 * np.array(self._uncertainties_ns[:count])
         self._count_run(count)
         self._forget(count)
-        return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
+        return Block(times, decoded.counts, status, decoded.temperature_counts, further)
 
     def _count_run(self, count: int) -> None:
         """Return how often the last of the oldest `count` rows, which are being written, repeats its reading."""
@@ -373,7 +389,7 @@ class SampleBuffer:
         self._written_reading = reading
 
     def _forget(self, count: int) -> None:
-        del self._times_ns[:count], self._bursts[: count * self.driver.burst]
+        del self._times_ns[:count], self._uncertainties_ns[:count], self._bursts[: count * self.driver.burst]
         self._lost_before = _later(self._lost_before, count)
         self._overrun = _later(self._overrun, count)
         self._doubtful = _later(self._doubtful, count)
@@ -403,6 +419,11 @@ def _later(rows: Sequence[int], count: int) -> list[int]:
     """Return row numbers as they are after the oldest `count` rows were removed."""
     return [row - count for row in rows if row >= count]
 
+
+IDLE_NS = 450_000_000
+"""A queue that gives nothing for so long has stopped: with a tick of `Poll` before and after this time it is reported
+within a second. A chip that takes fewer than `IDLE_SAMPLES` in this time has as long as they take."""
+IDLE_SAMPLES = 5
 
 AHEAD_NS = 1_000_000_000
 """A row that lies further ahead of the clock has an invented time; the times of a microcontroller's rows are estimated

@@ -13,6 +13,7 @@ chance; `SampleBuffer.frozen_since` tests for those.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,9 @@ from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
 from imuarray.acquire.start_up import StartUpCheck
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times
+from imuarray.drivers import Driver
 from imuarray.drivers.fifo_clock import TOLERANCE
+from imuarray.drivers.six_axis_queue import QueueReader
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
 
@@ -64,8 +67,6 @@ class Freshness:
 AWAY_NS = 250_000_000
 """After this time of silence a sensor is searched for instead of read, at growing intervals; one that holds the clock
 costs everybody time, and is left alone after two frames."""
-IDLE_NS = 1_000_000_000
-"""A queue that gives nothing for so long has stopped."""
 
 
 class _SensorState:
@@ -82,6 +83,7 @@ class _SensorState:
         self.freshness = Freshness(buffer.route.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
+        self.overruns = 0
 
     def tell(self, at_ns: int, kind: str, message: str) -> None:
         """Report an event of this sensor."""
@@ -204,6 +206,8 @@ class SensorHealth:
     def _see_whether_it_moves(self, buffer: SampleBuffer, state: _SensorState, now_ns: int) -> None:
         if len(buffer.times_ns) != state.rows or state.last_row_ns is None:
             state.rows, state.last_row_ns = len(buffer.times_ns), now_ns
+            if isinstance(buffer.queue, QueueReader):
+                state.overruns = buffer.queue.overruns
         buffer.flag_what_is_frozen_still()
         row = buffer.frozen_since()
         if row is not None:
@@ -211,8 +215,14 @@ class SensorHealth:
             buffer.thaw()
             buffer.distrust(row)
             state.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
-        elif buffer.queue is not None and now_ns - state.last_row_ns > IDLE_NS:
-            state.frozen.begin(now_ns, f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
+        elif buffer.queue is not None and now_ns - state.last_row_ns > buffer.idle_ns:
+            overruns = buffer.queue.overruns if isinstance(buffer.queue, QueueReader) else 0
+            if overruns > state.overruns:  # there are samples
+                state.overruns = overruns
+                state.overrun.happened(now_ns, "its queue runs over between two frames: read more frames a second")
+                return
+            idle_s = (now_ns - state.last_row_ns) * 1e-9
+            state.frozen.begin(now_ns, f"nothing in its queue for {idle_s:.1f} s{_lost_setting(buffer.driver)}")
         else:
             if state.frozen.lasts and buffer.moves:
                 state.frozen.over(now_ns, reported=True)  # by the event that it was set up again
@@ -272,6 +282,17 @@ class SensorHealth:
                 "they were overwritten before they were read" if buffer.queue is None else "the chip's buffer was full"
             )
             _tell_at(overrun, state.overrun, f"samples were lost: {why}")
+
+
+def _lost_setting(driver: Driver) -> str:
+    """A clause that names the first register that is not as configured; empty if all are, or nobody answers."""
+    with suppress(OSError):
+        for setting in driver.watched:
+            value = driver.registers.read_back(setting.register)
+            if value & setting.mask != setting.value:
+                wanted = setting.into(value)
+                return f": register {setting.register.address:#04x} reads {value:#04x}, configured {wanted:#04x}"
+    return ""
 
 
 def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:

@@ -41,7 +41,7 @@ class SensorRoute:
     @property
     def header(self) -> SensorHeader:
         """The header of the sensor in a log; once it is configured."""
-        header = header_of(self.sensor, self.driver.header())
+        header = header_of(self.sensor, self.driver.header(), is_estimated=self.sensor.estimates_times)
         return self.driver.described(header) if isinstance(self.driver, IioSensor) else header
 
 

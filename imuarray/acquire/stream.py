@@ -23,8 +23,8 @@ from imuarray.acquire.stream_plan import LINK, Rows, plan
 from imuarray.acquire.stream_queue import rows_of
 from imuarray.bus.protocol import MuxChannel, OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
-from imuarray.bus.serial_link import LinkError
-from imuarray.drivers.unattended import burst_queue_of
+from imuarray.bus.serial_link import CAN_COUNT, LinkError
+from imuarray.drivers.unattended import needs_counting, unattended_queue_of
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
@@ -48,9 +48,11 @@ def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
     """Return whether `Streaming` records these routes: on a microcontroller that can drain every queue among them
     without knowing the chip. Otherwise all of them are polled through the link.
     """
-    return isinstance(bus, SerialBus) and all(
-        burst_queue_of(route.driver) is not None for route in routes if route.sensor.fifo
-    )
+    if not isinstance(bus, SerialBus):
+        return False
+    queues = [unattended_queue_of(route.driver) for route in routes if route.sensor.fifo]
+    counts = bool(bus.capacity.features & CAN_COUNT)
+    return all(queue is not None and (counts or not needs_counting(queue)) for queue in queues)
 
 
 class Streaming:
@@ -180,8 +182,10 @@ class Streaming:
             missing, why = rows.take(samples_by_list, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
                 self._lost(rows, missing, why or LINK)
-            if rows.is_doubtful:
+            if rows.doubt:
                 self._health.doubt_queue(rows)
+            elif rows.idle_ns:
+                self._health.note_idle(rows)
         self._health.look(samples_by_list, self._bus.fit.rate)
 
     def _lost(self, rows: Rows, count: int, why: str) -> None:
@@ -218,13 +222,17 @@ class Streaming:
             self._count_lost(rows, rows.interrupted(self._newest))
             rows.restart()
         self._newest = -1
-        self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
+        self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz), self._resume)
         now_ns = self._bus.clock.now_ns()
         left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._period_rate_hz))
         for rows in self._rows:
             self._count_lost(rows, rows.left_out(left_out))
         self._begun += left_out
         self._heard_ns = now_ns
+
+    def _resume(self) -> None:
+        for rows in self._rows:
+            rows.resume()
 
     def _count_lost(self, rows: Rows, count: int) -> None:
         self.summary.lost[rows.buffer.route.sensor.name] += count

@@ -75,7 +75,14 @@ class StreamHealth:
         """Set the chip up again, whose queue gave bytes that are not a sequence of samples."""
         if id(rows) not in self.ill:
             self.ill[id(rows)] = rows
-            self._note(rows, "configuration", "its queue gave no valid samples")
+            self._note(rows, "configuration", rows.doubt)
+
+    def note_idle(self, rows: Rows) -> None:
+        """Set the chip up again, whose queue does not fill."""
+        if id(rows) not in self.ill:
+            self.ill[id(rows)] = rows
+            rows.buffer.distrust(self._vouched(rows))
+            self._note(rows, "frozen", f"nothing in its queue for {rows.idle_ns * 1e-9:.1f} s")
 
     def tick(self, now_ns: int) -> None:
         """Look for frozen sensors and wrong starts."""

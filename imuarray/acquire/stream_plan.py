@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from imuarray.bus.serial_bus import Samples, SerialSpiPort
 from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, MAX_PAYLOAD, PollList, Request
 from imuarray.bus.spi import SpiChip
 from imuarray.drivers import OnDemandDriver
-from imuarray.drivers.unattended import Visit, burst_queue_of, drain_of, least_drains_hz, visits_of
+from imuarray.drivers.unattended import Visit, drain_of, least_drains_hz, unattended_queue_of, visits_of
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
 
@@ -46,7 +46,8 @@ class VisitPlace:
     """One visit in the answers of list `number`: there in frames `offset`, `offset` + `every`, ...
 
     Positions of bytes: `ages` of the requests that must have been answered, `age` of the one that times the reading,
-    and `start` to `stop`, its part of the burst; `busy` are bits that may not be set in byte `first`.
+    and `start` to `stop`, its part of the burst (of a drain, to the end of its last answer); `busy` are bits that may
+    not be set in byte `first`.
     """
 
     number: int
@@ -108,6 +109,8 @@ class _Lists:
         own = [self._ask(key, request) for request in requests]
         first = own[0] + 2
         stop = first + visit.requests[0].read
+        if any(request.rule is not None for request in visit.requests):  # a drain: all answers belong to it
+            stop = own[-1] + 2 + visit.requests[-1].read
         return VisitPlace(
             number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
         )
@@ -157,7 +160,7 @@ def _on_the_bus(route: SensorRoute, request: Request) -> Request:
     bus = route.driver.registers.bus
     if not isinstance(bus, SpiChip) or not isinstance(bus.port, SerialSpiPort):
         return request
-    return Request(bus.port.address, bus.message(request.write, request.read), request.read)
+    return replace(request, address=bus.port.address, write=bus.message(request.write, request.read))
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
@@ -168,8 +171,12 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
     places: dict[int, tuple[VisitPlace, ...]] = {}
     segments = list(dict.fromkeys(route.segment for route in routes))
     ordered = sorted(routes, key=lambda route: segments.index(route.segment))
+    drained: dict[int, tuple[VisitPlace, ...]] = {}
     for route in ordered:
-        queue = burst_queue_of(route.driver)
+        queue = unattended_queue_of(route.driver)
+        if id(queue) in drained:  # the other half of the die
+            places[id(route)] = drained[id(queue)]
+            continue
         if queue is None:
             visits = visits_of(route.sensor)
             offsets, every = _rhythm(route, visits, rate_hz, split)
@@ -181,6 +188,8 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
         places[id(route)] = tuple(
             lists.visit(route, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
         )
+        if queue is not None:
+            drained[id(queue)] = places[id(route)]
     wanted = [(route, setting) for route in ordered for setting in route.driver.watched]
     sweep = max(1, math.floor(SWEEP_S / 2 * period_rate_hz))
     turns = min(sweep, len(wanted), MAX_TURNS)
@@ -212,7 +221,7 @@ def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
     """
     periods = [1]
     for route in routes:
-        queue = burst_queue_of(route.driver)
+        queue = unattended_queue_of(route.driver)
         if queue is not None:
             periods.append(math.ceil(least_drains_hz(queue, route.sensor.chip_rate_hz) / rate_hz - 1e-6))
         elif isinstance(route.driver, OnDemandDriver):
@@ -283,12 +292,22 @@ class Rows:
         self._forget()
 
     @property
-    def is_doubtful(self) -> bool:
-        """True if what was read last can't be trusted."""
-        return False
+    def doubt(self) -> str:
+        """Why what was read last can't be trusted, in the words of an event; empty if it can."""
+        return ""
+
+    @property
+    def idle_ns(self) -> int:
+        """For how long a queue has been read and has been empty, if that is so long that the chip must have stopped; 0
+        otherwise.
+        """
+        return 0
 
     def begin(self) -> None:
         """The recording begins; OSError as the bus gives it."""
+
+    def resume(self) -> None:
+        """The stream is about to be started again; OSError as the bus gives it."""
 
     def restart(self) -> None:
         """Frames are counted from 0 again; readings were lost meanwhile."""

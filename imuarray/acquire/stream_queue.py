@@ -8,6 +8,7 @@ whose fit improves during the recording.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -17,13 +18,19 @@ from imuarray.acquire.stream_plan import WHY, Rows, StreamPlan, VisitPlace, ages
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_LONGEST
 from imuarray.drivers.six_axis import QueuedHalf
-from imuarray.drivers.six_axis_queue import BurstQueue
-from imuarray.drivers.unattended import burst_queue_of
+from imuarray.drivers.six_axis_queue import UnattendedQueue
+from imuarray.drivers.unattended import unattended_queue_of
 
 _I2C_BYTE_NS = 9_000
 """Least time of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
 LONGEST_US = 1_000_000
 """A transaction whose age is the longest that can be told took place within this time: a watchdog would have ended it.
+"""
+_COUNTER_NS = 2_000
+"""Ages and times of the microcontroller are whole microseconds: a time and an age are off by one each."""
+IDLE_TOLD_NS = 900_000_000
+"""An empty queue is reported at the last drain before this time. Registers are read back twice in `SWEEP_S`: a lost
+configuration is reported earlier.
 """
 RAN_OVER = "the chip's queue ran over"
 
@@ -33,7 +40,7 @@ def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> 
     leaders: dict[int, QueueRows] = {}
     rows: list[Rows] = []
     for route, places in zip(routes, plan.visits, strict=True):
-        buffer, queue = SampleBuffer(route, rate_hz), burst_queue_of(route.driver)
+        buffer, queue = SampleBuffer(route, rate_hz), unattended_queue_of(route.driver)
         if queue is None:
             rows.append(Rows(buffer, places))
             continue
@@ -47,7 +54,7 @@ class QueueRows(Rows):
     """Fills the rows of one half of a die. Its `leader`, which may be itself, takes the bursts for both halves."""
 
     def __init__(
-        self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: BurstQueue, leader: QueueRows | None
+        self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: UnattendedQueue, leader: QueueRows | None
     ) -> None:
         if not isinstance(buffer.driver, QueuedHalf):
             raise TypeError(f"{buffer.route.sensor.name} has no queue")
@@ -59,10 +66,14 @@ class QueueRows(Rows):
         self._leader._halves.append(self)
         sensor = buffer.route.sensor
         self._period_ns = 1e9 / sensor.chip_rate_hz
-        byte_ns = 8e9 / sensor.spi_rules.clock_hz if sensor.on_spi else _I2C_BYTE_NS
-        counted_bytes = queue.burst(0)[1]
-        self._packets_ns = int((places[0].stop - places[0].start - counted_bytes) * byte_ns)
+        self._byte_ns = 8e9 / sensor.spi_rules.clock_hz if sensor.on_spi else _I2C_BYTE_NS
+        own = places[0].ages[-len(queue.drain_requests(1)) :]
+        self._ages = own
+        self._answers = [slice(begin + 2, end) for begin, end in zip(own, (*own[1:], places[0].stop), strict=True)]
         self._newest_ns: int | None = None
+        self._empty_ns = self._pause_ns = 0
+        self._visited_ns: int | None = None
+        self._filled_ns: int | None = None  # when the queue was last seen with samples, or first seen
         self._lost = 0
         self._failure = ""
 
@@ -71,9 +82,24 @@ class QueueRows(Rows):
         if self._leader is self:
             self._die_queue.empty()
 
+    def resume(self) -> None:
+        """See `Rows.resume`: meanwhile the queue may have run over."""
+        if self._leader is self and not self._queue.survives_overrun:
+            self._die_queue.distrust()
+            with suppress(OSError):
+                self._die_queue.empty()
+
     def restart(self) -> None:
         """See `Rows.restart`. The chip went on: its samples tell whether some are missing."""
         self._forget()
+        self._empty_ns = self._pause_ns = 0
+        self._filled_ns = self._visited_ns = None
+
+    @property
+    def idle_ns(self) -> int:
+        """See `Rows.idle_ns`."""
+        is_idle = self._empty_ns > self.buffer.idle_ns and self._empty_ns + self._pause_ns > IDLE_TOLD_NS
+        return self._empty_ns if is_idle else 0
 
     def interrupted(self, number: int) -> int:
         """See `Rows.interrupted`: counted when the next samples tell."""
@@ -90,9 +116,11 @@ class QueueRows(Rows):
         return round((now_ns - self._newest_ns) / self._period_ns)
 
     @property
-    def is_doubtful(self) -> bool:
+    def doubt(self) -> str:
         """See `Rows`."""
-        return not self._die_queue.is_trusted
+        if self._die_queue.is_trusted:
+            return ""
+        return "its queue ran over" if self._queue.ran_over else "its queue gave no valid samples"
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
         """Add the samples of the bursts that arrived; how many are missing before the last of them, and why."""
@@ -106,15 +134,14 @@ class QueueRows(Rows):
 
     def _drain(self, samples: Samples, rate: float) -> None:
         """Take all bursts, in order, for all halves."""
-        place = self.places[0]
         for index, start_us, end_us in self._visits(samples):
             number = int(samples.numbers[index])
             for half in self._halves:
                 half._last = number
-            burst = samples.payload[index, place.start : place.stop].tobytes()
-            counted_ns = start_us * 1000, max(end_us * 1000 - self._packets_ns, start_us * 1000)
+            answers = [samples.payload[index, part].tobytes() for part in self._answers]
+            packets_ns = int(self._queue.packet_bytes(answers) * self._byte_ns)
             try:
-                self._queue.accept(burst, counted_ns)
+                self._queue.accept(answers, (start_us * 1000, max(end_us * 1000 - packets_ns, start_us * 1000)))
             except OSError as error:
                 self._failure = str(error.strerror)
                 continue
@@ -129,13 +156,16 @@ class QueueRows(Rows):
         ages = [ages_at(payload, position) for position in place.ages]
         worst = np.max(ages, axis=0)
         after = np.zeros(len(payload), np.int64)
-        if place.stop + 2 <= payload.shape[1]:
-            following = ages_at(payload, place.stop)
+        following_at = self._ages[1] if len(self._ages) > 1 else place.stop
+        if following_at + 2 <= payload.shape[1]:
+            following = ages_at(payload, following_at)
             after = np.where(following < AGE_HELD, following, 0)
         own = ages_at(payload, place.age)
         for index, age in enumerate(worst.tolist()):
             if age >= AGE_HELD:
                 self._failure = WHY[age]
+                if own[index] < AGE_HELD and len(self._ages) > 1:  # counted, and who knows what was read
+                    self._die_queue.distrust()
                 continue
             sent_us = int(samples.sent_us[index])
             age_us = int(own[index])
@@ -144,6 +174,11 @@ class QueueRows(Rows):
     def _add(self, sent_host_ns: int, sent_ns: int, rate: float) -> None:
         """Add what waits for this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the host's."""
         bursts = self._reader.take()
+        if bursts or self._filled_ns is None:
+            self._filled_ns = sent_host_ns
+        self._empty_ns = sent_host_ns - self._filled_ns
+        self._pause_ns = 0 if self._visited_ns is None else sent_host_ns - self._visited_ns
+        self._visited_ns = sent_host_ns
         if not bursts:
             return
         times = np.array(self._reader.drained, np.int64) - sent_ns
@@ -155,5 +190,11 @@ class QueueRows(Rows):
             if self._queue.ran_over:
                 self._leader._failure = RAN_OVER
         overrun = has_gap and self._queue.ran_over
-        self.buffer.add_rows(times_ns, bursts, [0] if has_gap and not overrun else [], overrun=overrun)
+        self.buffer.add_rows(
+            times_ns,
+            bursts,
+            [0] if has_gap and not overrun else [],
+            overrun=overrun,
+            uncertainties_ns=[_COUNTER_NS + uncertainty_ns for uncertainty_ns in self._reader.uncertainties_ns],
+        )
         self._newest_ns = times_ns[-1]

@@ -41,7 +41,7 @@ missing.
 A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
 
 Firmware that can do more says so behind the four bytes of its answer to HELLO: features u8 (bit 0 RESEND, bit 1
-STATUS), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands::
+STATUS, bit 2 counted requests), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands::
 
     06 RESEND    first u16, count u16                         result, frames u16, next u16
     07 STATUS                                                 result, and the numbers below
@@ -55,6 +55,13 @@ start, then the numbers of DATA sent, frames left out for want of time, DATA for
 overwritten before it was acknowledged, requests of lists that failed, bytes received that belonged to no frame. An
 address from 80 on, in TRANSFER and LIST, is chip select `address - 80` of SPI: what is to be written goes out, then
 zeros while the bytes to be read come in; nobody acknowledges there.
+
+Feature bit 2: a request of a list may be counted, so that a chip's queue is drained by its own count. Bit 7 of its
+bytes to write is set (they are at most 127), and its rule stands between the bytes to read and what to write: offset
+u8, order u8, mask u16, packet u8. The two bytes at `offset` in the answer to the request before it, high byte first if
+bit 0 of `order` is set, and with `mask`, are a count of packets of `packet` bytes if bit 1 is set, else of bytes. As
+many whole packets are read as are counted and fit into the bytes to read; the rest of the answer is 0. Of no packet
+nothing is sent. If the request before it failed, it has failed likewise.
 """
 
 from __future__ import annotations
@@ -65,7 +72,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 VERSION = 1
 SYNC = b"\xa5\x5a"
@@ -74,7 +81,7 @@ MAX_LIST_READ = 255
 """Bytes that one request of a list reads at most."""
 HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
 RESEND, STATUS, SELECT = 0x06, 0x07, 0x08
-CAN_RESEND, CAN_STATUS = 0x01, 0x02
+CAN_RESEND, CAN_STATUS, CAN_COUNT = 0x01, 0x02, 0x04
 FIRST_SELECT = 0x80
 """Address of chip select 0 of SPI."""
 ANSWER = 0x80
@@ -94,6 +101,9 @@ _FEATURES = struct.Struct("<BBI")
 _SELECT = struct.Struct("<BBI")
 _COUNTS = struct.Struct("<?Q6I")
 _LIST = struct.Struct("<BHH")
+_RULE = struct.Struct("<BBHB")
+_COUNTED, _BIG_ENDIAN, _OF_PACKETS = 0x80, 0x01, 0x02
+_LONGEST_WRITE = 0x7F
 _TRANSFER = struct.Struct("<BH")
 
 _NOTHING = (b"", 0, 0, 0, 0)
@@ -118,7 +128,7 @@ class Frame(NamedTuple):
 
 class Capacity(NamedTuple):
     """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that fit; then what
-    older firmware does not tell: CAN_RESEND and CAN_STATUS, chip selects of SPI, bytes of DATA that are kept.
+    older firmware does not tell: CAN_RESEND, CAN_STATUS, CAN_COUNT, chip selects of SPI, bytes of DATA that are kept.
     """
 
     version: int
@@ -146,12 +156,47 @@ class FirmwareCounts(NamedTuple):
 
 
 @dataclass(frozen=True)
+class CountRule:
+    """What a counted request reads: the two bytes at `offset` of the answer before it, with `mask`, count packets of
+    `packet` bytes, or bytes of such packets.
+    """
+
+    packet: int
+    offset: int = 0
+    mask: int = 0xFFFF
+    is_big_endian: bool = False
+    is_of_packets: bool = False
+
+    def packets(self, answer: bytes) -> int:
+        """The number of whole packets that the answer before counts."""
+        order: Literal["big", "little"] = "big" if self.is_big_endian else "little"
+        count = int.from_bytes(answer[self.offset : self.offset + 2], order) & self.mask
+        return count if self.is_of_packets else count // self.packet
+
+
+@dataclass(frozen=True)
 class Request:
-    """One transaction of a list."""
+    """One transaction of a list, which reads `read` bytes, or with `rule` at most so many."""
 
     address: int
     write: bytes
     read: int
+    rule: CountRule | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes in a LIST."""
+        return 3 + len(self.write) + (0 if self.rule is None else _RULE.size)
+
+    def encode(self) -> bytes:
+        """The request as it stands in a LIST; ValueError if it writes more than a request can."""
+        if len(self.write) > _LONGEST_WRITE:
+            raise ValueError(f"{len(self.write)} bytes to write in a list; at most {_LONGEST_WRITE}")
+        if self.rule is None:
+            return bytes([self.address, len(self.write), self.read]) + self.write
+        order = _BIG_ENDIAN * self.rule.is_big_endian | _OF_PACKETS * self.rule.is_of_packets
+        rule = _RULE.pack(self.rule.offset, order, self.rule.mask, self.rule.packet)
+        return bytes([self.address, _COUNTED | len(self.write), self.read]) + rule + self.write
 
 
 @dataclass(frozen=True)
@@ -240,9 +285,7 @@ def select_payload(select: int, mode: int, clock_hz: int) -> bytes:
 
 def list_payload(number: int, asked: PollList) -> bytes:
     """Payload of LIST; ValueError for a list that does not fit into frames."""
-    body = b"".join(
-        bytes([request.address, len(request.write), request.read]) + request.write for request in asked.requests
-    )
+    body = b"".join(request.encode() for request in asked.requests)
     if max(_LIST.size + len(body), asked.size) > MAX_PAYLOAD:
         raise ValueError(f"list {number}: {max(len(body), asked.size)} bytes; a frame of the link holds {MAX_PAYLOAD}")
     return _LIST.pack(number, asked.every, asked.offset) + body
@@ -250,7 +293,7 @@ def list_payload(number: int, asked: PollList) -> bytes:
 
 def request_bytes(lists: Sequence[PollList]) -> int:
     """Bytes of requests in all lists, as HELLO counts them."""
-    return sum(3 + len(request.write) for asked in lists for request in asked.requests)
+    return sum(request.size for asked in lists for request in asked.requests)
 
 
 def start_payload(period_us: int) -> bytes:

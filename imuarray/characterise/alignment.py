@@ -30,8 +30,11 @@ LONGEST_ERROR_S = 1e-3
 LEAST_MOTION = 100.0
 """Least variance of the rate's derivative over that of its noise: noise makes delays appear smaller, here by 1 %."""
 _FITS = 3
+_PIECES = 64
 _SAME_PPM = 0.5
-"""Rates that differ by less are equal: rows are stamped to nanoseconds, over a second."""
+"""Rates that differ by less are equal: rows are stamped to nanoseconds, over a second. Times of queues are uncertain:
+the median over `_PIECES` pieces leaves that over an eighth of the log.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class SensorAlignment:
 
     `row_apart_s`: the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s` with its
     standard error: how much later the sensor shows a rotation; None where no motion determines it, and of other sensors
-    than gyroscopes.
+    than gyroscopes. `time_uncertainty_s`: median of the largest errors of the sensor's times that the log states; None
+    where it states none.
     """
 
     name: str
@@ -52,6 +56,7 @@ class SensorAlignment:
     row_apart_s: float | None
     delay_s: float | None = None
     delay_error_s: float | None = None
+    time_uncertainty_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ class Alignment:
     def is_simultaneous(self) -> bool:
         """True if all rows have the times of the reference and no delay is known: there is nothing to report."""
         return all(
-            sensor.offset_s == sensor.spread_s == 0.0 and sensor.row_apart_s is None and sensor.delay_s is None
+            sensor.offset_s == sensor.spread_s == 0.0
+            and sensor.row_apart_s is sensor.delay_s is sensor.time_uncertainty_s is None
             for sensor in self.sensors
         )
 
@@ -92,8 +98,8 @@ def find_alignment(log: Log) -> Alignment | None:
 
 
 def _rate_hz(sensor: SensorLog) -> float:
-    """Rows per second: of the median of 64 equal pieces, because pieces with gaps have fewer rows."""
-    edges = np.linspace(0, len(sensor) - 1, min(64, len(sensor) // 16) + 1).astype(int)
+    """Rows per second: of the median of `_PIECES` equal pieces, because pieces with gaps have fewer rows."""
+    edges = np.linspace(0, len(sensor) - 1, min(_PIECES, len(sensor) // 16) + 1).astype(int)
     times_ns = np.array([int(sensor.time[edge]) for edge in edges.tolist()], np.int64)
     return float(np.median(np.diff(edges) / (np.diff(times_ns) * 1e-9)))
 
@@ -103,8 +109,10 @@ def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float]
     rate_hz, reference_hz = _rate_hz(sensor), _rate_hz(reference)
     ppm = 1e6 * (rate_hz / reference_hz - 1)
     beyond = abs(rate_hz - reference_hz)
-    is_own = abs(ppm) > _SAME_PPM
+    uncertain_s = (_time_uncertainty_s(reference) or 0.0) + (_time_uncertainty_s(sensor) or 0.0)
+    is_own = abs(ppm) > max(_SAME_PPM, 1e6 * math.sqrt(_PIECES) * uncertain_s * reference_hz / len(reference))
     offsets_s = _offsets_s(reference, sensor)
+    delay_s, delay_error_s = delay or (None, None)
     return SensorAlignment(
         sensor.name,
         rate_hz,
@@ -112,8 +120,18 @@ def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float]
         float(offsets_s.mean()) if len(offsets_s) else math.nan,
         float(offsets_s.std()) if len(offsets_s) else math.nan,
         1 / beyond if is_own else None,
-        *(delay or (None, None)),
+        delay_s,
+        delay_error_s,
+        _time_uncertainty_s(sensor),
     )
+
+
+def _time_uncertainty_s(sensor: SensorLog) -> float | None:
+    """Median of what the log states in the middle of its rows."""
+    if sensor.time_uncertainty is None:
+        return None
+    middle = len(sensor) // 2
+    return float(np.median(sensor.time_uncertainty[max(0, middle - ROWS // 2) : middle + ROWS // 2]))
 
 
 def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:

@@ -28,8 +28,16 @@ _ROWS_HEAD = (
     f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
 )
 _ALIGNMENT_HEAD = (
-    f"{'sensor':12} {'rate Hz':>10} {'ppm more':>9} {'rows off us':>11} {'std us':>9} {'a row more in s':>15}"
-    f" {'delay us':>16}"
+    f"{'':12} {'':>10} {'faster by':>10} {'nearest row, us':>19} {'gains or loses':>15} {'time known':>11}",
+    f"{'sensor':12} {'rate Hz':>10} {'ppm':>10} {'mean':>9} {'std':>9} {'a row in s':>15} {'to us':>11}"
+    f" {'delay us':>16}",
+)
+_ALIGNMENT_NOTES = (
+    "faster by: how many more rows a second than the reference, in parts per million. nearest row: the time from a row"
+    " of the reference to the nearest row of the sensor, which varies where chips sample by their own clocks. gains or"
+    " loses a row: after so many seconds it is one row ahead or behind. time known: largest error of the times of a"
+    " drained queue, as the log states it (median). delay: how much later a gyroscope shows the rotation, beyond its"
+    " known filter delay, with its 95 % interval."
 )
 _NOTES = (
     "error of the mean: its standard error, correlation allowed for. repeat: rows without a new reading, flagged as "
@@ -40,9 +48,7 @@ _NOTES = (
     "drift, a filter, a process with a time constant). lowest: lowest point of the curve / 0.664, "
     "'<' where it still falls at its end. Runs between gaps are pooled. "
     "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
-    "the calibration that was given, else by the data sheet's typical sensitivity. rows off: the time to the nearest"
-    " row, which varies where chips sample by their own clocks. delay: how much later a gyroscope shows the rotation,"
-    " beyond its known filter delay, with its 95 % interval."
+    "the calibration that was given, else by the data sheet's typical sensitivity."
 )
 
 
@@ -56,7 +62,7 @@ def render_text(result: Mapping[str, Any]) -> str:
         lines += ["", "what stands out", *(line for sentence in sentences for line in _indented(sentence))]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     if result["alignment"] is not None:
-        lines += ["", *_alignment(result["alignment"])]
+        lines += ["", *_alignment(result["alignment"]), *_wrapped(_ALIGNMENT_NOTES)]
     return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
 
 
@@ -67,18 +73,24 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
         since = f"{alignment['motion_from_s']:.0f} s"
         motion = f"; delays against {alignment['delays_from']}, by the rotation from {since} on"
     yield from _wrapped(f"alignment in time, against {alignment['reference']}{motion}")
-    yield _ALIGNMENT_HEAD
+    yield from _ALIGNMENT_HEAD
     for sensor in alignment["sensors"]:
-        apart = "-" if sensor["row_apart_s"] is None else f"{sensor['row_apart_s']:.3g}"
+        apart = "-" if sensor["row_apart_s"] is None else _seconds(sensor["row_apart_s"])
         delay = "-"
         if sensor["delay_s"] is not None:
             delay = f"{1e6 * sensor['delay_s']:.1f}"
             if sensor["delay_error_s"]:
                 delay += f" +-{1.96e6 * sensor['delay_error_s']:.1f}"
         yield (
-            f"{_cut(sensor['name'], 12):12} {sensor['rate_hz']:>10.3f} {sensor['rate_ppm']:>9.0f} "
-            f"{_micro(sensor['offset_s']):>11} {_micro(sensor['spread_s']):>9} {apart:>15} {delay:>16}"
+            f"{_cut(sensor['name'], 12):12} {sensor['rate_hz']:>10.3f} {sensor['rate_ppm']:>10.0f} "
+            f"{_micro(sensor['offset_s']):>9} {_micro(sensor['spread_s']):>9} {apart:>15} "
+            f"{_micro(sensor['time_uncertainty_s']):>11} {delay:>16}"
         )
+
+
+def _seconds(seconds: float) -> str:
+    """Three digits, and no powers of ten."""
+    return f"{seconds:.3g}" if seconds < 999.5 else f"{seconds:.0f}"
 
 
 def _micro(seconds: float | None) -> str:

@@ -13,6 +13,8 @@ from imuarray.printable import counted, printable
 if TYPE_CHECKING:
     from imuarray.log import Log, SensorLog
 
+_SAMPLED = 1 << 16
+
 
 @click.command("info")
 @log_argument
@@ -98,8 +100,25 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
         "rows": rows,
         "seconds": seconds,
         "rate_hz": (rows - 1) / seconds if seconds else 0.0,
+        "time_uncertainty_s": _time_uncertainty(sensor),
         "flags": {name: count for name, count in sensor.flagged().items() if count},
     }
+
+
+def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
+    """Median (of at most `_SAMPLED` rows) and maximum of the largest errors of the times; None if the log has none."""
+    import numpy as np
+
+    column = sensor.time_uncertainty
+    if column is None or not len(sensor):
+        return None
+    step = len(sensor) // _SAMPLED + 1
+    sampled, largest = [], 0.0
+    for block in sensor.blocks():
+        uncertainty_s = np.asarray(column[block], float)
+        sampled.append(uncertainty_s[::step])
+        largest = max(largest, float(uncertainty_s.max()))
+    return {"median": float(np.median(np.concatenate(sampled))), "max": largest}
 
 
 def _print(summary: dict[str, Any]) -> None:
@@ -123,10 +142,13 @@ def _print(summary: dict[str, Any]) -> None:
     )
     for sensor in summary["sensors"]:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else "no range"
+        times = ""
+        if (uncertainty := sensor["time_uncertainty_s"]) is not None:
+            times = f"times to {1e6 * uncertainty['median']:.0f} us ({1e6 * uncertainty['max']:.0f} at most)  "
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
         _say(
             f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
-            f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {flags}".rstrip()
+            f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {times}{flags}".rstrip()
         )
     for phase in summary["phases"]:
         up = f" ({phase['up']} up)" if phase["up"] else ""

@@ -200,6 +200,10 @@ class QueueTimes(Protocol):
     def gaps(self) -> Sequence[int]:
         """Places in `drained`, counted from 0, before which samples are missing."""
 
+    @property
+    def uncertainties_ns(self) -> Sequence[float]:
+        """By how much each time in `drained` may be off at most; empty where that is not known."""
+
     def restart(self) -> None:
         """Forget everything: the chip was set up again, or its queue drained in another's place."""
 

@@ -71,10 +71,17 @@ class _Window:
         periods = [period for _, period in self.vertices]
         return min(periods) * (1 - DRIFT), max(periods) * (1 + DRIFT)
 
-    def uncertainty_ns(self, number: int) -> float:
+    def half_extent_ns(self, number: int) -> float:
         """Half the extent of the possible times of a sample."""
         times = [start + (number - self.first) * period for start, period in self.vertices]
         return (max(times) - min(times)) / 2
+
+    def uncertainty_ns(self, number: int) -> float:
+        """The largest distance of a possible time of a sample from the estimate."""
+        steps = number - self.first
+        times = [start + steps * period for start, period in self.vertices]
+        center_ns = self.center[0] + steps * self.center[1]
+        return max(max(times) - center_ns, center_ns - min(times))
 
 
 def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
@@ -119,7 +126,8 @@ class FifoClock:
     """Times of consecutive samples of one chip of nominal rate `rate_hz`.
 
     `drained` and `overrun` tell of the last count: the times of its samples, and whether the queue had run over.
-    `uncertainty_ns`: by how much the time of the newest sample may be off.
+    `uncertainty_ns`: by how much any of these times may be off at most, if the chip counted within the times that
+    `times` was given and its rate was constant since the window began (up to twice `WINDOW_NS`).
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -130,6 +138,11 @@ class FifoClock:
     def gaps(self) -> Sequence[int]:
         """See `QueueTimes`."""
         return (0,) if self.overrun and self.drained else ()
+
+    @property
+    def uncertainties_ns(self) -> Sequence[float]:
+        """See `QueueTimes`."""
+        return [self.uncertainty_ns] * len(self.drained)
 
     def restart(self) -> None:
         """Forget everything: the chip was set up again."""
@@ -162,13 +175,19 @@ class FifoClock:
         window = self._window
         if window is None:  # the first count: the newest sample is half a period old, give or take as much
             start_ns, first = (from_ns + end_ns - self.period_ns) / 2, newest
-            self.uncertainty_ns = (end_ns - from_ns + self.period_ns) / 2
+            low, high = self._periods
+            slack_ns = max(self.period_ns - low, high - self.period_ns)
+            self.uncertainty_ns = (end_ns - from_ns + high) / 2 + (level + unread) * slack_ns
             self._window = _Window(newest, from_ns, end_ns, self._periods)
         else:
             start_ns, self.period_ns = window.center
             start_ns, first = start_ns + window.origin_ns, window.first
-            self.uncertainty_ns = window.uncertainty_ns(newest)
-        self.drained = self._increasing(start_ns + (self._taken - first) * self.period_ns, level)
+            edges = (self._taken, self._taken + level - 1)  # in between it is less: the distances are convex
+            self.uncertainty_ns = max(map(window.uncertainty_ns, edges))
+        oldest_ns = start_ns + (self._taken - first) * self.period_ns
+        self.drained = self._increasing(oldest_ns, level)
+        shifts = (self.drained[0] - oldest_ns, self.drained[-1] - oldest_ns - (level - 1) * self.period_ns)
+        self.uncertainty_ns += max(map(abs, shifts))
         self._taken += level
         return self.drained
 
@@ -181,7 +200,7 @@ class FifoClock:
         """Return the time of the next count that halves the uncertainty: the middle of the possible times of the next
         sample. None if it is known to `wanted_ns`, or nothing is known yet.
         """
-        if self._window is None or self._window.uncertainty_ns(self._taken) <= wanted_ns:
+        if self._window is None or self._window.half_extent_ns(self._taken) <= wanted_ns:
             return None
         start_ns, period_ns = self._window.center
         next_ns = start_ns + self._window.origin_ns + (self._taken - self._window.first) * period_ns

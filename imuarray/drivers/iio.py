@@ -111,6 +111,11 @@ class IioQueue:
         self._times_ns: list[int] = []
         self._newest_ns: int | None = None
 
+    @property
+    def uncertainties_ns(self) -> Sequence[float]:
+        """See `QueueTimes`: the kernel does not tell."""
+        return ()
+
     def restart(self) -> None:
         """The device was set up again: forget everything."""
         self._rows, self._times_ns, self._newest_ns = bytearray(), [], None

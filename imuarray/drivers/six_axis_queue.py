@@ -8,17 +8,19 @@ no valid packet, the queue is emptied, and the next rows of both halves carry th
 from __future__ import annotations
 
 import errno
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from imuarray.bus.message_limits import LONGEST_READ
+from imuarray.bus.serial_link import CountRule
 from imuarray.clock import Clock
 from imuarray.drivers import icm42688_packets as packet_format
 from imuarray.drivers.driver import Bytes, Registers
-from imuarray.drivers.fifo_clock import FifoClock
+from imuarray.drivers.fifo_clock import TOLERANCE, FifoClock
 from imuarray.facts import icm42688, lsm6dso
 from imuarray.facts.registers import Register, Setting
 
@@ -43,15 +45,18 @@ MOST_ROWS = 4096
 class QueueReader:
     """One half's share of the queue of its die.
 
-    `drained` and `overrun` describe the last result of `take`: its times, and whether samples are missing before it.
+    `drained`, `uncertainties_ns` and `overrun` describe the last result of `take`: its times, by how much each may be
+    off, and whether samples are missing before it.
     """
 
     def __init__(self, queue: DieQueue) -> None:
         self.drained: list[int] = []
+        self.uncertainties_ns: Sequence[float] = ()
         self.overrun = False
         self._queue = queue
         self._bursts: list[bytes] = []
         self._times_ns: list[int] = []
+        self._uncertainties_ns: list[float] = []
         self._gap = False
         self._has_given = False
 
@@ -67,31 +72,37 @@ class QueueReader:
 
     def clear(self, *, gap: bool = False) -> None:
         """Forget what waits; with `gap` samples that were due are missing."""
-        self._bursts, self._times_ns = [], []
+        self._bursts, self._times_ns, self._uncertainties_ns = [], [], []
         self._gap = gap and self._has_given
+
+    @property
+    def overruns(self) -> int:
+        """See `DieQueue`."""
+        return self._queue.overruns
 
     @property
     def waits(self) -> bool:
         """True if something waits for this half."""
         return bool(self._times_ns)
 
-    def put(self, bursts: bytes, times_ns: list[int], *, gap: bool) -> None:
-        """Let these rows wait; with `gap` samples are missing before them."""
+    def put(self, bursts: bytes, clock: FifoClock, *, gap: bool) -> None:
+        """Let these rows wait, at the times that `clock` gave last; with `gap` samples are missing before them."""
         if len(self._times_ns) > MOST_ROWS:
             self.clear(gap=True)
         self._gap |= gap and self._has_given
         self._bursts.append(bursts)
-        self._times_ns += times_ns
+        self._times_ns += clock.drained
+        self._uncertainties_ns += clock.uncertainties_ns
 
     def take(self) -> bytes:
         """Return all bursts that wait, and let none wait any more."""
-        self.drained = self._times_ns
+        self.drained, self.uncertainties_ns = self._times_ns, self._uncertainties_ns
         if not self.drained:
             self.overrun = False
             return b""
         bursts = self._bursts[0] if len(self._bursts) == 1 else b"".join(self._bursts)
         self.overrun, self._gap, self._has_given = self._gap, False, True
-        self._bursts, self._times_ns = [], []
+        self._bursts, self._times_ns, self._uncertainties_ns = [], [], []
         return bursts
 
 
@@ -104,6 +115,8 @@ class DieQueue:
         self.times = FifoClock(rate_hz)
         self._readers: dict[str, QueueReader] = {}
         self._trusted = False
+        self.overruns = 0
+        """Drains that gave no samples because the queue had run over."""
         self._shortest_ns = 1 << 62
 
     def join(self, half: str) -> QueueReader:
@@ -186,24 +199,36 @@ class DieQueue:
         raise NotImplementedError
 
 
+class QueueRequest(NamedTuple):
+    """One transaction of a drain: `read` bytes from `register` on, or with `rule` as many as the last answer counts."""
+
+    register: Register
+    read: int
+    rule: CountRule | None = None
+
+
 @runtime_checkable
-class BurstQueue(Protocol):
-    """A queue that is counted and read in one transaction, whose length need not suit the count: a microcontroller that
-    knows no chip can drain it.
+class UnattendedQueue(Protocol):
+    """A queue that a microcontroller drains which knows no chip: by one transaction, whose length need not suit the
+    count, or by a count, the packets that it counts, and flags.
     """
 
     ran_over: bool
     """True if it had run over before the samples that were accepted last."""
+    survives_overrun: bool
+    """False if it must be emptied after it ran over: its packets may begin anywhere."""
 
-    @property
-    def size(self) -> int:
-        """Bytes of a sample."""
+    def most_samples(self, bytes_read: int) -> int:
+        """How many samples of the die one request can bring that reads so many bytes."""
 
-    def burst(self, samples: int) -> tuple[Register, int]:
-        """The register where a transaction begins that reads up to so many samples, and its bytes."""
+    def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
+        """The transactions of a drain of up to so many samples; the count is taken in the first of them."""
 
-    def accept(self, burst: bytes, counted_ns: tuple[int, int]) -> bool:
-        """Let the samples of a burst wait for their readers; their number was counted in the given time. False if the
+    def packet_bytes(self, answers: Sequence[bytes]) -> int:
+        """How many bytes of the first transaction at least followed its count."""
+
+    def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
+        """Let the samples of a drain wait for their readers; their number was counted in the given time. False if the
         bytes can't be trusted; then nothing is accepted until the queue was emptied. OSError for an impossible count.
         """
 
@@ -211,6 +236,31 @@ class BurstQueue(Protocol):
 def impossible(count: int, capacity: int) -> OSError:
     """The error of a count that no queue of this capacity can have: a dead bus reads so."""
     return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
+
+
+class AcceptedDrains:
+    """The last drain of a queue that a microcontroller drains. The next count shows whether one in between was carried
+    out and never arrived: then fewer samples wait than were taken meanwhile. Time stamps do not tell if that is as long
+    ago as they take to begin anew.
+    """
+
+    def __init__(self) -> None:
+        self._at_ns: int | None = None
+        self._unread = 0
+
+    def note(self, unread: int, at_ns: int) -> None:
+        """A drain was accepted that left so many packets in the queue."""
+        self._at_ns, self._unread = at_ns, unread
+
+    def since_ns(self, at_ns: int) -> int:
+        """How long ago that was; 0 before the first."""
+        return 0 if self._at_ns is None else at_ns - self._at_ns
+
+    def is_missing(self, count: int, taken: float, slack: float = _UNEVEN_SAMPLES) -> bool:
+        """True if the count of packets shows that a drain is missing, about `taken` having come since the last; of the
+        first one, always.
+        """
+        return self._at_ns is None or self._unread + taken - count > slack + _UNEVEN_SHARE * taken
 
 
 class Icm42688Queue(DieQueue):
@@ -223,6 +273,7 @@ class Icm42688Queue(DieQueue):
     """
 
     CAPACITY: ClassVar[int] = 2048
+    survives_overrun: ClassVar[bool] = True
 
     def __init__(
         self, registers: Registers, clock: Clock, rates_hz: tuple[float, float], *, high_resolution: bool = False
@@ -236,7 +287,7 @@ class Icm42688Queue(DieQueue):
         self._stamp: int | None = None
         self._full = False
         self.ran_over = False
-        self._accepted_ns, self._unread = -(1 << 62), 0
+        self._drains = AcceptedDrains()
         self._period_us = 1e6 / nominal_rate_hz
 
     @property
@@ -255,7 +306,7 @@ class Icm42688Queue(DieQueue):
     def _restart(self) -> None:
         super()._restart()
         self._stamp, self._full = None, False
-        self._accepted_ns, self._unread = -(1 << 62), 0
+        self._drains = AcceptedDrains()
 
     def _count(self) -> tuple[int, int]:
         return self._counted_in(self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT))
@@ -271,6 +322,7 @@ class Icm42688Queue(DieQueue):
     def _drain(self) -> bool:
         count, full, counted_ns = self._counted()
         if full and not self._has_stamp:  # nothing would show where packets are missing
+            self.overruns += 1
             return False
         if not count:
             return True
@@ -278,12 +330,23 @@ class Icm42688Queue(DieQueue):
         kinds = {header & 0xF0 for header in set(packets[:: self.size])}
         return kinds == {self._header} and self._put(packets, 0, counted_ns, gap=bool(full))
 
-    def burst(self, samples: int) -> tuple[Register, int]:
-        """See `BurstQueue`: flags, count and packets are registers that follow each other, and the last one stays."""
-        return icm42688.INT_STATUS, _FLAGS_AND_COUNT + samples * self.size
+    def most_samples(self, bytes_read: int) -> int:
+        """See `UnattendedQueue`."""
+        return (bytes_read - _FLAGS_AND_COUNT) // self.size
 
-    def accept(self, burst: bytes, counted_ns: tuple[int, int]) -> bool:
-        """See `BurstQueue`. Behind the packets that there were, headers say that the queue is empty (TDK-81)."""
+    def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
+        """See `UnattendedQueue`: flags, count and packets are registers that follow each other, and the last one stays,
+        so that one transaction reads them all.
+        """
+        return (QueueRequest(icm42688.INT_STATUS, _FLAGS_AND_COUNT + samples * self.size),)
+
+    def packet_bytes(self, answers: Sequence[bytes]) -> int:
+        """See `UnattendedQueue`."""
+        return len(answers[0]) - _FLAGS_AND_COUNT
+
+    def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
+        """See `UnattendedQueue`. Behind the packets that there were, headers say that the queue is empty (TDK-81)."""
+        (burst,) = answers
         count, full = self._counted_in(burst)
         headers = burst[_FLAGS_AND_COUNT :: self.size]
         present = next((index for index, header in enumerate(headers) if header & 0xF0 != self._header), len(headers))
@@ -292,21 +355,16 @@ class Icm42688Queue(DieQueue):
         self._trusted = False
         if is_trusted and present:
             self.ran_over = bool(full)
-            gap = self.ran_over or self._is_burst_missing(count, counted_ns[0])
+            gap = self.ran_over or self._drains.is_missing(
+                count, self._drains.since_ns(counted_ns[0]) / self.times.period_ns
+            )
             packets = burst[_FLAGS_AND_COUNT : _FLAGS_AND_COUNT + present * self.size]
             is_trusted = self._put(packets, count - present, counted_ns, gap=gap)
-            self._accepted_ns, self._unread = counted_ns[1], count - present
+            self._drains.note(count - present, counted_ns[1])
         elif is_trusted:
             self.times.look(count, *counted_ns)
         self._trusted = is_trusted
         return is_trusted
-
-    def _is_burst_missing(self, count: int, at_ns: int) -> bool:
-        """True if fewer samples wait than were taken since the last burst: another one was read and never arrived. Time
-        stamps do not tell if that is as long ago as they take to begin anew.
-        """
-        taken = (at_ns - self._accepted_ns) / self.times.period_ns
-        return self._unread + taken - count > _UNEVEN_SAMPLES + _UNEVEN_SHARE * taken
 
     def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
         """Let packets wait for their readers; `unread` more were counted. False if packets are missing among them."""
@@ -320,9 +378,9 @@ class Icm42688Queue(DieQueue):
                 return False
             gap |= self._stamp is not None and self._are_missing(first - self._stamp, 1)
             self._stamp = last
-        times = self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1], unread=unread)
+        self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1], unread=unread)
         for half, reader in self._readers.items():
-            reader.put(self._rows(packets, half), times, gap=gap)
+            reader.put(self._rows(packets, half), self.times, gap=gap)
         return True
 
     def _rows(self, packets: bytes, half: str) -> bytes:
@@ -360,6 +418,7 @@ class MpuQueue(DieQueue):
     """
 
     SIZE: ClassVar[int] = 14
+    survives_overrun: ClassVar[bool] = False
 
     # What the chip calls its registers, and what is in them: independent of one another.
     def __init__(
@@ -374,6 +433,8 @@ class MpuQueue(DieQueue):
         """`control`: USER_CTRL with the queue on; `table` has FIFO_EN, FIFO_COUNT_H, FIFO_R_W, INT_STATUS."""
         super().__init__(registers, clock, rate_hz)
         self._capacity, self._control, self._table = capacity, control, table
+        self._drains = AcceptedDrains()
+        self.ran_over = False
 
     def _flush(self) -> None:
         """Off, emptied, on (INV-99); the flags are cleared by reading them."""
@@ -397,11 +458,55 @@ class MpuQueue(DieQueue):
         records = self._read(self._table["FIFO_R_W"], count, self.SIZE)
         flags = self.registers.peek(self._table["INT_STATUS"])[0]
         if flags & OVERFLOW or nearly_full:
+            self.overruns += 1
             return False
-        times = self.times.times(count, counted_ns[0], until_ns=counted_ns[1])
-        for reader in self._readers.values():
-            reader.put(records, times, gap=False)
+        self._put(records, 0, counted_ns, gap=False)
         return True
+
+    def _restart(self) -> None:
+        super()._restart()
+        self._drains, self.ran_over = AcceptedDrains(), False
+
+    def _put(self, records: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> None:
+        count = len(records) // self.SIZE
+        self.times.times(count, counted_ns[0], gap, until_ns=counted_ns[1], unread=unread)
+        for reader in self._readers.values():
+            reader.put(records, self.times, gap=gap)
+
+    def most_samples(self, bytes_read: int) -> int:
+        """See `UnattendedQueue`."""
+        return bytes_read // self.SIZE
+
+    def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
+        """See `UnattendedQueue`: no more may be read than was counted, or a record is torn; then the flags."""
+        records = QueueRequest(self._table["FIFO_R_W"], samples * self.SIZE, CountRule(self.SIZE, is_big_endian=True))
+        return QueueRequest(self._table["FIFO_COUNT_H"], 2), records, QueueRequest(self._table["INT_STATUS"], 1)
+
+    def packet_bytes(self, answers: Sequence[bytes]) -> int:
+        """See `UnattendedQueue`."""
+        return 0
+
+    def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
+        """See `UnattendedQueue`. A drain that never arrived may have had the flag of an overrun: it is believed
+        that there was none if the queue can't have filled since the last one.
+        """
+        counted, records, flags = answers
+        filled = int.from_bytes(counted, "big")
+        if filled > self._capacity:
+            raise impossible(filled, self._capacity)
+        count = filled // self.SIZE
+        present = min(count, len(records) // self.SIZE)
+        since_ns = self._drains.since_ns(counted_ns[0])
+        gap = self._drains.is_missing(count, since_ns / self.times.period_ns)
+        may_have_filled = since_ns > self._capacity / self.SIZE * self.times.nominal_ns * (1 - TOLERANCE)
+        self.ran_over = bool(flags[0] & OVERFLOW) or filled > self._capacity - self.SIZE or (gap and may_have_filled)
+        self._trusted &= not self.ran_over
+        if self._trusted and present:
+            self._put(records[: present * self.SIZE], count - present, counted_ns, gap=gap)
+            self._drains.note(count - present, counted_ns[1])
+        elif self._trusted and not gap:
+            self.times.look(count, *counted_ns)
+        return self._trusted
 
 
 class Lsm6dsoQueue(DieQueue):
@@ -413,11 +518,15 @@ class Lsm6dsoQueue(DieQueue):
     WORD: ClassVar[int] = 7
     TAGS: ClassVar[Mapping[str, int]] = MappingProxyType({"gyro": 1, "acc": 2})
     TEMPERATURE: ClassVar[int] = 3
+    TEMPERATURES_HZ: ClassVar[float] = 52.0
+    survives_overrun: ClassVar[bool] = True
 
     def __init__(self, registers: Registers, clock: Clock, rate_hz: float, mode: Setting) -> None:
-        """`mode`: FIFO_CTRL4 with the queue on."""
+        """`mode`: FIFO_CTRL4 with the queue on, `TEMPERATURES_HZ` among its samples."""
         super().__init__(registers, clock, rate_hz)
-        self._mode = mode
+        self._mode, self._rate_hz = mode, rate_hz
+        self._drains = AcceptedDrains()
+        self.ran_over = False
         self._clocks = {half: FifoClock(rate_hz) for half in self.TAGS}
         self._temperature = b"\x00\x00"
 
@@ -431,10 +540,14 @@ class Lsm6dsoQueue(DieQueue):
     def _restart(self) -> None:
         for clock in self._clocks.values():
             clock.restart()
+        self._drains, self.ran_over = AcceptedDrains(), False
 
     def _count(self) -> tuple[int, int]:
         """Words, of which a sample of each half and the temperature are several."""
-        low, high = self.registers.peek(lsm6dso.FIFO_STATUS1, 2)
+        return self._counted_in(self.registers.peek(lsm6dso.FIFO_STATUS1, 2))
+
+    def _counted_in(self, status: bytes) -> tuple[int, int]:
+        low, high = status
         count = lsm6dso.FIFO_LEVEL_HIGH.of(high) << 8 | low
         if count > self.CAPACITY:
             raise impossible(count, self.CAPACITY)
@@ -444,21 +557,66 @@ class Lsm6dsoQueue(DieQueue):
         """No: a count of words does not tell whose they are."""
 
     def _drain(self) -> bool:
-        count, lost, (from_ns, until_ns) = self._counted()
-        gap = bool(lost)
+        count, lost, counted_ns = self._counted()
         if not count:
             return True
         data = self._read(lsm6dso.FIFO_DATA_OUT_TAG, count, self.WORD)
-        words = np.frombuffer(data, np.uint8).reshape(count, self.WORD)
+        return self._put(data, 0, counted_ns, gap=bool(lost))
+
+    def _put(self, data: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
+        """Let words wait for their readers; `unread` more were counted. False if a word is none that was asked for."""
+        words = np.frombuffer(data, np.uint8).reshape(-1, self.WORD)
         tags = np.asarray(words[:, 0] >> 3, np.uint8)
         if not np.isin(tags, (*self.TAGS.values(), self.TEMPERATURE)).all():
             return False
         rows = np.concatenate([words, self._temperatures(words, tags)], axis=1)
         for half, reader in self._readers.items():
             mine = rows[tags == self.TAGS[half]]
-            times = self._clocks[half].times(len(mine), from_ns, gap, until_ns=until_ns)
-            reader.put(mine.tobytes(), times, gap=gap)
+            clock = self._clocks[half]
+            from_ns, until_ns = counted_ns
+            if unread:  # whose words these are is not known, so that the count may be off by two samples
+                from_ns -= round(2 * clock.nominal_ns)
+                until_ns += round(2 * clock.nominal_ns)
+            left = round(unread / self._words_per_sample)
+            clock.times(len(mine), from_ns, gap, until_ns=until_ns, unread=left)
+            reader.put(mine.tobytes(), clock, gap=gap)
         return True
+
+    @property
+    def _words_per_sample(self) -> float:
+        return len(self._readers) + self.TEMPERATURES_HZ / self._rate_hz
+
+    def most_samples(self, bytes_read: int) -> int:
+        """See `UnattendedQueue`."""
+        return int(bytes_read // self.WORD / self._words_per_sample)
+
+    def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
+        """See `UnattendedQueue`: ten bits of the count, low byte first, are words."""
+        rule = CountRule(self.WORD, mask=0x03FF, is_of_packets=True)
+        words = math.ceil(samples * self._words_per_sample)
+        return (
+            QueueRequest(lsm6dso.FIFO_STATUS1, 2),
+            QueueRequest(lsm6dso.FIFO_DATA_OUT_TAG, words * self.WORD, rule),
+        )
+
+    def packet_bytes(self, answers: Sequence[bytes]) -> int:
+        """See `UnattendedQueue`."""
+        return 0
+
+    def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
+        """See `UnattendedQueue`."""
+        status, data = answers
+        count, lost = self._counted_in(status)
+        present = min(count, len(data) // self.WORD)
+        period_ns = next(iter(self._clocks.values())).period_ns
+        taken = self._drains.since_ns(counted_ns[0]) / period_ns * self._words_per_sample
+        slack = _UNEVEN_SAMPLES * self._words_per_sample
+        self.ran_over = bool(lost)
+        gap = self.ran_over or self._drains.is_missing(count, taken, slack)
+        if self._trusted and present:
+            self._trusted = self._put(data[: present * self.WORD], count - present, counted_ns, gap=gap)
+            self._drains.note(count - present, counted_ns[1])
+        return self._trusted
 
     def _temperatures(self, words: Bytes, tags: Bytes) -> Bytes:
         """(n, 2) the last temperature before or in each word."""

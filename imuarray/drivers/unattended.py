@@ -17,7 +17,7 @@ from imuarray.drivers.ak8975 import Ak8975
 from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.drivers.on_demand_barometer import ForcedBarometer
 from imuarray.drivers.six_axis import QueuedHalf
-from imuarray.drivers.six_axis_queue import BurstQueue
+from imuarray.drivers.six_axis_queue import UnattendedQueue
 from imuarray.facts import bmp180
 
 
@@ -55,22 +55,31 @@ class _NoClock:
         pass
 
 
-def burst_queue_of(driver: Driver) -> BurstQueue | None:
+def unattended_queue_of(driver: Driver) -> UnattendedQueue | None:
     """The queue of a driver, if a microcontroller can drain it."""
     queue = driver.die_queue if isinstance(driver, QueuedHalf) else None
-    return queue if isinstance(queue, BurstQueue) else None
+    return queue if isinstance(queue, UnattendedQueue) else None
 
 
-def least_drains_hz(queue: BurstQueue, rate_hz: float) -> float:
+def needs_counting(queue: UnattendedQueue) -> bool:
+    """True if the microcontroller must read as many samples as it counted, which older firmware can't."""
+    return any(request.rule is not None for request in queue.drain_requests(1))
+
+
+def least_drains_hz(queue: UnattendedQueue, rate_hz: float) -> float:
     """Return the least rate at which the queue of a chip that takes `rate_hz` samples a second must be drained."""
-    most = (MAX_LIST_READ - queue.burst(0)[1]) // queue.size
-    return rate_hz * (1 + TOLERANCE) / (most - 1)
+    return rate_hz * (1 + TOLERANCE) / (queue.most_samples(MAX_LIST_READ) - 1)
 
 
-def drain_of(queue: BurstQueue, address: int, rate_hz: float, pause_s: float) -> Visit:
+def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: float) -> Visit:
     """The visit that drains the queue of the chip at `address`, `pause_s` after the one before."""
-    register, size = queue.burst(math.ceil(rate_hz * (1 + TOLERANCE) * pause_s) + 1)
-    return Visit((Request(address, bytes([register.address]), size),))
+    requests = queue.drain_requests(math.ceil(rate_hz * (1 + TOLERANCE) * pause_s) + 1)
+    return Visit(
+        tuple(
+            Request(address, bytes([request.register.address]), min(request.read, MAX_LIST_READ), request.rule)
+            for request in requests
+        )
+    )
 
 
 def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:

@@ -25,8 +25,8 @@ from imuarray.export.tables import Content, ExportTable, TableColumn
 from imuarray.fuse.element_temperature import element_temperatures
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
-from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, SensorHeader
-from imuarray.log.layout import TRACK_UNITS
+from imuarray.log.format import FORMAT, FORMAT_VERSION, TIME_UNCERTAINTY, SensorHeader
+from imuarray.log.layout import COMPENSATED_UNITS, TRACK_UNITS
 from imuarray.log.sensor_log import recorded_header
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
@@ -52,12 +52,13 @@ def physical_columns(
 
 def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return the columns beside counts that have units of their own, if the log has them: what a barometer's
-    calibration words made of them, how late a row arrived.
+    calibration words made of them, how late a row arrived, how well its time is known.
     """
     columns = []
-    for name, unit in (("temperature", "degC"), ("pressure", "Pa"), (ARRIVAL, "s")):
+    for name, unit in COMPENSATED_UNITS.items():
         with suppress(LogError):
-            columns.append(TableColumn(name, "<f8", unit, (), _numbers(sensor.compensated(name))))
+            kind = "<f4" if name == TIME_UNCERTAINTY else "<f8"
+            columns.append(TableColumn(name, kind, unit, (), _numbers(sensor.compensated(name), kind)))
     return tuple(columns)
 
 
@@ -85,8 +86,8 @@ def _temperature(sensor: SensorLog) -> tuple[TableColumn, ...]:
     return (TableColumn("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
 
 
-def _numbers(column: Any) -> Callable[[slice], npt.NDArray[np.float64]]:
-    return lambda rows: np.asarray(column[rows], float)
+def _numbers(column: Any, kind: str = "<f8") -> Callable[[slice], npt.NDArray[Any]]:
+    return lambda rows: np.asarray(column[rows], kind)
 
 
 _KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal", "comment"})

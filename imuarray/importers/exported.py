@@ -20,13 +20,13 @@ from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
 from imuarray.importers import ImportSummary
 from imuarray.log import Block, LogWriter, Stimulus
-from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
-from imuarray.log.layout import STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.layout import COMPENSATED_UNITS, STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
 
-COLUMN_UNITS: Mapping[str, str] = MappingProxyType({"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS})
+COLUMN_UNITS: Mapping[str, str] = MappingProxyType({**COMPENSATED_UNITS, **TRACK_UNITS})
 """Units in the names of an exported table's columns, by column of the log."""
 
 MAX_HEADER_BYTES = 1 << 26

@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.errors import MissingExtraError
-from imuarray.log.format import FLAGS
+from imuarray.log.format import FLAGS, TIME_UNCERTAINTY
 from imuarray.log.layout import TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
@@ -156,6 +156,9 @@ def _sensor_variables(sensor: SensorLog, calibration: Calibration | None) -> dic
             values = scale.zero_degc + raw / scale.lsb_per_degc
             variables["temperature"] = ("time",), values, _about("temperature", "degC")
         variables["temperature_counts"] = ("time",), raw, {"units": "count", "long_name": "the chip's own thermometer"}
+    if (uncertainty := sensor.time_uncertainty) is not None:
+        about = {"units": "s", "long_name": "largest error of time"}
+        variables[TIME_UNCERTAINTY] = ("time",), np.asarray(uncertainty[:]), about
     flags = {"units": "1", "flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)}
     variables["status"] = ("time",), np.asarray(sensor.status[:]), flags
     return variables

@@ -59,6 +59,9 @@ ARRIVAL = "arrival_delay"
 """Column (n,) of a sensor whose rows arrived in bursts and whose `time` was counted out: by how many s each row arrived
 after that. `time` plus it is when the row arrived, to the nanosecond."""
 
+TIME_UNCERTAINTY = "time_uncertainty"
+"""Column (n,) of a sensor whose queue was drained: by how many s the `time` of each row may be off at most."""
+
 SOURCES = ("i2c", "spi", "iio", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {

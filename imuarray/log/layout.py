@@ -19,7 +19,18 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.format import (
+    ARRIVAL,
+    FORMAT,
+    FORMAT_VERSION,
+    LONG_NAME,
+    PLOTS,
+    TIME_UNCERTAINTY,
+    ClockRow,
+    Event,
+    Phase,
+    SensorHeader,
+)
 from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -101,6 +112,11 @@ TRACK_UNITS: Mapping[str, str] = MappingProxyType(
 
 STIMULI = ("truth", "reference")
 
+COMPENSATED_UNITS: Mapping[str, str] = MappingProxyType(
+    {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s", TIME_UNCERTAINTY: "s"}
+)
+"""The units of the columns of a sensor that `SensorHeader.compensated` names."""
+
 
 def sensor_group(header: SensorHeader) -> Group:
     """The columns of `/sensors/<NAME>`."""
@@ -109,7 +125,8 @@ def sensor_group(header: SensorHeader) -> Group:
     columns: _Columns = (("time", "<i8", ()), ("counts", counts, width), ("status", "<u2", ()))
     if header.has_temperature:
         columns += (("temperature_counts", "<i2", ()),)
-    return Group(f"sensors/{header.name}", (*columns, *((name, "<f8", ()) for name in header.compensated)))
+    further = ((name, "<f4" if name == TIME_UNCERTAINTY else "<f8", ()) for name in header.compensated)
+    return Group(f"sensors/{header.name}", (*columns, *further))
 
 
 def groups_of(sensors: Iterable[SensorHeader]) -> tuple[Group, ...]:
@@ -245,7 +262,7 @@ def create_sensor(
             f" unit, {header.unit}, is that of range and sensitivity only."
         )
     for name in header.compensated:
-        group[name].attrs["units"] = {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s"}.get(name, "1")
+        group[name].attrs["units"] = COMPENSATED_UNITS.get(name, "1")
     return group
 
 

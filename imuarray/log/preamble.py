@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.format import COUNT_BITS, MOST_SENSORS, SensorHeader
+from imuarray.log.format import COUNT_BITS, MOST_SENSORS, TIME_UNCERTAINTY, SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
@@ -117,8 +117,12 @@ def _is_extra(name: Any, value: Any) -> bool:
     return _is_word(name) and name not in known and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))
 
 
-def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> SensorHeader:
-    """The header of a configured sensor; `extra` holds what only its chip knows (a barometer's calibration words)."""
+def header_of(
+    sensor: SensorConfig, extra: Mapping[str, int | float | str], *, is_estimated: bool = False
+) -> SensorHeader:
+    """The header of a configured sensor; `extra` holds what only its chip knows (a barometer's calibration words). With
+    `is_estimated` the times of its rows are, and the log says how well.
+    """
     spec = sensor.spec
     barometer = spec.quantity == "pressure"
     x, y, z = sensor.position_mm
@@ -135,6 +139,6 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
         position_mm=(x, y, z),
         columns=("ut", "up") if barometer else ("x", "y", "z"),
         has_temperature=spec.has_thermometer and (spec.fifo_has_temperature or not sensor.fifo),
-        compensated=("temperature", "pressure") if barometer else (),
+        compensated=("temperature", "pressure") if barometer else (TIME_UNCERTAINTY,) if is_estimated else (),
         extra={**extra, COUNT_BITS: sensor.count_bits} if sensor.count_bits > 16 else extra,
     )

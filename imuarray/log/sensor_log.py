@@ -21,6 +21,7 @@ from imuarray.log.format import (
     COUNT_BITS,
     FLAGS,
     THERMOMETER_ATTRIBUTES,
+    TIME_UNCERTAINTY,
     CountScale,
     SensorHeader,
     ThermometerScale,
@@ -185,6 +186,13 @@ class SensorLog(CountScale):
         if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
         return self._column(name)
+
+    @property
+    def time_uncertainty(self) -> NamedColumn | None:
+        """(n,) by how many s the time of each row may be off at most, if the log says so: of sensors whose queue was
+        drained.
+        """
+        return self._column(TIME_UNCERTAINTY) if self.has_compensated(TIME_UNCERTAINTY) else None
 
     def _has(self, name: str) -> bool:
         return name in self._columns or self._group.get(name) is not None

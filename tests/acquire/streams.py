@@ -14,7 +14,6 @@ from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.log import open_log
-from imuarray.log.preamble import header_of
 from imuarray.log.writer import LogWriter
 from tests.bus.serial_bench import Bench
 
@@ -47,7 +46,7 @@ def stream(
                     return True
             return False
 
-        headers = [header_of(route.sensor, route.driver.header()) for route in routes]
+        headers = [route.header for route in routes]
         with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
             recording = Streaming(routes, bus, log, RecordingOptions(rate_hz, **further), start_ns)
             recording.run(seconds, stopped)

@@ -90,6 +90,7 @@ def test_a_row_is_within_50_us_rms_of_when_its_sample_was_taken(
             begun=lambda *_: starts_ns.append(bus.clock.now_ns()),
         )
         assert not any(summary.lost.values())
+        assert summary.uncertain == 0  # the times of a queue have bounds of their own
         chip = bus.chips["acc"]
         assert chip is bus.chips["gyro"]
     with open_log(tmp_path / "run.h5") as log:
@@ -102,5 +103,10 @@ def test_a_row_is_within_50_us_rms_of_when_its_sample_was_taken(
         assert np.sqrt(np.mean(off_s[settled] ** 2)) < 50e-6
         assert np.abs(off_s[settled]).max() < 400e-6
         assert np.abs(off_s).max() < 1.3 / rate_hz
+        stated_s = np.asarray(acc.time_uncertainty[:], float)
+        clock_step_s = 1 / acc.sensitivity / SPAN_G  # what the world's clock resolves
+        assert (np.abs(off_s) <= stated_s + clock_step_s).all()  # a bound, also before the period is known
+        assert np.median(stated_s[settled]) < 200e-6
+        assert stated_s.max() < 2.0 / rate_hz
         assert len(acc.time) == pytest.approx(SECONDS * rate_hz * (1 + error), rel=0.01)
         assert abs(len(acc.time) - len(gyro.time)) <= 0.05 * rate_hz  # what is in the queue at the end

@@ -46,7 +46,7 @@ def test_every_sample_passes_the_link(name: str) -> None:
     bench = Bench(array, "world=shaking&still_s=0.2&motion_s=5", selects=8)
     with bench.bus() as bus:
         routes = connect(array, bus)
-        assert streams(bus, routes) == name.startswith("icm42688")
+        assert streams(bus, routes)
         for route in routes:
             route.driver.fetch()
         times: list[list[int]] = [[], []]

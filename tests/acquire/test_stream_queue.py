@@ -18,6 +18,7 @@ from imuarray.acquire.recording import Summary
 from imuarray.acquire.sensor_routes import routes_of
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, parse_array
+from imuarray.log import open_log
 from tests.acquire.streams import (
     LOST,
     MS,
@@ -122,6 +123,9 @@ def check(
         since_gap = np.arange(len(time)) - np.maximum.accumulate(np.where(flagged, np.arange(len(time)), 0))
         settled &= (since_gap > 0.5 * sensor.chip_rate_hz) | (np.maximum.accumulate(flagged) == 0)
         assert np.sqrt(np.mean(off_ns[settled] ** 2)) < 50e3
+        with open_log(path) as log:
+            stated_ns = np.asarray(log[sensor.name].time_uncertainty[:], float) * 1e9
+        assert (np.abs(off_ns) <= stated_ns).all()  # the host keeps the time of the wires here: no error of a link
         spanned = round((true_ns[which[-1]] - true_ns[which[0]]) / period_ns) + 1
         missing = round(np.sum(np.rint(np.diff(true_ns[which]) / period_ns) - 1))
         assert len(time) + missing == spanned

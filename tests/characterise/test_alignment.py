@@ -10,7 +10,7 @@ import pytest
 from imuarray.characterise import characterise_log, render_text
 from imuarray.characterise.alignment import Alignment, SensorAlignment, find_alignment
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import SATURATED, Phase, SensorHeader
+from imuarray.log.format import SATURATED, TIME_UNCERTAINTY, Phase, SensorHeader
 
 SECONDS = 40.0
 COUNTS_PER_DPS = 100.0
@@ -123,9 +123,34 @@ def test_characterise_tells_how_well_sensors_are_aligned(tmp_path: Path) -> None
     path = aligned(tmp_path / "r.h5", {"B": rows(2, 202.0, 0.0, 2.7e-3)})
     with open_log(path) as log:
         text = render_text(characterise_log(log))
-    head, _, first, second = text[text.index("alignment in time") :].splitlines()[:4]
+    head, _, _, first, second = text[text.index("alignment in time") :].splitlines()[:5]
     assert head == "alignment in time, against A; delays against A, by the rotation from 0 s on"
-    assert first.split() == ["A", "200.000", "0", "0.0", "0.0", "-", "0.0"]
+    assert first.split() == ["A", "200.000", "0", "0.0", "0.0", "-", "-", "0.0"]
     name, rate, ppm, *_ = second.split()
     assert (name, rate, ppm) == ("B", "202.000", "10000")
     assert float(second.split()[-2]) == pytest.approx(2700, abs=20)
+
+
+@pytest.mark.parametrize(("uncertainty_s", "is_equal"), [(None, False), (17e-6, True), (2e-6, False)])
+def test_rates_that_differ_less_than_times_are_known_are_equal(
+    uncertainty_s: float | None, is_equal: bool, tmp_path: Path
+) -> None:
+    """2 ppm in 40 s: times that are 17 us off in an eighth of that make 3.4 ppm."""
+    compensated = () if uncertainty_s is None else (TIME_UNCERTAINTY,)
+    headers = [
+        SensorHeader(
+            name, "icm42688_gyro", "angular_rate", "dps", 500.0, COUNTS_PER_DPS, compensated=compensated * (name == "B")
+        )
+        for name in "AB"
+    ]
+    path = tmp_path / "r.h5"
+    with LogWriter(path, headers, source="simulated", epoch="2024-01-01T00:00:00Z") as writer:
+        for name, rate_hz in (("A", 200.0), ("B", 200.0004)):
+            time_ns, counts = rows(1, rate_hz, 0.0, 0.0)
+            stated = np.full(len(time_ns), uncertainty_s or 0.0)
+            further = {TIME_UNCERTAINTY: stated} if name == "B" and compensated else {}
+            writer.append(name, Block(time_ns, counts, np.zeros(len(counts), np.uint16), None, further))
+    _, sensors = of(path)
+    assert (sensors["B"].row_apart_s is None) == is_equal
+    if not is_equal:
+        assert sensors["B"].row_apart_s == pytest.approx(2500, rel=0.1)

@@ -73,3 +73,31 @@ def test_after_an_overrun_time_jumps_and_order_is_kept() -> None:
     assert after[-1] == 4_995_000_000
     assert after[0] == 4_995_000_000 - 31 * 10_000_000
     assert after[0] > first[-1]
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("error", [-0.01, -0.0037, 0.0, 0.01])
+def test_no_time_is_further_off_than_the_uncertainty_says(error: float, seed: int) -> None:
+    """None of the samples of any seed, the first ones included: the uncertainty is a bound, not a standard deviation.
+
+    The host is late by up to 3 ms after the count, and counts up to 200 us before the chip does.
+    """
+    randomness = random.Random(seed)
+    rate_hz = 500.0
+    period_ns = 1e9 / rate_hz / (1 + error)
+    phase_ns, clock, taken, at_ns = randomness.random() * period_ns, FifoClock(rate_hz), 0, 0.0
+    stated: list[float] = []
+    for count in range(400):
+        at_ns += (0.02 + 0.01 * randomness.random()) * 1e9
+        have = math.floor((at_ns - phase_ns) / period_ns) + 1
+        left = randomness.choice([0, 0, 3])  # newer samples that stay in the queue
+        before, after = randomness.random() * 200e3, randomness.expovariate(1 / 500e3) % 3e6
+        is_lost = count == 200
+        times = clock.times(
+            have - taken - left, math.floor(at_ns - before), is_lost, until_ns=math.ceil(at_ns + after), unread=left
+        )
+        for number, (time_ns, uncertainty_ns) in enumerate(zip(times, clock.uncertainties_ns, strict=True), taken):
+            assert abs(time_ns - phase_ns - number * period_ns) <= uncertainty_ns + 1  # times are whole ns
+        stated.append(clock.uncertainty_ns)
+        taken = have - left
+    assert sorted(stated)[len(stated) // 2] < 0.2 * period_ns  # and it says something

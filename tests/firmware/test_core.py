@@ -66,7 +66,7 @@ def counts(firmware: Any, sequence: int = 500) -> dict[str, int]:
 
 
 def test_hello_tells_version_room_and_what_it_can_do() -> None:
-    assert ask(bench()[0], 1) == struct.pack("<BBHBBI", 1, LISTS, REQUEST_BYTES, 3, 0, KEPT_BYTES)
+    assert ask(bench()[0], 1) == struct.pack("<BBHBBI", 1, LISTS, REQUEST_BYTES, 7, 0, KEPT_BYTES)
 
 
 def test_memory_is_finite() -> None:
@@ -268,6 +268,83 @@ def test_spi(core_firmware: type[CoreFirmware]) -> None:
     ask(firmware, 4, struct.pack("<I", 1000), 10)
     (frame,) = run(firmware, clock, 1)
     assert frame[3].hex(" ") == "00 00 00 ff ff ff ff 00 00 ff"
+
+
+class Queue:
+    """A queue of numbered bytes behind register 10, whose count, high byte first, is in 1 and 2 of a read from 0."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.count = 0
+        self.asked: list[tuple[bytes, int]] = []
+        self.errno = 0
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        self.asked.append((write, read))
+        self.clock.advance(100_000)
+        if self.errno:
+            raise OSError(self.errno, "fails")
+        if write == b"\x00":
+            return bytes([0xEE, *(self.count | 0x8000).to_bytes(2, "big")])[:read]
+        return bytes(range(1, read + 1))
+
+    def set_select(self, select: int, mode: int, clock_hz: int) -> None:
+        """None is used."""
+
+
+COUNT = bytes.fromhex("53 01 03 00")
+DATA_7 = bytes.fromhex("53 81 0f  01 03 ff7f 07  10")  # at most 15 bytes; packets of 7, counted, high byte first
+
+
+@pytest.mark.parametrize("kind", ["core", "emulated"])
+@pytest.mark.parametrize(
+    ("rule", "count", "read"),
+    [
+        (DATA_7, 0, 0),
+        (DATA_7, 1, 7),
+        (DATA_7, 2, 14),
+        (DATA_7, 500, 14),  # no more than there is room for
+        (bytes.fromhex("53 81 0f  01 01 ff7f 07  10"), 13, 7),  # bytes are counted: one whole packet
+        (bytes.fromhex("53 81 0f  01 01 0800 07  10"), 0x7FF7, 0),  # the mask leaves nothing
+        (bytes.fromhex("53 81 05  01 03 ff7f 07  10"), 3, 0),  # no packet fits
+    ],
+)
+def test_a_queue_is_read_by_its_count(
+    kind: str, rule: bytes, count: int, read: int, core_firmware: type[CoreFirmware]
+) -> None:
+    clock = VirtualClock(0)
+    queue = Queue(clock)
+    queue.count = count
+    firmware: Any = (core_firmware if kind == "core" else Firmware)(queue, clock, selects=8)
+    assert ask(firmware, 3, bytes(1) + bytes.fromhex("0100 0000") + COUNT + rule, 2) == b"\x00"
+    ask(firmware, 4, struct.pack("<I", 1000), 3)
+    (frame,) = run(firmware, clock, 1)
+    room = rule[2]
+    assert queue.asked == [(b"\x00", 3), *([(b"\x10", read)] if read else [])]
+    counted = bytes([0xEE, *(count | 0x8000).to_bytes(2, "big")])
+    ages = (200, 100) if read else (100, 0)
+    data = bytes(range(1, read + 1)) + bytes(room - read)
+    assert frame[3] == b"\0" + struct.pack("<H", ages[0]) + counted + struct.pack("<H", ages[1]) + data
+    queue.errno = 110
+    (frame,) = run(firmware, clock, 1)  # the count fails, and so does what it would count
+    assert frame[3] == b"\0" + b"\xfe\xff" + bytes(3) + b"\xfe\xff" + bytes(room)
+
+
+@pytest.mark.parametrize("kind", ["core", "emulated"])
+@pytest.mark.parametrize(
+    "requests",
+    [
+        DATA_7,  # nothing before it counts
+        bytes.fromhex("53 01 02 00") + DATA_7,  # two bytes at 1 are not in two
+        COUNT + bytes.fromhex("53 81 0f  01 03 ff7f 00  10"),  # packets of nothing
+        COUNT + DATA_7[:-1],
+        COUNT + DATA_7[:5],
+    ],
+)
+def test_a_count_that_is_nowhere_is_refused(kind: str, requests: bytes, core_firmware: type[CoreFirmware]) -> None:
+    clock = VirtualClock(0)
+    firmware: Any = (core_firmware if kind == "core" else Firmware)(Queue(clock), clock, selects=8)
+    assert ask(firmware, 3, bytes(1) + bytes.fromhex("0100 0000") + requests, 2) == b"\x03"
 
 
 def test_what_the_core_and_the_emulated_firmware_do_is_the_same(core_firmware: type[CoreFirmware]) -> None:

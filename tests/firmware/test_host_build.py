@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import open_bus
+from firmware_emulator.microcontroller_bus import MicrocontrollerBus
 from imuarray.acquire import connect
 from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.stream import Streaming, streams
@@ -28,8 +29,7 @@ from imuarray.bus.serial_link import FIRST_SELECT, OVERHEAD, LinkError, PollList
 from imuarray.bus.serial_port import usual_port
 from imuarray.cli import main
 from imuarray.log import open_log
-from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
-from imuarray.log.preamble import header_of
+from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, SUSPECT
 from imuarray.log.writer import LogWriter
 from tests.firmware.hosted import ADXL345, BURST, BadLine, HostBuild, NumberedBus, damage, reading
 from tests.selection import some
@@ -56,7 +56,7 @@ def record(line: BadLine, path: Path, wire: NumberedBus, bursts: int) -> Summary
     with SerialBus(line, patience_s=3.0) as bus:
         routes = connect(parse_array(CONFIG), bus)
         assert streams(bus, routes)
-        headers = [header_of(route.sensor, route.driver.header()) for route in routes]
+        headers = [route.header for route in routes]
         with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
             recording = Streaming(routes, bus, log, RecordingOptions(RATE_HZ), bus.clock.now_ns())
             recording.run(None, lambda: len(wire.bursts) > bursts)
@@ -89,7 +89,7 @@ def test_a_transaction_through_the_process(host_program: Path, tmp_path: Path, h
         with pytest.raises(OSError, match="address 0x1d") as refused:
             bus.transfer(0x1D)
         assert refused.value.errno == 121
-        assert bus.capacity == (1, 128, 4096, 3, 8, 32768)
+        assert bus.capacity == (1, 128, 4096, 7, 8, 32768)
 
 
 @pytest.mark.parametrize("seed", some(range(4), 1))
@@ -303,3 +303,86 @@ def test_arguments_that_are_refused(host_program: Path, words: list[str]) -> Non
     ended = subprocess.run([host_program, *words], capture_output=True, timeout=20)
     assert ended.returncode == 2
     assert len(ended.stderr.splitlines()) == 1
+
+
+class QueueBus:
+    """The microcontroller's bus of one six-axis chip on I2C, whose queue is drained by its count; `drained` are the
+    records that went over the wires, in order.
+    """
+
+    def __init__(self, array: Any, register: int, size: int) -> None:
+        self._bus, self._register, self._size = MicrocontrollerBus(array), register, size
+        self.drained: list[bytes] = []
+        self.set_select = self._bus.set_select
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        answer = self._bus.transfer(address, write, read)
+        if write == bytes([self._register]) and len(answer) % self._size == 0:
+            self.drained += [answer[at : at + self._size] for at in range(0, len(answer), self._size)]
+        return answer
+
+
+QUEUES = {  # address, rate, register of the queue, bytes of a record, and where in it the accelerometer is
+    "lsm6dso": (0x6A, 104, 0x78, 7, slice(1, 7), "<i2"),
+    "mpu6050": (0x68, 200, 0x74, 14, slice(0, 6), ">i2"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("die", QUEUES)
+@pytest.mark.parametrize("fault", ["none", "bad line", "restart"])
+def test_a_queue_that_the_process_drains(die: str, fault: str, host_program: Path, tmp_path: Path) -> None:
+    """Each row is a record of the wire, in order and once; records that are no rows are flagged as a gap. The line
+    damages a twentieth of its pieces, or the process is killed and another boot begins.
+    """
+    address, rate_hz, register, size, place, order = QUEUES[die]
+    text = '[array]\nname="a"\n'
+    for half, full_scale in (("acc", 4), ("gyro", 500)):
+        text += f'[[sensor]]\nname="{half}"\nchip="{die}"\naddress={address}\nrange={full_scale}\n'
+        text += f"rate_hz={rate_hz}\nfifo=true\n"
+    array = parse_array(text)
+    wire = QueueBus(open_bus({"clock": "real", "world": "shaking", "still_s": "0.1"}, array), register, size)
+    enough = 14 * rate_hz  # records; with the temperatures of an LSM6DSO, of both halves
+    with HostBuild(host_program, wire, tmp_path / "ttyACM0", "--counter-us", "5000000") as host:
+        spoiled = damage(3, 0.05)
+
+        def spoil(piece: bytes) -> bytes:
+            return spoiled(piece) if fault == "bad line" and len(wire.drained) > rate_hz else piece
+
+        def accident() -> None:
+            while len(wire.drained) < 4 * rate_hz:
+                time.sleep(0.01)
+            host.kill()
+            time.sleep(0.3)
+            host.start()
+
+        thread = threading.Thread(target=accident if fault == "restart" else list)
+        with SerialBus(BadLine(host.path, spoil), patience_s=3.0) as bus:
+            routes = connect(array, bus)
+            assert streams(bus, routes)
+            headers = [route.header for route in routes]
+            with LogWriter(tmp_path / "r.h5", headers, source="serial", epoch="1970-01-01T00:00:00Z") as log:
+                wire.drained.clear()
+                thread.start()
+                recording = Streaming(routes, bus, log, RecordingOptions(50.0), bus.clock.now_ns())
+                recording.run(None, lambda: len(wire.drained) > enough)
+        thread.join()
+    mine = [record for record in wire.drained if die != "lsm6dso" or record[0] >> 3 == 2]
+    rows = np.array([np.frombuffer(record[place], order) for record in mine])
+    with open_log(tmp_path / "r.h5") as log:
+        counts, status = log["acc"].counts[:], np.asarray(log["acc"].status[:])
+    numbers, at = [], 0
+    for row in counts:
+        while not (rows[at] == row).all():  # IndexError for a row that is none of the wire, or out of order
+            at += 1
+        numbers.append(at)
+        at += 1
+    skipped = np.diff(numbers) > 1
+    flagged = (status & (LOST_BEFORE | OVERRUN | RECONFIGURED)) != 0
+    assert flagged[1:][skipped].all()
+    assert len(numbers) > 0.5 * len(mine)
+    if fault == "none":
+        assert len(mine) - len(numbers) < 0.3 * rate_hz  # of the first and the last moments
+        assert not (status & SUSPECT).any()
+    if fault == "restart":
+        assert (status & RECONFIGURED).any()
