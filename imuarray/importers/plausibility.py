@@ -8,6 +8,7 @@ changed here; a person decides about doubts.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -193,8 +194,16 @@ class _Sentences:
         self.sentences.setdefault(sentence, []).append(name)
 
     def all(self) -> tuple[str, ...]:
-        """Return the sentences; sensors with the same sentence share it."""
-        return tuple(f"{listed(names)}: {sentence}" for sentence, names in self.sentences.items())
+        """Return the sentences; sensors with the same sentence share it, those that differ in their number together."""
+        return tuple(f"{listed(_by_kind(names))}: {sentence}" for sentence, names in self.sentences.items())
+
+
+def _by_kind(names: Sequence[str]) -> list[str]:
+    """Return names in the order of their first number-less spelling: A1, A2, G1, G2 of A1, G1, A2, G2."""
+    kinds: dict[str, list[str]] = {}
+    for name in names:
+        kinds.setdefault(re.sub(r"\d+", "", name), []).append(name)
+    return [name for same in kinds.values() for name in same]
 
 
 def report_of(log: Log) -> Report:

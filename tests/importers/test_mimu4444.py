@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from imuarray.errors import OutputExistsError, SourceError
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mimu4444 import import_file, sensors
+from imuarray.importers.plausibility import report_of
 from imuarray.importers.table import import_table
 from imuarray.log import Log, open_log
 from imuarray.log.format import LOST_BEFORE, SATURATED
@@ -61,6 +62,14 @@ def test_its_packets_are_recognised(tmp_path: Path, out: Path) -> None:
     assert (len(summary.sensors), summary.rows) == (16, 20)
     with pytest.raises(SourceError):
         guess_map(source(tmp_path, bytes(range(256)) * 40))
+
+
+def test_a_sentence_about_all_sensors_is_short(tmp_path: Path, out: Path) -> None:
+    """Rows are missing in all sixteen sensors, which the log has in turn: accelerometer, gyroscope, accelerometer."""
+    import_file(source(tmp_path, run([*range(100), *range(150, 250)])), out)
+    with open_log(out) as log:
+        texts = [text for text in report_of(log).quirks if "gap between rows" in text]
+    assert len(texts) == 1 and texts[0].startswith("IMU1_acc to IMU8_acc, IMU1_gyro to IMU8_gyro: 1 gap between rows")
 
 
 def test_the_sixteen_sensors() -> None:
