@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -104,21 +104,28 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
 """The usual durations, where the limits of time and rows allow them."""
 
 
+class WorldSensor(NamedTuple):
+    """One sensor of a world: its chip, range (0: fixed), mounting ("" for a barometer), I2C address, and how many times
+    a second it is read.
+    """
+
+    chip: str
+    range: float
+    axes: str
+    address: int
+    rate_hz: float
+
+
 @dataclass(frozen=True)
 class World:
-    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges`, `axes`, `addresses` and
-    `rates` are their settings, mountings, I2C addresses and reading rates; `sessions` are the logs, `room` and
-    `recorder` their conditions, all as tables of the generator; `strata` names the properties by which figures are
-    broken down.
+    """The draw of one seed. `array` is its TOML text and `sensors` are those in it, by name; `sessions` are the logs,
+    `room` and `recorder` their conditions, all as tables of the generator; `strata` names the properties by which
+    figures are broken down.
     """
 
     seed: int
     array: str
-    chips: Mapping[str, str]
-    ranges: Mapping[str, float]
-    axes: Mapping[str, str]
-    addresses: Mapping[str, int]
-    rates: Mapping[str, float]
+    sensors: Mapping[str, WorldSensor]
     kinds: tuple[str, ...]
     sessions: tuple[Table, ...]
     room: Table
@@ -133,7 +140,7 @@ class World:
     @property
     def inertial(self) -> dict[str, str]:
         """The chips of its accelerometers and gyroscopes, by sensor."""
-        return {name: chip for name, chip in self.chips.items() if chip in _ADDRESSES}
+        return {name: sensor.chip for name, sensor in self.sensors.items() if sensor.chip in _ADDRESSES}
 
     @property
     def seconds(self) -> float:
@@ -143,7 +150,7 @@ class World:
     @property
     def rows(self) -> float:
         """The approximate number of rows of all logs and sensors."""
-        return self.seconds * sum(self.rates.values())
+        return self.seconds * sum(sensor.rate_hz for sensor in self.sensors.values())
 
     @property
     def faces(self) -> int:
@@ -155,17 +162,17 @@ class World:
         """Return the pairs of sensors of one chip and range that are mounted differently: others can be exchanged
         without a trace.
         """
-        pairs = itertools.combinations(self.inertial, 2)
+        pairs = itertools.combinations([(name, self.sensors[name]) for name in self.inertial], 2)
         return [
-            (a, b)
-            for a, b in pairs
-            if (self.chips[a], self.ranges[a]) == (self.chips[b], self.ranges[b]) and self.axes[a] != self.axes[b]
+            (name, other)
+            for (name, a), (other, b) in pairs
+            if (a.chip, a.range) == (b.chip, b.range) and a.axes != b.axes
         ]
 
     @property
     def has_common_addresses(self) -> bool:
         """Return whether two inertial sensors of one chip share an address on different channels of the multiplexer."""
-        places = [(chip, self.addresses[name]) for name, chip in self.inertial.items()]
+        places = [(chip, self.sensors[name].address) for name, chip in self.inertial.items()]
         return len(set(places)) < len(places)
 
     def table(self) -> Table:
@@ -218,11 +225,16 @@ def draw_world(seed: int) -> World:
     return World(
         seed,
         _toml(sensors),
-        {sensor["name"]: sensor["chip"] for sensor in sensors},
-        {sensor["name"]: sensor.get("range", 0.0) for sensor in sensors},
-        {sensor["name"]: sensor.get("axes", "") for sensor in sensors},
-        {sensor["name"]: sensor["address"] for sensor in sensors},
-        rates,
+        {
+            sensor["name"]: WorldSensor(
+                sensor["chip"],
+                sensor.get("range", 0.0),
+                sensor.get("axes", ""),
+                sensor["address"],
+                rates[sensor["name"]],
+            )
+            for sensor in sensors
+        },
         kinds,
         tuple(sessions),
         room,

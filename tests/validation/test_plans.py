@@ -156,7 +156,7 @@ def test_what_leaves_no_trace_is_no_case() -> None:
     worlds = [draw_world(seed) for seed in range(1_000_000, 1_000_400)]
     pairs = [(world, pair) for world in worlds for pair in world.twins()]
     assert pairs
-    assert all(world.axes[first] != world.axes[second] for world, (first, second) in pairs)
+    assert all(world.sensors[first].axes != world.sensors[second].axes for world, (first, second) in pairs)
     for world in worlds:
         alone = sum(chip != "l3g4200d" for chip in world.inertial.values()) == 1
         for chip in {"adxl345", "bma180"} & set(world.inertial.values()):
@@ -169,5 +169,5 @@ def test_one_sensor_answers_for_another_only_at_the_same_address() -> None:
     assert hung
     for case in hung:
         world = draw_world(case.draw)
-        places = [(chip, world.addresses[name]) for name, chip in world.inertial.items()]
+        places = [(chip, world.sensors[name].address) for name, chip in world.inertial.items()]
         assert max(places.count(place) for place in places) > 1

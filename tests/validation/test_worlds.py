@@ -30,8 +30,10 @@ def test_every_world_is_possible(seed: int) -> None:
     world = draw_world(seed)
     array = parse_array(world.array)
     assert 1 <= len(world.inertial) <= 16
-    assert {sensor.name: sensor.chip for sensor in array.sensors} == world.chips
-    assert sum(world.rates.values()) <= MOST_READINGS_PER_S == 2500.0
+    assert {sensor.name: sensor.chip for sensor in array.sensors} == {
+        name: sensor.chip for name, sensor in world.sensors.items()
+    }
+    assert sum(sensor.rate_hz for sensor in world.sensors.values()) <= MOST_READINGS_PER_S == 2500.0
     assert world.rows <= 1.01 * MOST_ROWS == pytest.approx(30_300)
     assert world.seconds <= 1.01 * MOST_SECONDS == pytest.approx(606)
     assert 20.0 <= world.recorder["rate_hz"] <= 1000.0
@@ -51,8 +53,8 @@ def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
     """Gravity, shaking and turning stay within nine tenths of every range; what rooms do is small."""
     for seed in range(200):
         world = draw_world(seed)
-        forces = [world.ranges[name] for name, chip in world.inertial.items() if chip != "l3g4200d"]
-        rates = [world.ranges[name] for name, chip in world.inertial.items() if chip == "l3g4200d"]
+        forces = [world.sensors[name].range for name, chip in world.inertial.items() if chip != "l3g4200d"]
+        rates = [world.sensors[name].range for name, chip in world.inertial.items() if chip == "l3g4200d"]
         for session in world.sessions:
             for motion in session["motions"]:
                 assert 1.0 + motion["peak_g"] < 0.9 * min(forces, default=99.0)
@@ -108,7 +110,7 @@ def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys:
         assert main(["info", str(path), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)
         with open_log(path) as log, open_log(other) as same:
-            assert set(log.sensors) == set(world.chips)
+            assert set(log.sensors) == set(world.sensors)
             assert [phase.name for phase in log.phases] == [phase[2] for phase in session["phases"]]
             assert log.truth is None
             assert (log.reference is not None) == world.recorder["reference"]
