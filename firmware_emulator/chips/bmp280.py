@@ -9,12 +9,12 @@ says that calibration words are being copied is set meanwhile; a write to ctrl_m
 
 from __future__ import annotations
 
-import random
 from collections.abc import Mapping
+from types import ModuleType
+from typing import ClassVar
 
-from firmware_emulator.chip import Element
 from firmware_emulator.chips.bmp280_inverse import BITS, Words, up_of, ut_of
-from firmware_emulator.chips.bosch_barometer import SOFT_RESET, BoschBarometer, Part
+from firmware_emulator.chips.bosch_barometer import SOFT_RESET, BoschBarometer
 from imuarray.facts import bmp280 as facts
 
 OVERSAMPLING = (0, 1, 2, 4, 8, 16, 16, 16)  # by code: BMP-106
@@ -28,25 +28,14 @@ _CONTROL, _CONFIG, _DATA = facts.CTRL_MEAS.address, facts.CONFIG.address, facts.
 
 
 class Bmp280(BoschBarometer):
-    """The chip.
+    """The chip."""
 
-    calibration: words by name that differ from the data sheet's worked example. generator, identity: see `Part`.
-    """
-
+    facts: ClassVar[ModuleType] = facts
     control = _CONTROL
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        calibration: Mapping[str, int] | None = None,
-        generator: random.Random | None = None,
-        identity: int | None = None,
-    ) -> None:
-        self.words = Words()._replace(**(calibration or {}))
-        super().__init__(address, facts, element, powered_on_ns, Part(generator, identity))
+    def take_words(self, calibration: Mapping[str, int]) -> None:
+        """See `BoschBarometer`."""
+        self.words = Words()._replace(**calibration)
 
     def calibration_bytes(self) -> bytes:
         """Twelve words of two bytes."""

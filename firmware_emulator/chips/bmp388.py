@@ -9,12 +9,12 @@ filter is the BMP280's. The queue, interrupts and the sensor's clock are left ou
 
 from __future__ import annotations
 
-import random
 from collections.abc import Mapping
+from types import ModuleType
+from typing import ClassVar
 
-from firmware_emulator.chip import Element
 from firmware_emulator.chips.bmp388_inverse import BITS, Words, up_of, ut_of
-from firmware_emulator.chips.bosch_barometer import NORMAL, SLEEP, SOFT_RESET, BoschBarometer, Part
+from firmware_emulator.chips.bosch_barometer import NORMAL, SLEEP, SOFT_RESET, BoschBarometer
 from imuarray.facts import bmp388 as facts
 
 NOISE_PA = (3.3, 2.6, 2.1, 1.6, 1.3, 1.1, 1.1, 1.1)  # by code of the oversampling: DEC-221
@@ -26,25 +26,14 @@ _POWER, _CONFIG, _COMMAND = facts.PWR_CTRL.address, facts.CONFIG.address, facts.
 
 
 class Bmp388(BoschBarometer):
-    """The chip.
+    """The chip."""
 
-    calibration: words by name that differ from the example. generator, identity: see `Part`.
-    """
-
+    facts: ClassVar[ModuleType] = facts
     control = _POWER
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        calibration: Mapping[str, int] | None = None,
-        generator: random.Random | None = None,
-        identity: int | None = None,
-    ) -> None:
-        self.words = Words()._replace(**(calibration or {}))
-        super().__init__(address, facts, element, powered_on_ns, Part(generator, identity))
+    def take_words(self, calibration: Mapping[str, int]) -> None:
+        """See `BoschBarometer`."""
+        self.words = Words()._replace(**calibration)
 
     def power_on(self, at_ns: int) -> None:
         """Power on as every such chip does, ready for commands."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import random
 from abc import abstractmethod
+from collections.abc import Mapping
 from types import ModuleType
-from typing import NamedTuple
+from typing import ClassVar
 
 from firmware_emulator.chip import Chip, Element
 
@@ -20,42 +21,51 @@ SLEEP, FORCED, FORCED_TOO, NORMAL = range(4)  # BMP-107, BMP-207
 FILTERED = 64
 
 
-class Part(NamedTuple):
-    """One part: where its pressure noise is drawn from (without a generator there is none; temperature noise is left
-    out), and what its identity register says (None: as the data sheet prints).
-    """
-
-    generator: random.Random | None = None
-    identity: int | None = None
-
-
 class BoschBarometer(Chip):
     """A barometer whose measurements end at the times of its mode.
 
-    `control` is the address of the register with the mode.
+    `facts` are the registers of the chip, `control` is the address of the one with the mode.
     """
 
+    facts: ClassVar[ModuleType]
     control: int
 
-    def __init__(self, address: int, facts: ModuleType, element: Element, powered_on_ns: int, part: Part) -> None:
-        self._part = part
-        self._facts = facts
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        calibration: Mapping[str, int] | None = None,
+        generator: random.Random | None = None,
+        identity: int | None = None,
+    ) -> None:
+        """`calibration` holds the words by name that differ from the data sheet's example, `generator` draws the
+        pressure noise (without one there is none; temperature noise is left out), `identity` is the content of the
+        identity register (None: as the data sheet prints).
+        """
+        self._generator, self._identity = generator, identity
         self._ut_at: tuple[float, int] = (float("nan"), 0)
-        super().__init__(address, facts, element, powered_on_ns)
+        self.take_words(calibration or {})
+        super().__init__(address, self.facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
         """Reset values, this part's identity and calibration words, asleep."""
         super().power_on(at_ns)
-        identity = self._facts.CHIP_ID
-        self.page[identity.address] = identity.reset if self._part.identity is None else self._part.identity
+        identity = self.facts.CHIP_ID
+        self.page[identity.address] = identity.reset if self._identity is None else self._identity
         calibration = self.calibration_bytes()
-        first = self._facts.CALIBRATION.address
+        first = self.facts.CALIBRATION.address
         self.page[first : first + len(calibration)] = calibration
         self._ready_ns = at_ns + START_UP_NS
         self._end_ns = FAR_NS
         self._memory: tuple[float, float] | None = None
 
     # What the chips differ in -----------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def take_words(self, calibration: Mapping[str, int]) -> None:
+        """Set the calibration words, of which `calibration` holds those that differ from the data sheet's example."""
 
     @abstractmethod
     def calibration_bytes(self) -> bytes:
@@ -94,9 +104,9 @@ class BoschBarometer(Chip):
         """Every measurement that has ended by `at_ns` into the data registers."""
         if at_ns < self._end_ns:
             return
-        if self._facts.MODE.of(self.page[self.control]) != NORMAL:
+        if self.facts.MODE.of(self.page[self.control]) != NORMAL:
             ended_ns, self._end_ns = self._end_ns, FAR_NS
-            self.page[self.control] &= ~self._facts.MODE.mask & 0xFF
+            self.page[self.control] &= ~self.facts.MODE.mask & 0xFF
             self.show(ended_ns)
             return
         period_ns = self.period_ns
@@ -114,7 +124,7 @@ class BoschBarometer(Chip):
 
     def noise_pa(self, rms: float) -> float:
         """Noise of the next reading of pressure."""
-        return 0.0 if self._part.generator is None else self._part.generator.gauss(0.0, rms)
+        return 0.0 if self._generator is None else self._generator.gauss(0.0, rms)
 
     def ut(self, at_ns: int) -> int:
         """The word of the temperature at that time, computed once for each temperature."""

@@ -47,6 +47,7 @@ class Mpu6050(MpuFamily):
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
     fifo_bytes: ClassVar[int] = 1024  # INV-27
+    default_trim_code: ClassVar[int] = TRIM_CODE
 
     def __init__(
         self,
@@ -54,11 +55,10 @@ class Mpu6050(MpuFamily):
         element: Element,
         powered_on_ns: int = 0,
         *,
-        trim_code: int = TRIM_CODE,
         clock_input_hz: float = 0.0,
         **switches: Any,
     ) -> None:
-        self._trim_code, self._clock_input_hz = trim_code, clock_input_hz
+        self._clock_input_hz = clock_input_hz
         super().__init__(address, element, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:

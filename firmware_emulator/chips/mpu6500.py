@@ -10,9 +10,9 @@ import math
 from functools import partial
 from struct import Struct
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from firmware_emulator.chip import Element, Triple
+from firmware_emulator.chip import Triple
 from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
 from firmware_emulator.tolerances import Tolerances, typical
@@ -41,12 +41,7 @@ class Mpu6500(MpuFamily):
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
     reset_ns: ClassVar[int] = RESET_NS
     fifo_bytes: ClassVar[int] = 512  # INV-98
-
-    def __init__(
-        self, address: int, element: Element, powered_on_ns: int = 0, *, trim_code: int = TRIM_CODE, **switches: Any
-    ) -> None:
-        self._trim_code = trim_code
-        super().__init__(address, element, powered_on_ns, **switches)
+    default_trim_code: ClassVar[int] = TRIM_CODE
 
     def power_on(self, at_ns: int) -> None:
         """Awake, every register at its reset value (INV-71)."""

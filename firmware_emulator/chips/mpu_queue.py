@@ -106,9 +106,10 @@ MOST_TRANSFERS = 64
 
 
 class MpuFamily(SixAxis):
-    """A die with one grid of samples and a queue of `fifo_bytes`."""
+    """A die with one grid of samples, a queue of `fifo_bytes`, and a factory's `trim_code` of every axis."""
 
     fifo_bytes: ClassVar[int]
+    default_trim_code: ClassVar[int]
     on_bypass: Callable[[], None] | None = None
     """Function that is called when the bypass opens or closes."""
 
@@ -117,7 +118,16 @@ class MpuFamily(SixAxis):
         """True while the auxiliary bus is connected to the array's (INV-97)."""
         return bool(self.page[INT_PIN_CFG] & BYPASS) and not self.page[USER_CTRL] & MASTER
 
-    def __init__(self, address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> None:
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        trim_code: int | None = None,
+        **switches: Any,
+    ) -> None:
+        self._trim_code = self.default_trim_code if trim_code is None else trim_code
         self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
         self.auxiliary = AuxiliaryMaster()
         super().__init__(address, element, powered_on_ns, **switches)
