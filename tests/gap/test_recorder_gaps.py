@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.comparison import prepared
-from imuarray.gap.recording.recordings import Recording, recording_of
+from imuarray.gap.recording.recordings import Recording, recording_of, sources_of
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, OVERRUN, Event, Phase, SensorHeader
 
@@ -126,3 +126,28 @@ def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path,
         for probe in ("interval", "longest_interval", "gaps", "lost"):
             place = timing[sensor, probe]
             assert shown.values[place] == pytest.approx(simulated.values[place], abs=1e-9)
+
+
+def test_a_row_in_the_middle_of_a_stall_is_not_compared(tmp_path: Path) -> None:
+    """A stall of 0.8 s: the reading that was requested before it has the time of its middle; nobody knows whether the
+    next one is new.
+    """
+    path = tmp_path / "log.h5"
+    rng = np.random.default_rng(1)
+    time = np.delete(np.arange(ROWS, dtype=np.int64) * SECOND // RATE_HZ, slice(301, 340))
+    time = np.insert(time, 301, (time[300] + time[301]) // 2)
+    status = np.zeros(len(time), np.uint16)
+    status[302] = LOST_BEFORE
+    with LogWriter(path, SENSORS, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor in SENSORS:
+            counts = np.rint(rng.normal((0, 0, 2048), 5, (len(time), 3))).astype(np.int16)
+            log.append(sensor.name, Block(time, counts, status))
+        log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
+        log.event(Event(int(time[302]), "", "late", "39 frames missed: the frame before ended too late"))
+    recording = recording_of(open_log(path))
+    assert {name: times.tolist() for name, times in recording.experiment.untimed_ns.items()} == {
+        name: time[301:303].tolist() for name in ("Acc", "Gyro")
+    }
+    for source in sources_of(recording).values():
+        compared = np.concatenate([block.time for block in source.blocks(0, 20 * SECOND)])
+        np.testing.assert_array_equal(compared, np.delete(time, [301, 302]))

@@ -30,7 +30,7 @@ def test_long_logs_are_simulated_few_at_a_time() -> None:
     """Ten million rows in one job, and eight replicates at most; one of two sensors of 2 million rows has 4 million."""
     short, _ = prepared([("static", Still(seconds=20))], ["G1", "G2"])
     assert short.together == 8
-    plan, motion = short.experiments[0]
+    plan, motion, *_ = short.experiments[0]
     rows = [SimpleNamespace(rows=2_000_000)] * 2
     sensors = {name: (header, line) for (name, (header, _)), line in zip(plan.sensors.items(), rows, strict=True)}
     long = replace(short, experiments=(Experiment(replace(plan, sensors=cast(Any, sensors)), motion),))

@@ -25,7 +25,7 @@ from imuarray.gap.findings.diagnosis import Cause, Interval
 from imuarray.gap.inference.effects.axis_error import exchanges
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.recording.phases import attitudes_of, kind_of
-from imuarray.gap.recording.recordings import Experiment, Recording
+from imuarray.gap.recording.recordings import Recording
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.log.format import Phase, SensorHeader
@@ -350,7 +350,7 @@ def _with_labels(recording: Recording, wrong: Sequence[WrongLabel]) -> Recording
     lies: Motion = (
         PoseSequence(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
     )
-    experiment = Experiment(recording.experiment.plan, lies)
+    experiment = recording.experiment._replace(motion=lies)
     notes = (*recording.notes, *(note_of(label).partition(": ")[2] for label in wrong))
     kind = kind_of(phases, attitudes, heated=recording.kind == "heating")
     return replace(recording, kind=kind, phases=phases, experiment=experiment, notes=notes)

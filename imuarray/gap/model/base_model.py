@@ -55,6 +55,7 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.sensor import NO_READY_BIT
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -388,7 +389,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     rests = _level_phases(rests, fitted.noise(header))
     if configured_hz <= 0 or not rests:
         return None
-    reads = tuple(_reads(phase, header.rate_hz, _is_flagged(rests)) for phase in rests)
+    is_flagged = _is_flagged(campaign, header)
+    reads = tuple(_reads(phase, header.rate_hz, is_flagged) for phase in rests)
     again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
     lags = np.array([np.median(phase.correlation[list(_ALL_LAGS)], axis=1) for phase in rests])
     least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
@@ -529,7 +531,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     if header.rate_hz <= 0 or not rests:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
-    tolerance, is_flagged = clock_tolerance(header), _is_flagged(rests)
+    tolerance, is_flagged = clock_tolerance(header), _is_flagged(campaign, header)
     equal_in_a_row = _equal_in_a_row(_equal_by_chance(rests, is_flagged), sum(phase.rows for phase in rests))
     flags_missed = any(phase.flags["overrun"] for phase in rests)
     for phase in rests:
@@ -615,9 +617,14 @@ def _repeated_share(phase: Summary, is_flagged: bool) -> float:
     return float(np.nan_to_num((phase.repeats.repeat_share - by_chance) / (1 - by_chance)))
 
 
-def _is_flagged(phases: Iterable[Summary]) -> bool:
-    """Return whether the recorder flags rows without a new reading."""
-    return any(phase.flags["stale"] for phase in phases)
+def _is_flagged(campaign: Campaign, header: SensorHeader) -> bool:
+    """Return whether the recorder flags rows of this sensor that are no new reading. A recorder that does so for any chip that
+    says when a reading is new does so for all of these: one without a flag has no such rows.
+    """
+    if header.chip in NO_READY_BIT:
+        return False
+    summaries = (summary for log in campaign.logs for phase in log.phases for summary in phase.sensors.values())
+    return any(summary.flags["stale"] for summary in summaries if summary.header.chip not in NO_READY_BIT)
 
 
 def _equal_neighbours(phase: Summary) -> float:

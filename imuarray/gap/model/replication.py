@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
+from imuarray.gap.model.room_temperature import draw_room_temperature
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import Source, simulated_sources
@@ -21,7 +22,7 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.simulation import Simulation
-from imuarray.simulate.streams import CHUNK
+from imuarray.simulate.streams import CHUNK, Streams
 
 ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
 """Kinds of effect whose parameters are fitted to every recording and every replicate."""
@@ -86,7 +87,7 @@ class Stage:
     @property
     def together(self) -> int:
         """The number of replicates of all sensors that one job simulates."""
-        rows = sum(line.rows for plan, _ in self.experiments for _, line in plan.sensors.values())
+        rows = sum(line.rows for experiment in self.experiments for _, line in experiment.plan.sensors.values())
         return min(max(_JOB_ROWS // max(rows, 1), 1), TOGETHER)
 
     def models(self) -> dict[str, SensorModel]:
@@ -128,9 +129,9 @@ class Stage:
         self, log: int, requests: Sequence[ReplicateRequest], effects: Sequence[Effects], held_out: bool
     ) -> list[LogSummary]:
         """One log in several replicates, as many at a time as memory allows."""
-        kind, (plan, motion) = self.kinds[log], self.experiments[log]
+        kind, experiment = self.kinds[log], self.experiments[log]
         phases = self.split.phases(None if held_out else False)[log]
-        rows = max((line.rows for _, line in plan.sensors.values()), default=0)
+        rows = max((line.rows for _, line in experiment.plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
         summaries: list[LogSummary] = []
         for first in range(0, len(requests), at_once):
@@ -139,7 +140,8 @@ class Stage:
                 self._sources(log, *request, request_effects, alone=not held_out)
                 for request, request_effects in zip(requests[some], effects[some], strict=True)
             ]
-            summaries += summarise_logs(kind, replicates, phases, reference_of(motion), self._layouts(log, held_out))
+            reference, layouts = reference_of(experiment.motion), self._layouts(log, held_out)
+            summaries += summarise_logs(kind, replicates, phases, reference, layouts)
         return summaries
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
@@ -147,7 +149,8 @@ class Stage:
         they are compared; if the box moves all others. Many models share the others. `alone`: only parts of the log are
         needed.
         """
-        plan, motion = self.experiments[log]
+        experiment = self.experiments[log]
+        plan = experiment.plan
         names = [
             name
             for name in plan.sensors
@@ -156,14 +159,16 @@ class Stage:
         swapped = [name for name in names if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
         array = (
-            simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=self.first_boot + log))
+            simulated_sources(
+                Simulation(plan, self._motion(log, number), effects, seed=seed, boot=self.first_boot + log)
+            )
             if swapped
             else {}
         )
         return {
-            name: array[name]
+            name: experiment.timed(name, array[name])
             if name in swapped
-            else (self._source if name in models else self._cached_source)(log, name, effects[name], seed, alone)
+            else (self._source if name in models else self._cached_source)(log, name, effects[name], number, alone)
             for name in names
         }
 
@@ -179,12 +184,26 @@ class Stage:
         """`_source`, with a cache."""
         return lru_cache(maxsize=_KEPT)(self._source)
 
-    def _source(self, log: int, name: str, effects: tuple[Effect, ...], seed: int, alone: bool) -> Source:
+    def _motion(self, log: int, number: int) -> Motion:
+        """The motion of a log in a replicate, in a room of its own if nobody recorded the temperature."""
+        experiment = self.experiments[log]
+        if experiment.has_temperature:
+            return experiment.motion
+        units = Streams(replicate_seed(self.base.seed, number))
+        return draw_room_temperature(experiment.motion, units, self.first_boot + log)
+
+    def _source(self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:
         """The simulation of a sensor that does not depend on others."""
-        plan, motion = self.experiments[log]
-        sensor_plan = replace(plan, sensors={name: plan.sensors[name]})
-        simulation = Simulation(sensor_plan, motion, {name: effects}, seed=seed, boot=self.first_boot + log)
-        return simulated_sources(simulation, alone=alone)[name]
+        experiment = self.experiments[log]
+        plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
+        simulation = Simulation(
+            plan,
+            self._motion(log, number),
+            {name: effects},
+            seed=replicate_seed(self.base.seed, number),
+            boot=self.first_boot + log,
+        )
+        return experiment.timed(name, simulated_sources(simulation, alone=alone)[name])
 
     @cached_property
     def _drawn_effects(self) -> Callable[[int], Effects]:

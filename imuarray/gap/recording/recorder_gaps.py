@@ -6,6 +6,10 @@ recorder's if every other sensor that was due is missing as well, or if an event
 So is one within the period of a slow chip that is polled more often than it measures: no reading was lost. Neither was
 one of a queue that is not said to have overflowed: the recorder works its times out from those of the polls, and the
 first of these are not yet even.
+
+A reading that was requested before a stall of the recorder and received after it has the time of the middle of the
+stall, which may be wrong by half of it: it lies between two long intervals. Whether the next row is a new reading
+depends on when this one was taken. Neither row is compared.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,12 +69,14 @@ class RecorderGaps:
     """Timelines without the recorder's gaps.
 
     `lines`: the timelines of sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times (k,)
-    of the first rows after them; `note` on the gaps, "" where there are none.
+    of the first rows after them; `note` on the gaps, "" where there are none. `untimed_ns`: by sensor the times (u,) of
+    rows that were read in a gap, at an unknown moment, and of the rows after these.
     """
 
     lines: Mapping[str, Timeline]
     ends_ns: Mapping[str, Integers]
     note: str = ""
+    untimed_ns: Mapping[str, Integers] = field(default_factory=dict)
 
 
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
@@ -78,7 +84,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
     delays = [_delay(event, frame_ns) for event in log.events if event.kind == "late" and not event.sensor]
-    timelines, ends_ns = dict(lines), {}
+    timelines, ends_ns, untimed_ns = dict(lines), {}, {}
     most: list[_Gap] = []
     for name, line in lines.items():
         if not isinstance(line, GapFilledTimes):
@@ -102,8 +108,21 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
         timelines[name] = lost if is_own.any() else line.recorded
         ends_ns[name] = np.array([gap.end_ns for gap in of_recorder], np.int64)
+        untimed = _untimed(log[name], usual_ns[name], of_recorder)
+        if len(untimed):
+            untimed_ns[name] = untimed
         most = max(most, of_recorder, key=len)
-    return RecorderGaps(timelines, ends_ns, _sentence(most))
+    return RecorderGaps(timelines, ends_ns, _sentence(most), untimed_ns)
+
+
+def _untimed(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
+    """The times of rows before a gap that follow the row before late as well, and of the rows after the gap."""
+    times = []
+    for gap in gaps:
+        row = sensor.between(gap.begin_ns, gap.begin_ns).start
+        if row > 0 and gap.begin_ns - int(sensor.time[row - 1]) >= MISSING * usual_ns:
+            times += [gap.begin_ns, gap.end_ns]
+    return np.unique(np.array(times, np.int64))
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Booleans
+from imuarray.arrays import Booleans, Times
 from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import OVERRUN, STALE, SensorHeader
@@ -141,6 +141,29 @@ class SimulatedSource:
         """The first row stamped `at_ns` or later."""
         stamps = self._sensor.timeline.stamps
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
+
+
+class TimedSource:
+    """A source without its rows at the times `untimed_ns` (u,), whose readings were taken at an unknown moment."""
+
+    def __init__(self, source: Source, untimed_ns: Times) -> None:
+        self.header = source.header
+        self.cache: dict[Hashable, Any] = {}
+        self._source, self._untimed_ns = source, untimed_ns
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        """The number of rows that were due, these among them."""
+        return self._source.rows(start_ns, end_ns)
+
+    def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        """The blocks of the source without these rows."""
+        for block in self._source.blocks(start_ns, end_ns):
+            is_timed = ~np.isin(block.time, self._untimed_ns)
+            if is_timed.all():
+                yield block
+            elif is_timed.any():
+                temperature = None if block.temperature_counts is None else block.temperature_counts[is_timed]
+                yield Block(block.time[is_timed], block.counts[is_timed], block.status[is_timed], temperature)
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:

@@ -65,7 +65,7 @@ def shown(made: Made, sensor: str) -> Evidence:
 def again(made: Made, sensor: str, effect: Effect) -> Simulation:
     """The recording's plan, with that effect and other noise."""
     _, recording, *_ = made
-    plan, motion = recording.experiment
+    plan, motion, *_ = recording.experiment
     return Simulation(plan, motion, {**BASE, sensor: (*BASE[sensor], effect)}, seed=77)
 
 

@@ -1,0 +1,75 @@
+"""Temperature of a room that nobody recorded: it drifts and has draughts, and biases follow it.
+
+A log without a reference temperature, a barometer or a useful thermometer is simulated at a constant temperature. The
+bias of a part changes by half a mg or some hundredths of a dps per degC (BMA-115, L3G-71), more in a tenth of a degree
+than the mean of a hundred seconds is uncertain by its noise. Each replicate of such a log therefore has a course of its
+own: a sum of waves with random phases, whose size and periods are drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imuarray.arrays import Floats, Integers
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.streams import Streams
+
+RMS_DEGC = (0.02, 0.5)
+"""Least and largest usual root mean square of the course, log-uniform: a closed box in a quiet room, and a room with an
+open door.
+"""
+
+PERIODS_S = (20.0, 1800.0)
+"""Shortest and longest period of a wave, log-uniform: what the wall of a box lets through, the cycle of a heating."""
+
+WAVES = 4
+
+
+@dataclass(frozen=True)
+class RoomTemperature:
+    """A motion in a room whose temperature is that of `motion` plus waves of `amplitude_degc`, `period_s` and
+    `phase_rad`.
+    """
+
+    motion: Motion
+    amplitude_degc: float
+    period_s: tuple[float, ...]
+    phase_rad: tuple[float, ...]
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Those of the motion."""
+        return self.motion.phases
+
+    @property
+    def seconds(self) -> float:
+        """That of the motion."""
+        return self.motion.seconds
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """Return what the box feels at times (n,) in this room."""
+        felt = self.motion.felt(time_ns)
+        return replace(felt, temperature_degc=felt.temperature_degc + self._wander_degc(np.asarray(time_ns)))
+
+    def _wander_degc(self, time_ns: Integers) -> Floats:
+        time_s = time_ns * 1e-9
+        waves = (
+            np.sin(2 * math.pi / period_s * time_s + phase_rad)
+            for period_s, phase_rad in zip(self.period_s, self.phase_rad, strict=True)
+        )
+        return np.asarray(self.amplitude_degc * sum(waves))
+
+
+def draw_room_temperature(motion: Motion, streams: Streams, log: int) -> RoomTemperature:
+    """Draw the course of temperature in the room of log number `log` of a replicate."""
+    stream = streams.of_unit("", "room_temperature", f"log {log}")
+    rms_degc = float(np.exp(stream.uniform(*np.log(RMS_DEGC))))
+    shortest, longest = np.log(PERIODS_S)
+    period_s = np.exp(stream.uniform(shortest, longest, WAVES))
+    phase_rad = stream.uniform(0.0, 2 * math.pi, WAVES)
+    amplitude_degc = rms_degc * math.sqrt(2 / WAVES)
+    return RoomTemperature(motion, amplitude_degc, tuple(period_s.tolist()), tuple(phase_rad.tolist()))
