@@ -114,6 +114,9 @@ _LEAST_JITTER, _MOST_FAST = 0.01, 4.0
 _OVERSAMPLED = 1.05
 """Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
 
+_SKIPPED = 2.5
+"""Longest gap, in usual intervals, that lacks a single row."""
+
 _BY_CHANCE = 2.0
 """Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
 that those at three lags together exceed six in one of 250 phases.
@@ -535,7 +538,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     equal_in_a_row = _equal_in_a_row(_equal_by_chance(rests, is_flagged), sum(phase.rows for phase in rests))
     flags_missed = any(phase.flags["overrun"] for phase in rests)
     for phase in rests:
-        rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
+        rows_per_s, repeats = _polls_per_s(phase, header.rate_hz), phase.repeats
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
         longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + equal_in_a_row
@@ -565,6 +568,17 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     if is_one_clock and abs(error) <= tolerance:
         return error
     return 0.0 if is_flagged and abs(error) <= tolerance else math.nan
+
+
+def _polls_per_s(phase: Summary, rate_hz: float) -> float:
+    """Rows in a second of a phase without its gaps. Polls of a chip that is polled more often than it measures may skip
+    single rows again and again, in which no reading is lost: such gaps, of two intervals, count.
+    """
+    intervals = phase.intervals
+    rows_per_s = 1 / intervals.mean_s
+    if rows_per_s < _OVERSAMPLED * rate_hz or intervals.longest_s > _SKIPPED * intervals.mean_s:
+        return rows_per_s
+    return rows_per_s * (intervals.count + intervals.gaps) / (intervals.count + 2 * intervals.gaps)
 
 
 def _readings_a_row(repeated: float, jitter: float) -> float:

@@ -18,10 +18,13 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.streams import Streams
 
-RMS_DEGC = (0.02, 0.5)
+ROOM_DEGC = (0.02, 0.5)
 """Least and largest usual root mean square of the course, log-uniform: a closed box in a quiet room, and a room with an
 open door.
 """
+
+HEAT_DEGC = (2.0, 20.0)
+"""The same of a box that is heated on purpose."""
 
 PERIODS_S = (20.0, 1800.0)
 """Shortest and longest period of a wave, log-uniform: what the wall of a box lets through, the cycle of a heating."""
@@ -64,10 +67,14 @@ class RoomTemperature:
         return np.asarray(self.amplitude_degc * sum(waves))
 
 
-def draw_room_temperature(motion: Motion, streams: Streams, log: int) -> RoomTemperature:
-    """Draw the course of temperature in the room of log number `log` of a replicate."""
+def draw_room_temperature(
+    motion: Motion, streams: Streams, log: int, usual_degc: tuple[float, float] = ROOM_DEGC
+) -> RoomTemperature:
+    """Draw the course of temperature around the box in log number `log` of a replicate, with a root mean square within
+    `usual_degc`.
+    """
     stream = streams.of_unit("", "room_temperature", f"log {log}")
-    rms_degc = float(np.exp(stream.uniform(*np.log(RMS_DEGC))))
+    rms_degc = float(np.exp(stream.uniform(*np.log(usual_degc))))
     shortest, longest = np.log(PERIODS_S)
     period_s = np.exp(stream.uniform(shortest, longest, WAVES))
     phase_rad = stream.uniform(0.0, 2 * math.pi, WAVES)

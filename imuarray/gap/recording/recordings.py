@@ -78,13 +78,15 @@ class Experiment(NamedTuple):
     """The plan of one log (which sensors were read when) and the motion of the box.
 
     `untimed_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
-    (`imuarray.gap.recording.recorder_gaps`). `has_temperature`: whether the log has a reference temperature.
+    (`imuarray.gap.recording.recorder_gaps`). `has_temperature`: whether the log has a reference temperature; without
+    one, the box may have been heated all the same (`is_heated`).
     """
 
     plan: Plan
     motion: Motion
     untimed_ns: Mapping[str, Times] = {}
     has_temperature: bool = True
+    is_heated: bool = False
 
     def timed(self, name: str, source: Source) -> Source:
         """The rows of a sensor, recorded or simulated, without these."""
@@ -179,7 +181,9 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
 
 
 def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The recordings except heatings without a temperature, noted or not; all of them if there are no others."""
+    """The recordings except heatings without a temperature, noted or not; if there are no others, these as heated by an
+    unknown course.
+    """
     known: list[Recording] = []
     notes: list[str] = []
     for recording in recordings:
@@ -192,7 +196,13 @@ def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recor
             notes.append(f"{recording.name} is left out: {why}.")
         else:
             known.append(recording)
-    if not notes or not known:
+    if not known:
+        note = "The box is heated and no temperature is recorded: biases may change by what any heat changes them."
+        return tuple(
+            replace(each, experiment=each.experiment._replace(is_heated=True), notes=(note, *each.notes))
+            for each in recordings
+        )
+    if not notes:
         return tuple(recordings)
     return (replace(known[0], notes=(*notes, *known[0].notes)), *known[1:])
 

@@ -19,6 +19,8 @@ BANDS = 6
 _FIRST = 4
 _NEIGHBOURHOOD = 33
 _SIDE = _NEIGHBOURHOOD // 2
+_IN_PAIRS = 0.25
+"""Share of rows that equal the one before from which on the readings of a chip come in pairs."""
 
 Places = npt.NDArray[np.int_]
 
@@ -45,8 +47,14 @@ def line(summary: Summary) -> Floats:
 
 
 def alternation(summary: Summary) -> Floats:
-    """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it."""
+    """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it.
+
+    nan for a chip that is polled much faster than it measures: its readings come in pairs, whose sum with alternating
+    signs consists of the moments at which a poll finds one reading alone.
+    """
     density = summary.spectrum.density
+    if summary.repeats.repeat_share > _IN_PAIRS:
+        return np.full(3, np.nan)
     return np.asarray(log(2 * density[-1]) - log(density[-_NEIGHBOURHOOD:-2].mean(axis=0)))
 
 
