@@ -45,6 +45,9 @@ that stalls says nothing of the box, and nobody turns it by hand and puts it bac
 _LEAST_ROWS = 4
 """Rows of a window at least: for a slow sensor, windows are longer than half a second."""
 
+_SPIKED_ROWS = 8
+"""Rows of a window from which on one of them is left out: a motion moves most of them."""
+
 SAME_POSE: Mapping[str, float] = MappingProxyType(
     {"specific_force": SAME_POSE_G, "angular_rate": TURNING_DPS, "magnetic_field": 0.02}
 )
@@ -283,13 +286,15 @@ def windows_of(
     sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int, flags: int = 0
 ) -> tuple[Floats, Floats]:
     """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
-    over the sensors; infinite scatter where nothing was read. Rows with one of `flags` don't count.
+    over the sensors; infinite scatter where nothing was read. Rows with one of `flags` don't count, nor does the
+    reading that is furthest from the others of a window with `_SPIKED_ROWS`: a single wrong reading is no motion.
 
     Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
     """
     means, spreads = np.zeros((count, 3)), np.zeros((count, 3))
     for sensor in sensors:
         sums, squares, rows = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+        lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
         for block in sensor.blocks():
             window = (np.asarray(sensor.time[block]) - begin) // width_ns
             inside = (window >= 0) & (window < count)
@@ -302,13 +307,22 @@ def windows_of(
                 continue
             first = int(window.min())
             number, here = window - first, slice(first, int(window.max()) + 1)
+            starts = np.flatnonzero(np.diff(window, prepend=first - 1))
             value = np.ascontiguousarray((counts / sensor.sensitivity @ sensor.orientation.T).T)
             for axis, column in enumerate(value):
                 sums[here, axis] += np.bincount(number, column)
                 squares[here, axis] += np.bincount(number, column**2)
+                places = window[starts], axis
+                lowest[places] = np.minimum(lowest[places], np.minimum.reduceat(column, starts))
+                highest[places] = np.maximum(highest[places], np.maximum.reduceat(column, starts))
             rows[here] += np.bincount(number)
         spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
-        rows = np.maximum(rows, 1)[:, None]
+        may_spike = rows >= _SPIKED_ROWS
+        low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T
+        furthest = np.where(high - middle > middle - low, high, low)
+        sums[may_spike] -= furthest
+        squares[may_spike] -= furthest**2
+        rows = (np.maximum(rows, 1) - may_spike)[:, None]
         means += sums / rows / len(sensors)
         spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
     return means, spreads.max(axis=1)

@@ -251,3 +251,29 @@ def test_standard_error_of_a_pose_holds_for_correlated_noise(tmp_path: Path) -> 
     total = (np.array(ratios) ** 2).sum(axis=0) * 13 / 15
     low, high = chi2.ppf((0.0005, 0.9995), 200)
     assert (total > 0.9 * low).all() and (total < 1.15 * high).all(), total
+
+
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
+def test_a_wrong_reading_now_and_then_does_not_end_a_pose(tmp_path: Path, sensor: str) -> None:
+    """Single readings that are 40 standard deviations off: nobody has turned the box."""
+    counts = np.rint(np.random.default_rng(1).normal(0, 10, (3000, 3))).astype(np.int16)
+    counts[[700, 1500, 1900], 1] += 400
+    header = accelerometer("A1") if sensor == "accelerometer" else gyroscope("G1")
+    time, path = np.arange(3000, dtype=np.int64) * 10_000_000, tmp_path / "spikes.h5"
+    with LogWriter(path, [header], source="simulated", epoch=EPOCH) as writer:
+        writer.append(header.name, Block(time, counts, np.zeros(3000, np.uint16)))
+    with open_log(path) as log:
+        (pose,) = find_rests(log)
+    assert (pose.phase.end_ns - pose.phase.start_ns) * 1e-9 == pytest.approx(29.0)
+
+
+def test_a_short_shake_ends_a_pose(tmp_path: Path) -> None:
+    """Ten readings, 0.1 s, 40 standard deviations off and back: somebody has touched the box."""
+    counts = np.rint(np.random.default_rng(1).normal(0, 10, (3000, 3))).astype(np.int16)
+    counts[1510:1520, 1] += np.tile([400, -400], 5).astype(np.int16)
+    header = accelerometer("A1")
+    time, path = np.arange(3000, dtype=np.int64) * 10_000_000, tmp_path / "shake.h5"
+    with LogWriter(path, [header], source="simulated", epoch=EPOCH) as writer:
+        writer.append(header.name, Block(time, counts, np.zeros(3000, np.uint16)))
+    with open_log(path) as log:
+        assert len(find_rests(log)) == 2
