@@ -166,7 +166,7 @@ def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
     made = simulation(still, dropped, seed=1)
     lost = write_log(made, tmp_path / "log.h5").lost
     found = recorded(tmp_path / "log.h5")
-    plan, motion = pickle.loads(pickle.dumps(found.experiment))  # noqa: S301
+    plan, motion, *_ = pickle.loads(pickle.dumps(found.experiment))  # noqa: S301
     whole = Simulation(plan, motion, BASE, seed=2)
     again = Simulation(plan, motion, {name: (*BASE[name], *dropped[name]) for name in BASE}, seed=2)
     for name, sensor in whole.sensors.items():

@@ -48,6 +48,10 @@ def recorded(folder: Path, seed: int, *puts: Put) -> Iterator[list[Log]]:
             9_000_460,  # flags that hardly ever occur
             9_000_403,  # a recorder that is delayed within a frame
             9_000_123,  # a clock beside that of the track, in the only motion
+            9_005_027,  # a draught that nobody recorded
+            9_005_045,  # readings that are equal by chance, which the recorder would flag if they were repeats
+            9_005_046,  # readings that were requested before a stall of the recorder and received after it
+            9_005_084,  # a heating without any temperature, and nothing else
         ],
         0,
         4,

@@ -528,16 +528,20 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
     none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate. Where no
     missed reading is flagged, the share of repeats of polls with that jitter tells the rate (`_readings_a_row`). Where
-    as many readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate.
+    as many readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate. Flags tell
+    this while the box moves, too.
     """
-    rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
-    if header.rate_hz <= 0 or not rests:
+    is_flagged = _is_flagged(campaign, header)
+    name = header.name
+    summaries = (phase for log in campaign.logs for phase in (log.of(name) if is_flagged else log.still(name)))
+    phases = [phase for phase in summaries if phase.intervals.count]
+    if header.rate_hz <= 0 or not phases:
         return math.nan
     readings_per_s, weight, slips = [], [], 0
-    tolerance, is_flagged = clock_tolerance(header), _is_flagged(campaign, header)
-    equal_in_a_row = _equal_in_a_row(_equal_by_chance(rests, is_flagged), sum(phase.rows for phase in rests))
-    flags_missed = any(phase.flags["overrun"] for phase in rests)
-    for phase in rests:
+    tolerance = clock_tolerance(header)
+    equal_in_a_row = _equal_in_a_row(_equal_by_chance(phases, is_flagged), sum(phase.rows for phase in phases))
+    flags_missed = any(phase.flags["overrun"] for phase in phases)
+    for phase in phases:
         rows_per_s, repeats = _polls_per_s(phase, header.rate_hz), phase.repeats
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))

@@ -65,6 +65,10 @@ class LogSummary:
     events: Mapping[str, Events] = field(default_factory=dict)
     spells: Mapping[str, tuple[tuple[Stretches, LogSummary], ...]] = field(default_factory=dict)
 
+    def of(self, sensor: str) -> tuple[Summary, ...]:
+        """The sensor's phases."""
+        return tuple(part.sensors[sensor] for part in self.phases if sensor in part.sensors)
+
     def still(self, sensor: str) -> tuple[Summary, ...]:
         """The sensor's phases at rest."""
         return tuple(part.sensors[sensor] for part in self.phases if part.is_still and sensor in part.sensors)

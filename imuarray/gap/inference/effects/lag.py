@@ -10,7 +10,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.cross import Cross
-from imuarray.gap.statistics.probes.motion import gain, quadrature
+from imuarray.gap.statistics.probes.motion import along, quadrature
 from imuarray.log.format import Phase
 
 ODD = 2.5
@@ -48,14 +48,16 @@ def mean_of(lags_seen: Sequence[Lag], name: str) -> float:
 
 
 def lags(evidence: Evidence) -> Iterator[Lag]:
-    """The lag in each phase of motion, averaged over the axes by their motion."""
-    usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_gain", 1.0)
+    """The lag in each phase of motion, averaged over the axes by their motion. The gain of an axis is that by its own
+    motion alone: a rotation about a single axis does not determine the response to each of three.
+    """
+    usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_along", 1.0)
     share = np.where(share > 0, share, np.nan)
     sensor = evidence.header.name
     for phase, cross in motions(evidence):
         rate, weight = _pace(cross, sensor)
         pace = np.arcsin(np.minimum(rate * cross.window_s, 1.0)) / cross.window_s
-        lag_of_axis = np.arctan2(rate * (quadrature(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
+        lag_of_axis = np.arctan2(rate * (quadrature(cross, sensor) - usual_s), along(cross, sensor) / share) / pace
         known = np.isfinite(lag_of_axis) & (weight > 0)
         if known.any():
             middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9
