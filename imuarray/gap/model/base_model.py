@@ -636,8 +636,10 @@ def _repeated_share(phase: Summary, is_flagged: bool) -> float:
 
 
 def _is_flagged(campaign: Campaign, header: SensorHeader) -> bool:
-    """Return whether the recorder flags rows of this sensor that are no new reading. A recorder that does so for any chip that
-    says when a reading is new does so for all of these: one without a flag has no such rows.
+    """Return whether the recorder flags rows of this sensor that are no new reading.
+
+    A recorder that does so for any chip that says when a reading is new does so for all of these: one without a flag
+    has no such rows.
     """
     if header.chip in NO_READY_BIT:
         return False
