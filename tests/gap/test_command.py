@@ -173,13 +173,13 @@ def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type
     assert "--force" in err[0]
     assert {name: (here / "out" / name).read_bytes() for name in FILES} == before
     (here / "other").mkdir(exist_ok=True)
-    (here / "other" / "report.html").write_text("mine")
+    (here / "other" / "report.html").write_text("a page of somebody else")
     assert typed("humming.h5", "-o", "other")[0] == 2
     assert [path.name for path in (here / "other").iterdir()] == ["report.html"]
     code, out, err = typed("humming.h5", "--only", "G1", "-o", "other", "--force")
     assert code == 0
     assert err[-1] == "other: report.html, gap.json, repaired.toml written"
-    assert "mine" not in (here / "other" / "report.html").read_text()
+    assert "a page of somebody else" not in (here / "other" / "report.html").read_text()
     assert out.splitlines()[0]
 
 
