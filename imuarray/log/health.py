@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from imuarray.log.format import Event
-from imuarray.printable import counted, percent, printable
+from imuarray.printable import counted, listed, percent, printable
 
 Level = Literal["green", "amber", "red"]
 
@@ -149,9 +149,11 @@ def _share(seen: Observations) -> float:
 
 
 def _names(names: Mapping[str, object]) -> str:
-    listed = [printable(name) for name in names]
-    more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""
-    return ", ".join(listed[:_NAMED]) + more
+    spelled = [printable(name) for name in names]
+    if len(spelled) <= _NAMED or (short := listed(spelled)).count(",") >= _NAMED:
+        more = f" and {len(spelled) - _NAMED} more" if len(spelled) > _NAMED else ""
+        return ", ".join(spelled[:_NAMED]) + more
+    return short
 
 
 def _duration(seconds: float) -> str:

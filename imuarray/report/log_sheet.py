@@ -17,7 +17,7 @@ from imuarray.characterise.plots import allan_figure, spectrum_figure
 from imuarray.errors import ImuArrayError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
-from imuarray.printable import counted
+from imuarray.printable import counted, listed
 from imuarray.report.page import Figure, Section, Table
 from imuarray.report.recording import PERIODS, RecordingFigure, recording_of, scripts
 from imuarray.units import READABLE
@@ -116,7 +116,7 @@ def _events(log: Log) -> Table:
 def _shown(log: Log, recording: RecordingFigure) -> Section:
     noted = [trace.name for trace in recording.traces if trace.note]
     words = (
-        f"With clipped, missing or silent stretches: {', '.join(noted)}. "
+        f"With clipped, missing or silent stretches: {listed(noted)}. "
         if noted
         else "No sensor has clipped, missing or silent stretches. "
     )
@@ -171,10 +171,11 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
     sentences = findings(result)
     words += "" if sentences else " Nothing unusual: no line, no clipping, no missing codes."
     seconds = stretch["end_s"] - stretch["start_s"]
-    parts: list[Table | Figure] = [_noise_table(result)]
+    parts: list[Table | Figure] = []
     if sentences:
         rows = [text.split(": ", 1) if ": " in text else ["box", text] for text in sentences]
         parts.append(Table(["where", "what"], rows, "What is unusual, the most important first.", (1,)))
+    parts.append(_noise_table(result))
     if seconds < _ALLAN_S:
         words += (
             f" Allan curve: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. A minute at rest shows"

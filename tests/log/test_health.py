@@ -71,3 +71,9 @@ def test_what_is_counted_otherwise_is_no_further_fault() -> None:
 )
 def test_the_end_of_a_fault_is_no_trouble(kind: str, message: str, trouble: bool) -> None:
     assert is_trouble(Event(0, "A", kind, message)) is trouble
+
+
+def test_consecutive_names_are_a_range() -> None:
+    """Eight gyroscopes of one board are named by the first and the last, as everywhere else."""
+    seen = Observations(sensors=8, frames=100, clipped={f"IMU{number}_gyro": 10 for number in range(1, 9)})
+    assert "80 readings of IMU1_gyro to IMU8_gyro at the end of the range" in health_of(seen).reason

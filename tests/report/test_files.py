@@ -197,7 +197,7 @@ def test_noise_is_that_of_the_longest_rest_and_findings_are_listed(tmp_path: Pat
     with open_log(run) as recorded:
         noise = list(log_sections(recorded, {}, drawn=False))[-1]
     assert "the longest rest that the sensors show" in noise.text
-    scatter, unusual = noise.parts[0], noise.parts[1]
+    unusual, scatter = noise.parts[0], noise.parts[1]
     assert isinstance(scatter, Table) and isinstance(unusual, Table)
     values = {row[0]: (row[1], float(row[2])) for row in scatter.rows}
     assert values["A x"] == ("mg", pytest.approx(10, rel=0.1))
