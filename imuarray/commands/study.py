@@ -50,7 +50,7 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
     "--array",
     type=click.Path(path_type=Path),
     metavar="CONFIG",
-    help="determine what the number and the mounting of this array's gyroscopes gain, instead",
+    help="determine what the number and the mounting of this array's gyroscopes gain, instead; the result is printed",
 )
 @click.option(
     "--quick", is_flag=True, help="two seeds of short logs: enough to see what it does, but not for conclusions"
