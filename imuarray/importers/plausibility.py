@@ -140,6 +140,9 @@ LOST_ROW = 1.5
 OFF_GRID = 0.25
 """Greatest distance of three intervals in a row from a whole number of usual intervals, in these."""
 
+RATE_CHANGED = 0.1
+"""Share of the intervals that are gaps from which on these are no exception, but another rate."""
+
 STEADY_SHARE = 0.9
 """Share of the rows that are on the grid from which on the rows of a sensor count as steady."""
 
@@ -373,6 +376,12 @@ def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
     gaps = _find_gaps(sensor, timing)
     if not len(gaps):
         return ""
+    if len(gaps) > RATE_CHANGED * timing.rows:
+        share, longer, usual = len(gaps) / timing.rows, float(np.median(gaps)) * timing.usual_s, timing.usual_s
+        return (
+            f"rows are {1e3 * usual:.3g} ms apart, but {1e3 * longer:.3g} ms in {percent(share)} of the intervals: the"
+            " rate changed, or rows are missing regularly"
+        )
     missing = int(np.sum(np.maximum(np.rint(gaps) - 1, 1)))
     gap_s = float(np.median(gaps)) * timing.usual_s
     length = f"{gap_s:.3g} s" if gap_s >= 1 else f"{1e3 * gap_s:.3g} ms"
@@ -665,7 +674,7 @@ def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
     others = f", but would with axes = {axes!r}" if proper[best] - proper[second] > BETTER else ""
     return (
         f"its rotations do not fit those of the accelerometers{others}: it is mounted in another direction, or columns"
-        " are exchanged, its own or the accelerometers'"
+        " are exchanged or a sign is wrong, its own or the accelerometers'"
     )
 
 

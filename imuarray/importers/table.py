@@ -259,10 +259,12 @@ class _Rounding:
         if self.rows < 2:
             return ""
         off, noise = np.sqrt(self._off / self.rows), np.sqrt(self._steps / (self.rows - 1))
-        if (noise < VANISHED).any() and (off > 1e-3).any():
-            axes = "".join("xyz"[axis] for axis in np.flatnonzero(noise < VANISHED))
+        vanishing = (noise > 0) & (noise < VANISHED)  # values that never change are not rounded away
+        if vanishing.any() and (off > 1e-3).any():
+            axes = "".join("xyz"[axis] for axis in np.flatnonzero(vanishing))
+            change = float(noise[vanishing].min())
             return (
-                f"{name} {axes}: its values change by {float(noise.min()):.2g} counts only and are rounded away:"
+                f"{name} {axes}: its values change by {change:.2g} counts only and are rounded away:"
                 f" {sensitivity:.6g} counts per {unit} are too few, or the unit is another"
             )
         if (off > 0.1).any() and not self.is_learnt:

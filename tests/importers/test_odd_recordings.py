@@ -337,6 +337,23 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["~ Acc, Gyro: 3 gaps between rows, 20 ms in the median: 3 rows may be missing"],
     ),
+    "a rate that changes half way": (
+        joined(
+            [
+                HEAD,
+                *lines_of(np.cumsum(np.where(np.arange(ROWS) < 1200, 0.01, 0.02)), counts_of(walk(still=True)), "{:d}"),
+            ]
+        ),
+        MAP,
+        0,
+        ["~ Acc, Gyro: rows are 10 ms apart, but 20 ms in 40 % of the intervals: the rate changed"],
+    ),
+    "values that never change": (
+        joined([HEAD, *lines_of(walk().time_s, np.tile([0.0, 0.0, 1.0, 0.3, 0.3, 0.3], (ROWS, 1)))]),
+        MAP.replace("range", 'values = "physical"\nrange'),
+        0,
+        ["? Acc: xyz is always 0, 0, 4096 ? Gyro: xyz is always 39, 39, 39"],
+    ),
     "gravity taken out": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=walk().force_g * 0.05)), "{:d}")]),
         MAP,
