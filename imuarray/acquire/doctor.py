@@ -21,7 +21,7 @@ from imuarray.bus.iio import IioDevice, devices
 from imuarray.drivers import DRIVERS
 from imuarray.errors import ImuArrayError, SensorError
 from imuarray.facts import bmp180
-from imuarray.log.disk_space import RESERVE, WATERMARK
+from imuarray.log.disk_space import RESERVE, WATERMARK, free_bytes
 from imuarray.log.journal import is_running
 from imuarray.log.layout import sensor_group
 from imuarray.log.preamble import header_of
@@ -53,10 +53,9 @@ def functionality(device: Path) -> int | None:
         os.close(fd)
 
 
-def free_bytes(folder: Path) -> int:
+def free_bytes_in(folder: Path) -> int:
     """Bytes that may still be written there; OSError."""
-    room = os.statvfs(folder)
-    return room.f_bavail * room.f_frsize
+    return free_bytes(folder / "RUN.h5")
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class Machine:
     user: int = field(default_factory=os.getuid)
     groups: frozenset[int] = field(default_factory=lambda: frozenset((*os.getgroups(), os.getgid())))
     functionality: Callable[[Path], int | None] = functionality
-    free_bytes: Callable[[Path], int] = free_bytes
+    free_bytes: Callable[[Path], int] = free_bytes_in
 
     def path(self, absolute: str) -> Path:
         """The path of a file of this machine."""

@@ -37,7 +37,7 @@ class Exclusion:
     reason: str
 
 
-def left_out_of(pose: Pose, reason: str) -> Exclusion:
+def exclusion_of(pose: Pose, reason: str) -> Exclusion:
     """The note of a pose that is not used."""
     return Exclusion(pose.label, "" if pose.log is None else str(pose.log.path), reason)
 

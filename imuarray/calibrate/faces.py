@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, exclusion_of, moved_within, worst
 from imuarray.calibrate.fits import TriadFit, straight_lines
 from imuarray.calibrate.labels import axes_text, check_labels
 from imuarray.calibrate.model import SensorCalibration, nominal
@@ -63,7 +63,7 @@ def sound_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> F
     place = _leaning(readings, up_box, bad)
     if place is not None:
         bad[place[0]] = place[1]
-    left_out = tuple(left_out_of(poses[place], reason) for place, reason in sorted(bad.items()))
+    left_out = tuple(exclusion_of(poses[place], reason) for place, reason in sorted(bad.items()))
     kept = [pose for place, pose in enumerate(poses) if place not in bad]
     fitted = tuple(pose for pose in kept if not pose.is_check)
     _refuse_too_few(first, fitted, left_out)

@@ -25,7 +25,7 @@ from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.bundle import Bundle, in_box_frame, solve
-from imuarray.calibrate.disturbed import Exclusion, another_go, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.disturbed import Exclusion, another_go, chance_of_misfit, exclusion_of, moved_within, worst
 from imuarray.calibrate.faces import accelerometer_of
 from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
 from imuarray.calibrate.model import SensorCalibration
@@ -147,7 +147,7 @@ def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lam
     sensors, poses = everything.sensors, everything.poses
     others = another_go(poses) if everything.one_run else {}
     reasons = {**(others if len(poses) - len(others) >= MIN_POSES else {}), **moved_within(everything)}
-    bad = {place: left_out_of(poses[place], reason) for place, reason in reasons.items()}
+    bad = {place: exclusion_of(poses[place], reason) for place, reason in reasons.items()}
     while True:
         kept = [place for place in range(len(poses)) if place not in bad]
         left_out = [bad[place] for place in sorted(bad)]
@@ -159,7 +159,7 @@ def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lam
         if strange is None:
             return _told(joint, apart, left_out)
         reason = f"{1e3 * off_g[strange]:.1f} mg from one g by the calibration of the other poses: not at rest"
-        bad[kept[strange]] = left_out_of(poses[kept[strange]], reason)
+        bad[kept[strange]] = exclusion_of(poses[kept[strange]], reason)
 
 
 def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[Exclusion] = ()) -> GravityFit:

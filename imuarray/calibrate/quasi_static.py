@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import Exclusion, left_out_of
+from imuarray.calibrate.disturbed import Exclusion, exclusion_of
 from imuarray.calibrate.gravity import GravityFit, fit_weighted
 from imuarray.calibrate.pose_readings import Pose, PoseReadings
 from imuarray.errors import CalibrationError
@@ -85,7 +85,7 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
         sound = np.abs(off) < _STRANGE * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
         if not sound.all() and sound.sum() >= FEWEST_STRETCHES:
             left_out += [
-                left_out_of(pose, f"{1e3 * each:+.0f} mg from one g: moved")
+                exclusion_of(pose, f"{1e3 * each:+.0f} mg from one g: moved")
                 for pose, each, good in zip(readings.poses, off, sound, strict=True)
                 if not good
             ]

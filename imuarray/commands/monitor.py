@@ -127,7 +127,7 @@ def _calibration(path: Path | None) -> Calibration | None:
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
     """Look and show, again and again until the log has ended, or Ctrl-C."""
     from imuarray.commands.monitor_screen import MonitorScreen
-    from imuarray.monitor.text import lines_of
+    from imuarray.monitor.text import text_lines
 
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
     with ends, MonitorScreen() as screen:
@@ -136,9 +136,9 @@ def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> 
             if as_json:
                 _show_json(snapshot)
             elif once:
-                click.echo("\n".join(lines_of(snapshot, screen.columns)))
+                click.echo("\n".join(text_lines(snapshot, screen.columns)))
             else:
-                screen.show(lines_of(snapshot, screen.columns))
+                screen.show(text_lines(snapshot, screen.columns))
             if once or (snapshot.state in ("finished", "interrupted") and snapshot.counted == 1.0):
                 return
             screen.rest(every_s)

@@ -28,11 +28,11 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     \b
     imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html
     """
-    from imuarray.report.files import kind_of, members, write_report
+    from imuarray.report.files import file_kind, members, write_report
 
     for path in (member for file in files for member in members(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
-        kind_of(path)
+        file_kind(path)
     with progress(_STEPS, "report") as done:
         moved = lambda share: done(int(share * _STEPS))  # noqa: E731
         kinds = write_report(files, output, title=title, force=force, progress=moved, workers=workers)

@@ -65,7 +65,7 @@ class RowWindow:
     def block(self) -> Block | None:
         """All rows that are kept; None if there are none."""
         if len(self._parts) > 1:
-            self._parts = [joined(self._parts)]
+            self._parts = [join_blocks(self._parts)]
         return self._parts[0] if self._parts else None
 
     def forget(self, before_ns: int) -> None:
@@ -76,7 +76,7 @@ class RowWindow:
         self._parts = kept
 
 
-def joined(parts: list[Block]) -> Block:
+def join_blocks(parts: list[Block]) -> Block:
     """Rows one after the other. All parts have the same columns."""
     first = parts[0]
     degrees = [part.temperature_counts for part in parts if part.temperature_counts is not None]

@@ -100,7 +100,7 @@ def _columns_of(name: str, said: Any, where: str) -> tuple[str, ...]:
     return tuple(column for column in every if column in said)
 
 
-def notes_of(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
+def read_notes(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
     """Return phases and events from lists of their fields; SourceError."""
     try:
         for row in phases:

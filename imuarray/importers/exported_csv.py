@@ -24,8 +24,8 @@ from imuarray.importers.exported import (
     MAX_HEADER_BYTES,
     Head,
     checked_head,
-    notes_of,
     parse_header,
+    read_notes,
     write_log,
 )
 from imuarray.importers.mapping import FileTable
@@ -53,7 +53,7 @@ def import_file(
         head = checked_head(header, str(path))
         files: Files = {str(header["table"]): (path, None)} if "table" in header else _listed(file, path, head)
     reader = _Tables(files, path, output, lambda share: progress(int(size * share)))
-    notes = notes_of(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))
+    notes = read_notes(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))
     return write_log(head, reader.rows, notes, output, str(path), force=force)
 
 

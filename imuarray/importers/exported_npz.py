@@ -22,7 +22,7 @@ from numpy.lib import format as npy
 from imuarray.errors import SourceError
 from imuarray.export.formats import NPZ_HEADER
 from imuarray.importers import ImportSummary, open_source
-from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
+from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, parse_header, read_notes, write_log
 from imuarray.log.inspection import MOST_DEFLATED
 from imuarray.log.layout import Columns, Group
 from imuarray.printable import printable
@@ -53,7 +53,7 @@ def import_file(
                 head = parse_header(arrays.header(), str(source))
                 checked = checked_head(head, str(source))
                 arrays.names = head.get("arrays")
-                notes = notes_of(head.get("phases"), head.get("events"), str(source))
+                notes = read_notes(head.get("phases"), head.get("events"), str(source))
                 return write_log(checked, arrays.rows, notes, output, str(source), force=force)
         except _DAMAGED as error:
             raise SourceError(f"{source}: damaged, or not an npz file: {printable(str(error))[:200]}") from None

@@ -16,7 +16,14 @@ from imuarray.errors import ExportError, SourceError
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, csv_names
 from imuarray.export.mcap_file import epoch_ns
 from imuarray.importers import ImportSummary, open_source
-from imuarray.importers.exported import COLUMN_UNITS, MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
+from imuarray.importers.exported import (
+    COLUMN_UNITS,
+    MAX_HEADER_BYTES,
+    checked_head,
+    parse_header,
+    read_notes,
+    write_log,
+)
 from imuarray.log.layout import Columns, Group
 from imuarray.printable import printable
 
@@ -65,7 +72,7 @@ def import_file(
     def read(group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
         yield from _rows(files[group.path], group, cells, head.preamble.epoch)
 
-    return write_log(head, read, notes_of(phases, events, str(path)), output, str(path), force=force)
+    return write_log(head, read, read_notes(phases, events, str(path)), output, str(path), force=force)
 
 
 def _header(path: Path) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     layout = TextLayout(comment=comment)
     tail = [line for _, line in lines[len(lines) // 2 :]][:200]
     layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
-    rows = [(number, cells_of(line, layout.delimiter)) for number, line in lines]
+    rows = [(number, split_cells(line, layout.delimiter)) for number, line in lines]
     if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
         layout.decimal = ","
     numeric = [sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
@@ -99,7 +99,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
     width = len(rows[first][1])
-    before = [(number, cells_of(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
+    before = [(number, split_cells(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
     commented = before[-1] if before and len(before[-1][1]) == width else None
     header = rows[first - 1] if first else commented
     if header is not None and first > 1 and len(rows[first - 2][1]) == len(header[1]) and is_unit_row(header[1]):
@@ -129,7 +129,7 @@ def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[boo
 
 def _fitness(lines: Sequence[str], delimiter: str) -> float:
     """Rate how well a delimiter splits the lines into equal numbers of numeric cells."""
-    rows = [cells_of(line, delimiter) for line in lines]
+    rows = [split_cells(line, delimiter) for line in lines]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
     layout = TextLayout(delimiter, "," if delimiter != "," else ".")
@@ -137,7 +137,7 @@ def _fitness(lines: Sequence[str], delimiter: str) -> float:
     return (widths.count(usual) / len(rows)) * (usual > 1) * good / max(1, sum(widths)) * min(usual, 20)
 
 
-def cells_of(line: str, delimiter: str) -> list[str]:
+def split_cells(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line; [] of one that is no text."""
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
@@ -199,5 +199,5 @@ def names_by_kind(path: Path) -> dict[str, list[str]]:
     """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them."""
     with open_source(path, path.with_suffix(".guess")) as file:
         lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
-    rows = [cells_of(line, ",") for line in lines if line.startswith("FMT,")]
+    rows = [split_cells(line, ",") for line in lines if line.startswith("FMT,")]
     return {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}

@@ -20,7 +20,7 @@ _NUMBERS = 70
 """Columns of the table but those of the names."""
 
 
-def lines_of(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
+def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
     """The whole of it, in so many `columns` if there are 80 of them; no line steers a terminal."""
     lines = _wrapped(_head(snapshot), columns, first="")
     if snapshot.remark:

@@ -152,7 +152,7 @@ def write_report(
     `workers` a second process does a part of what a long log needs, which changes nothing on the page. LogError for a
     file of no kind, OutputExistsError.
     """
-    kinds = {path: kind_of(path) for path in dict.fromkeys(member for path in paths for member in members(path))}
+    kinds = {path: file_kind(path) for path in dict.fromkeys(member for path in paths for member in members(path))}
     known = Calibration()
     for path, kind in kinds.items():
         if kind == "calibration":
@@ -194,7 +194,7 @@ def members(path: Path) -> list[Path]:
     return contents
 
 
-def kind_of(path: Path) -> str:
+def file_kind(path: Path) -> str:
     """Return which of `KINDS` a file or folder is; LogError if it is none."""
     for kind, recognised in _RECOGNISED:
         if recognised(path):

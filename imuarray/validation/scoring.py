@@ -78,7 +78,7 @@ class SplitFigure(NamedTuple):
     cases: int
 
 
-def left_out_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigure, ...]:
+def split_figures(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigure, ...]:
     """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities
     fitted to the cases without it see `imuarray.validation.calibration`.
     """
@@ -278,7 +278,7 @@ def score(
         closures_of(answers, full),
         world,
         elsewhere,
-        left_out_of(answers, hidden) if world else (),
+        split_figures(answers, hidden) if world else (),
     )
 
 

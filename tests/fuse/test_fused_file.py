@@ -14,7 +14,7 @@ from imuarray.errors import LogError
 from imuarray.export import export
 from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.fused_file import LiveFused
-from imuarray.report.files import kind_of
+from imuarray.report.files import file_kind
 from imuarray.report.fused_sheet import fused_sections
 from imuarray.report.page import Table
 from tests.fuse.conftest import EPOCH
@@ -152,7 +152,7 @@ def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_sho
     assert read_fused_head(cut_file).frames == FRAMES
     assert [len(part.time) for part in read_fused(cut_file, block=30)] == [30, 20]
     assert sum(export(cut_file, tmp_path / "f.csv").rows.values()) == FRAMES
-    assert kind_of(cut_file) == "fused result"
+    assert file_kind(cut_file) == "fused result"
 
 
 EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)

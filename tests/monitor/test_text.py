@@ -25,7 +25,7 @@ from imuarray.log.format import Event
 from imuarray.monitor import LogMonitor, payload
 from imuarray.monitor.event_counts import RepeatedEvent
 from imuarray.monitor.payload import DRAWN, described, drawn
-from imuarray.monitor.text import duration, lines_of
+from imuarray.monitor.text import duration, text_lines
 from tests.monitor.conftest import EPOCH, HEADERS, Logger
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def words(line: str) -> str:
 
 def test_the_table(ended: Path) -> None:
     with LogMonitor(ended) as watch:
-        lines = lines_of(watch.refresh(0.0))
+        lines = text_lines(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
     assert lines[1] == "  health amber: 5 frames missed: ask for fewer frames a second, or for fewer"
     assert words(lines.pop(2)) == "sensors"
@@ -89,9 +89,9 @@ def test_the_table_fits_into_80_columns(ended: Path) -> None:
         events={f"kind_{k}": 10_000 for k in range(9)},
         remark="r " * 90,
     )
-    lines = lines_of(full)
+    lines = text_lines(full)
     assert max(map(len, lines)) <= 80
-    assert max(map(len, lines_of(full, 100))) > 80
+    assert max(map(len, text_lines(full, 100))) > 80
     assert sum("stale 1000" in line for line in lines) > 0
     assert "…" in lines[-1]
 
@@ -205,7 +205,7 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
             writer.event(Event(second * 10**9 + 1, "", "bus", f"works again, after {second}.0 s"))
     with LogMonitor(log_path) as watch:
         snapshot = watch.refresh(0.0)
-    assert lines_of(snapshot)[-2:] == [
+    assert text_lines(snapshot)[-2:] == [
         "        5.0 s  5 times since 1.0 s, bus: works again, after 5.0 s",
         "        5.0 s  5 times since 1.0 s, Acc lost: no reading at 5.5 s",
     ]

@@ -16,7 +16,7 @@ from imuarray.errors import ImuArrayError, LogError, OutputExistsError
 from imuarray.fuse import FaultEvent, FusedBlock, fuse, write_fused
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
-from imuarray.report.files import kind_of, write_report
+from imuarray.report.files import file_kind, write_report
 from imuarray.report.log_sheet import log_sections
 from imuarray.report.page import Table
 from tests.fuse.conftest import Part, WriteRun
@@ -131,7 +131,7 @@ def test_a_folder_stands_for_the_files_in_it(made: Path, tmp_path: Path) -> None
 def test_other_files_are_refused_with_what_is_allowed(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(LogError, match="allowed are logs and fused results"):
-        kind_of(tmp_path / name)
+        file_kind(tmp_path / name)
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_nothing_is_overwritten_and_a_missing_file_is_named(made: Path, tmp_path
         write_report([made / "cal.toml"], page)
     assert page.read_text() == "mine"
     with pytest.raises(ImuArrayError, match=r"none\.h5: no such file"):
-        kind_of(tmp_path / "none.h5")
+        file_kind(tmp_path / "none.h5")
 
 
 def test_the_command(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ import pytest
 from imuarray.report.validation_words import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
-from imuarray.validation.scoring import as_json, format_text, left_out_of, score_folder
+from imuarray.validation.scoring import as_json, format_text, score_folder, split_figures
 from tests.validation.made_run import NO_GAP, Made, cause, put, said
 
 CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}
@@ -66,7 +66,7 @@ def test_what_is_lost_between_worlds_is_said_first(run: Made) -> None:
 def test_parts_are_judged_against_the_rest(run: Made) -> None:
     """Five cases with heating, nine without, of the emulator's; the sensors of all of them have one chip."""
     answers = [item for item in read_run(run.folder).answers if item.case.world == "foreign"]
-    parts = {(item.part, item.figure): item for item in left_out_of(answers, {})}
+    parts = {(item.part, item.figure): item for item in split_figures(answers, {})}
     heated = parts["experiment heating", "right cause first"]
     assert (heated.value, heated.others, heated.cases) == (0.6, 0.6, 5)
     assert answers[0].chips == ("l3g4200d",)

@@ -14,7 +14,7 @@ from imuarray.characterise.plots.frame import (
     Captions,
     SensorPanel,
     Table,
-    axes_of,
+    count_axes,
     floats,
     legend,
     panel_figure,
@@ -42,7 +42,7 @@ def autocorrelation_figure(result: Table) -> Figure:
     Axes whose p-value, times the number of axes, is up to 1 % are drawn in colour. MissingExtraError if there is no
     matplotlib.
     """
-    level = FALSE_ALARM / axes_of(result)
+    level = FALSE_ALARM / count_axes(result)
     captions = Captions("Autocorrelation", _READING, "no sensor has an unbroken run long enough for an autocorrelation")
     return panel_figure(result, captions, _is_shown, partial(_draw, level=level), 3.2)
 

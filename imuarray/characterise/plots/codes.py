@@ -12,7 +12,7 @@ from imuarray.characterise.plots.frame import (
     COLOURS,
     FALSE_ALARM,
     Table,
-    axes_of,
+    count_axes,
     floats,
     how_to_read,
     label,
@@ -50,7 +50,7 @@ def histogram_figure(result: Table) -> Figure:
 
     MissingExtraError if there is no matplotlib.
     """
-    level = FALSE_ALARM / axes_of(result) / _TESTS
+    level = FALSE_ALARM / count_axes(result) / _TESTS
     known = [sensor for sensor in result["sensors"] if any(map(_is_shown, sensor["axes"]))]
     sensors = chosen(known, level)
     which = f", {len(sensors)} of {len(known)} sensors" if len(sensors) < len(known) else ""

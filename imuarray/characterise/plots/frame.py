@@ -225,7 +225,7 @@ def label(sensor: Table) -> str:
     return f"{sensor['name']} ±{sensor['range']:g} {sensor['unit']}" if sensor["range"] else str(sensor["name"])
 
 
-def axes_of(result: Table) -> int:
+def count_axes(result: Table) -> int:
     """Return how many axes share a figure's chance of a false alarm; at least 1."""
     return max(1, sum(len(sensor["axes"]) for sensor in result["sensors"]))
 

@@ -18,7 +18,7 @@ from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, disagreement, separate_rivals, strongest
-from imuarray.fuse.faults.kinds import QUIET, FaultKind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
+from imuarray.fuse.faults.kinds import QUIET, FaultKind, Ranges, TriadComparison, compare_triad, fault_kind, reset_to
 from imuarray.fuse.faults.normal import NormalModel
 from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.least_squares import spans
@@ -377,7 +377,7 @@ class FaultIsolation:
         if drifted:
             return FaultKind("random_walk", drifted)
         view = compare_triad(seen, window, self._normal, _members(sensor))
-        return None if view is None else kind_of(view, [axis % 3 for axis in axes], self._reset(view, sensor))
+        return None if view is None else fault_kind(view, [axis % 3 for axis in axes], self._reset(view, sensor))
 
     def _reset(self, view: TriadComparison, sensor: int) -> tuple[float, float] | None:
         """The range that explains a view of a sensor."""

@@ -108,7 +108,7 @@ def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) 
     return (best, factors[best]) if abs(ratio / factors[best] - 1) < tolerance else None
 
 
-def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> FaultKind:
+def fault_kind(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> FaultKind:
     """Return the kind of fault of the axes `which` (0, 1, 2) of a triad."""
     if view.stale or (view.quiet < QUIET and reset is None):
         return FaultKind("stuck", 0.0, whole=True)

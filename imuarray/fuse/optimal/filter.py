@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, segment_view, solve
-from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, held, patterns
+from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import Gaussian, States, corrected, predicted
 
 OVER_S = 0.05
@@ -64,7 +64,7 @@ class Dynamics:
 
     def _changes(self, time: Times, triad: Floats) -> Floats:
         """(n,) squares of the change per second; 0 where nothing is known yet."""
-        times, triads = np.concatenate([self._time, time]), held(np.concatenate([self._triad, triad]))
+        times, triads = np.concatenate([self._time, time]), hold_last(np.concatenate([self._triad, triad]))
         now: slice | Indices = slice(len(self._time), len(times))
         then: slice | Indices = slice(len(times) - self._back)
         if len(self._time) < self._back:  # of the first frames none is so far back

@@ -126,7 +126,7 @@ def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | sli
     return [(flags[first[key]], np.flatnonzero(pattern == first[key])) for key in sorted(first)]
 
 
-def held(triad: Floats) -> Floats:
+def hold_last(triad: Floats) -> Floats:
     """(n, 3) with the last known one in place of NaN, which is left only where none was known before."""
     known = np.isfinite(triad).all(axis=1)
     return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]

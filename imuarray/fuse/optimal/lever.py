@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, held
+from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, hold_last
 
 FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
@@ -84,7 +84,7 @@ class Lever:
         """
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
-        lasting = held(np.concatenate([self._held[None], rate]))[1:]
+        lasting = hold_last(np.concatenate([self._held[None], rate]))[1:]
         self._time, self._rate, self._held = time[-2:], rates[-2:], (lasting[-1] if len(lasting) else self._held)
         known = np.asarray(np.isfinite(acceleration).all(axis=1))
         turning = self._centripetal(lasting)
