@@ -102,7 +102,7 @@ def test_counts_go_to_their_sensors(tmp_path: Path, out: Path) -> None:
         assert log["IMU1_gyro"].rate_hz == 62.5
         assert (log.source, log.epoch) == ("imported", "1970-01-01T00:00:00.000000Z")
         (event,) = log.events
-        assert "no wall time" in event.message
+        assert "without wall-clock time" in event.message
 
 
 @pytest.mark.slow
