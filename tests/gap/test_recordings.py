@@ -74,7 +74,9 @@ def phase(start_s: int, end_s: int, name: str, up: str = "") -> Phase:
 def test_what_was_done_follows_from_the_phases(tmp_path: Path, phases: list[Phase], kind: str) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.name, found.kind, found.phases) == ("log.h5", kind, tuple(phases))
-    assert found.notes == ("There is no reference temperature: 25 degC is assumed throughout.",)
+    assert found.notes == (
+        "There is no reference temperature: 25 degC is assumed, and any usual change of a room's temperature.",
+    )
 
 
 def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:

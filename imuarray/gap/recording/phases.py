@@ -229,7 +229,7 @@ def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude])
 def temperature_notes(motion: LikeLog) -> list[str]:
     """A note if the log has no reference temperature."""
     if motion.temperature_source == "nothing":
-        return ["There is no reference temperature: 25 degC is assumed throughout."]
+        return ["There is no reference temperature: 25 degC is assumed, and any usual change of a room's temperature."]
     if motion.temperature_source == "chip":
         return [
             "There is no reference temperature: it is taken from a chip's own thermometer, which may be some degrees "
