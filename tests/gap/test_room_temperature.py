@@ -8,7 +8,7 @@ import pytest
 from imuarray.gap.model.base_model import replicate_seed
 from imuarray.gap.model.replication import SensorModel, Stage
 from imuarray.gap.model.rest import FittedParameters
-from imuarray.gap.model.room_temperature import HEAT_DEGC, draw_room_temperature, room_degc
+from imuarray.gap.model.room_temperature import draw_room_temperature
 from imuarray.simulate import Motion
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.streams import Streams
@@ -64,15 +64,3 @@ def test_biases_follow_it_where_no_temperature_was_recorded(has_temperature: boo
     degc = (STILL if has_temperature else room).felt(at_ns).temperature_degc
     assert (np.ptp(degc) > 0.02) != has_temperature
     np.testing.assert_allclose(level_dps, 100.0 * (degc - 25.0), atol=0.1)
-
-
-def test_thermometers_of_chips_are_off_by_a_share_of_a_heat() -> None:
-    """Half a degree (rms) at most in a room, and a twentieth of a heat of 40 degC."""
-    assert room_degc(0.0) == room_degc(8.0) == (0.02, 0.5)
-    assert room_degc(40.0) == (0.02, pytest.approx(2.0))
-
-
-def test_a_box_that_is_heated_on_purpose_has_courses_of_many_degrees() -> None:
-    rooms = (draw_room_temperature(STILL, Streams(seed), 0, HEAT_DEGC) for seed in range(100))
-    rms_degc = np.array([room.felt(DAY_NS).temperature_degc.std() for room in rooms])
-    assert 1.9 < rms_degc.min() < 3.0 and 14.0 < rms_degc.max() < 20.5

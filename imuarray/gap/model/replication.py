@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
-from imuarray.gap.model.room_temperature import HEAT_DEGC, draw_room_temperature, room_degc
+from imuarray.gap.model.room_temperature import HEAT_DEGC, ROOM_DEGC, draw_room_temperature
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Experiment, reference_of
 from imuarray.gap.recording.source import Source, simulated_sources
@@ -190,7 +190,7 @@ class Stage:
         if experiment.has_temperature:
             return experiment.motion
         units = Streams(replicate_seed(self.base.seed, number))
-        usual_degc = HEAT_DEGC if experiment.is_heated else room_degc(experiment.span_degc)
+        usual_degc = HEAT_DEGC if experiment.is_heated else ROOM_DEGC
         return draw_room_temperature(experiment.motion, units, self.first_boot + log, usual_degc)
 
     def _source(self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:

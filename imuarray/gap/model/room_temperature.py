@@ -26,11 +26,6 @@ open door.
 HEAT_DEGC = (2.0, 20.0)
 """The same of a box that is heated on purpose."""
 
-SPAN_SHARE = 0.05
-"""Share of a heat, as the chips' own thermometers show it, by which they may be off (rms): they have steps of half a
-degree or more, are averaged, and lie elsewhere than the elements.
-"""
-
 PERIODS_S = (20.0, 1800.0)
 """Shortest and longest period of a wave, log-uniform: what the wall of a box lets through, the cycle of a heating."""
 
@@ -70,12 +65,6 @@ class RoomTemperature:
             for period_s, phase_rad in zip(self.period_s, self.phase_rad, strict=True)
         )
         return np.asarray(self.amplitude_degc * sum(waves))
-
-
-def room_degc(span_degc: float) -> tuple[float, float]:
-    """Least and largest usual root mean square of what is not recorded of a temperature with this span."""
-    least_degc, most_degc = ROOM_DEGC
-    return least_degc, max(most_degc, SPAN_SHARE * span_degc)
 
 
 def draw_room_temperature(

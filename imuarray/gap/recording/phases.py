@@ -196,11 +196,10 @@ def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
 
 def is_heated(phases: Sequence[Phase], motion: LikeLog) -> bool:
     """True if a phase is noted as heating, or the temperature changes by more than `HEATED_DEGC` in a phase at rest."""
-    return any("heat" in phase.name or change_degc(phase, motion) > HEATED_DEGC for phase in phases)
+    return any("heat" in phase.name or _change_degc(phase, motion) > HEATED_DEGC for phase in phases)
 
 
-def change_degc(phase: Phase, motion: LikeLog) -> float:
-    """Return the span of the temperature in a phase at rest, 0 in others."""
+def _change_degc(phase: Phase, motion: LikeLog) -> float:
     return float(np.ptp(_sampled(phase, motion).temperature_degc)) if is_at_rest(phase) else 0.0
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -21,7 +21,6 @@ from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
 from imuarray.gap.recording.phases import (
     attitudes_of,
-    change_degc,
     is_at_rest,
     is_heated,
     kind_of,
@@ -80,8 +79,7 @@ class Experiment(NamedTuple):
 
     `untimed_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
     (`imuarray.gap.recording.recorder_gaps`). `has_temperature`: whether the log has a reference temperature; without
-    one, the box may have been heated all the same (`is_heated`), by `span_degc` according to the chips' own
-    thermometers.
+    one, the box may have been heated all the same (`is_heated`).
     """
 
     plan: Plan
@@ -89,7 +87,6 @@ class Experiment(NamedTuple):
     untimed_ns: Mapping[str, Times] = {}
     has_temperature: bool = True
     is_heated: bool = False
-    span_degc: float = 0.0
 
     def timed(self, name: str, source: Source) -> Source:
         """The rows of a sensor, recorded or simulated, without these."""
@@ -149,10 +146,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
     posed = PoseSequence(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     has_temperature = motion.temperature_source not in UNREFERENCED
-    span_degc = 0.0 if has_temperature else max(map(partial(change_degc, motion=motion), phases))
-    experiment = Experiment(
-        replace(plan, sensors=sensors), posed, gaps.untimed_ns, has_temperature, span_degc=span_degc
-    )
+    experiment = Experiment(replace(plan, sensors=sensors), posed, gaps.untimed_ns, has_temperature)
     return Recording(
         log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
     )
