@@ -157,8 +157,8 @@ class FirmwareCounts(NamedTuple):
 
 @dataclass(frozen=True)
 class CountRule:
-    """What a counted request reads: the two bytes at `offset` of the answer before it, with `mask`, count packets of
-    `packet` bytes, or bytes of such packets.
+    """The rule for the length of a counted request: the two bytes at `offset` of the answer before it, with `mask`,
+    count packets of `packet` bytes, or bytes of such packets.
     """
 
     packet: int

@@ -202,7 +202,7 @@ class QueueTimes(Protocol):
 
     @property
     def uncertainties_ns(self) -> Sequence[float]:
-        """By how much each time in `drained` may be off at most; empty where that is not known."""
+        """Largest error of each time in `drained`; empty where it is not known."""
 
     def restart(self) -> None:
         """Forget everything: the chip was set up again, or its queue drained in another's place."""

@@ -577,8 +577,8 @@ class Lsm6dsoQueue(DieQueue):
             if unread:  # whose words these are is not known, so that the count may be off by two samples
                 from_ns -= round(2 * clock.nominal_ns)
                 until_ns += round(2 * clock.nominal_ns)
-            left = round(unread / self._words_per_sample)
-            clock.times(len(mine), from_ns, gap, until_ns=until_ns, unread=left)
+            unread_samples = round(unread / self._words_per_sample)
+            clock.times(len(mine), from_ns, gap, until_ns=until_ns, unread=unread_samples)
             reader.put(mine.tobytes(), clock, gap=gap)
         return True
 

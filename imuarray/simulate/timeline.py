@@ -21,6 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.chips import CHIPS
+from imuarray.errors import ConfigError
 from imuarray.log import SensorLog
 from imuarray.log.columns import NamedColumn
 from imuarray.log.format import LOST_BEFORE
@@ -272,9 +273,17 @@ def _is_beat(rows: Integers) -> bool:
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
-    """The timelines of an array that is polled `frame_rate_hz` times a second for `seconds`."""
+    """The timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the bus is
+    too slow.
+    """
     frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
-    forth, back = _offsets_ns(array)
+    forth, back, frame_ns = _offsets_ns(array)
+    polled = [sensor.name for sensor in array.sensors if not sensor.fifo]
+    if max((abs(back[name] - forth[name]) for name in polled), default=0) >= period_ns:
+        raise ConfigError(
+            f"{frame_rate_hz:g} frames per second: the bus needs {frame_ns * 1e-6:.3g} ms to read all sensors; allowed "
+            f"are at most {math.floor(1e9 / frame_ns)} frames per second, or queues (fifo = true)"
+        )
     lines: dict[str, Timeline] = {}
     for sensor in array.sensors:
         if sensor.fifo:
@@ -294,21 +303,33 @@ def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
     return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz - _SOON)), 0
 
 
-def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int]]:
-    """Nanoseconds from the start of a frame to each sensor's burst, on the way there and on the way back."""
+def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int]:
+    """Nanoseconds from the start of a frame to each sensor's burst, on the way there and on the way back, and to its
+    end.
+    """
     segments: dict[int | str | None, list[SensorConfig]] = {}
     for sensor in array.sensors:
         segments.setdefault(sensor.bus or sensor.channel, []).append(sensor)
     orders = list(segments.values())
-    return _along(orders), _along(orders[::-1])
+    forth, frame_ns = _along(orders)
+    return forth, _along(orders[::-1])[0], frame_ns
 
 
-def _along(segments: list[list[SensorConfig]]) -> dict[str, int]:
+def _along(segments: list[list[SensorConfig]]) -> tuple[dict[str, int], int]:
+    """Nanoseconds to each sensor's burst, and to the end of the last one."""
     offsets: dict[str, int] = {}
-    clocks = 0
+    passed_ns = 0
     for index, segment in enumerate(segments):
-        clocks += _SWITCH_CLOCKS if index else 0  # a frame begins on the segment where the last one ended
+        if index and not segment[0].on_spi:
+            passed_ns += _SWITCH_CLOCKS * _CLOCK_NS  # a frame begins on the segment where the last one ended
         for sensor in segment:
-            offsets[sensor.name] = clocks * _CLOCK_NS
-            clocks += _BURST_CLOCKS[sensor.chip]
-    return offsets
+            offsets[sensor.name] = passed_ns
+            passed_ns += _burst_ns(sensor)
+    return offsets, passed_ns
+
+
+def _burst_ns(sensor: SensorConfig) -> int:
+    """Duration of one burst: on SPI eight clocks for the register and for each byte."""
+    if sensor.on_spi:
+        return round(8e9 * (CHIPS[sensor.chip].burst_bytes + 1) / sensor.spi_rules.clock_hz)
+    return _BURST_CLOCKS[sensor.chip] * _CLOCK_NS

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus
+from imuarray.errors import ConfigError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SensorHeader
 from imuarray.simulate.timeline import GapFilledTimes, LogTimes, filled, poll
@@ -274,3 +275,51 @@ def test_flagged_losses_count_among_evenly_spaced_gaps(tmp_path: Path) -> None:
         line = filled(log["A"])
         assert isinstance(line, GapFilledTimes)
         assert line.before.tolist() == (gaps[3:5] + 1).tolist()
+
+
+THREE_CHANNELS = """
+[array]
+name = "three"
+mux = { chip = "pca9544a", address = 0x70 }
+""" + "".join(
+    f"""
+[[sensor]]
+name = "A{channel}"
+chip = "adxl345"
+address = 0x53
+channel = {channel}
+range = 2
+"""
+    for channel in range(3)
+)
+
+
+def test_a_rate_that_the_bus_cannot_keep_is_an_error() -> None:
+    """Three bursts of 11 bytes and two switches of the multiplexer, 3 * 99 + 2 * 19 clocks at 400 kHz, take 0.8375 ms.
+    The first sensor of a frame is the last one of the next, 0.59 ms later: at 1695 frames a second both have one time.
+    """
+    array = parse_array(THREE_CHANNELS)
+    assert all(np.diff(line.stamps(0, 100)).min() > 0 for line in poll(array, 1690.0, 1.0).values())
+    with pytest.raises(ConfigError, match=r"1695 frames per second: the bus needs 0.837 ms .* at most 1194 frames"):
+        poll(array, 1695.0, 1.0)
+
+
+def test_bursts_on_spi_take_eight_clocks_a_byte() -> None:
+    """At 1 MHz, a register and 14 bytes take 120 us; nothing is switched."""
+    halves = "".join(
+        f"""
+[[sensor]]
+name = "I{number}_{kind}"
+chip = "icm42688"
+bus = "/dev/spidev0.{number}"
+spi_clock_hz = 1_000_000
+fifo = false
+range = {span}
+rate_hz = 1000
+"""
+        for number in range(2)
+        for kind, span in (("acc", 4), ("gyro", 500))
+    )
+    lines = poll(parse_array(f"[array]\nname = 'two'\n{halves}"), 100.0, 1.0)
+    first, second = (int(lines[name].stamps(0, 1)[0]) for name in ("I0_acc", "I1_acc"))
+    assert second - first == 2 * 120_000

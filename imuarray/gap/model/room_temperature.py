@@ -45,12 +45,12 @@ class RoomTemperature:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """Those of the motion."""
+        """The phases of the motion."""
         return self.motion.phases
 
     @property
     def seconds(self) -> float:
-        """That of the motion."""
+        """The duration of the motion."""
         return self.motion.seconds
 
     def felt(self, time_ns: Integers) -> Felt:
