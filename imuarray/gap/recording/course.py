@@ -40,6 +40,17 @@ _EACH_NATS, _TOTAL_NATS = 3.0, 15.0
 less the first, has to exceed the second, which normal noise does in one of twenty logs.
 """
 
+_PARTLY_NATS = 10.0
+"""Nats by which a line in a stretch explains more than one in the whole phase: the best of 2000 stretches of 64 windows
+gains 7 by chance.
+"""
+
+_FINER = 4
+"""Frequencies in each bin of the spectrum at which a line is looked for: between bins it would not add up."""
+
+_BESIDE = 32
+"""Bins on either side of a line by which the noise beside it is estimated."""
+
 _MOST_STRETCHES = 8
 """The most stretches of one kind that are reported for a log."""
 
@@ -97,7 +108,46 @@ def stretches_of(source: Source, phases: Sequence[Phase]) -> tuple[Stretches, ..
         ):
             distinct_changes.append(change)
     edged = [(change.inside, _edges(source, windows, change.inside)) for change in distinct_changes]
-    return tuple(_joined(edges_s, side) for inside, edges_s in edged for side in (inside, ~inside))
+    sets = tuple(_joined(edges_s, side) for inside, edges_s in edged for side in (inside, ~inside))
+    line = _stretch_of_line(source, max(phases, key=lambda phase: phase.end_ns - phase.start_ns))
+    return sets if line is None else (*sets, (line,))
+
+
+def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None:
+    """The stretch in which the highest line of a phase is on, if it is off for a part of the phase; None otherwise.
+
+    A line that no window shows adds up in phase as long as it is on. With z_k the sums of windows of the rows less
+    their mean, turned back by the phase of the line, and p the power of the noise beside it per row, a stretch of n
+    rows with the line gains |sum z_k|^2 / (n p) nats (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974).
+    """
+    blocks = list(source.blocks(phase.start_ns, phase.end_ns))
+    if not blocks:
+        return None
+    time_s = np.concatenate([block.time for block in blocks]) * 1e-9
+    windows = len(time_s) // _WINDOW_ROWS
+    if windows < _FEWEST_WINDOWS:
+        return None
+    rows = windows * _WINDOW_ROWS
+    counts = np.concatenate([block.counts for block in blocks])[:rows].astype(float)
+    counts -= counts.mean(axis=0)
+    power = np.abs(np.fft.rfft(counts, _FINER * rows, axis=0)) ** 2
+    lowest = 2 * _FINER * windows  # lines of less than two periods in a window are told by the windows
+    power[:lowest] = 0.0
+    line, axis = (int(at) for at in np.unravel_index(int(power.argmax()), power.shape))
+    beside = power[max(line - _FINER * _BESIDE, lowest) : line + _FINER * _BESIDE + 1, axis]
+    floor = float(np.median(beside)) / np.log(2) / rows
+    if floor <= 0:
+        return None
+    turned = counts[:, axis] * np.exp(-2j * np.pi * line / (_FINER * rows) * np.arange(rows))
+    upto = np.concatenate([[0.0], np.cumsum(turned.reshape(windows, _WINDOW_ROWS).sum(axis=1))])
+    begin, end = np.triu_indices(windows + 1, _FEWEST_STRETCH_WINDOWS)
+    gains = np.abs(upto[end] - upto[begin]) ** 2 / ((end - begin) * _WINDOW_ROWS * floor)
+    best = int(gains.argmax())
+    if gains[best] < _TOTAL_NATS or gains[best] - abs(upto[-1]) ** 2 / (rows * floor) < _PARTLY_NATS:
+        return None
+    first, last = int(begin[best]) * _WINDOW_ROWS, int(end[best]) * _WINDOW_ROWS
+    begin_s = 0.0 if first == 0 else float(time_s[first])
+    return begin_s, np.inf if last >= rows else float(time_s[last])
 
 
 def _window_table(source: Source, phases: Sequence[Phase]) -> _WindowTable | None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
-from imuarray.gap.inference.effects.quietness import rarity_behind
+from imuarray.gap.inference.effects.quietness import noise_of_logs, rarity_behind
 from imuarray.gap.inference.effects.tone import TONE, assign_signs
 from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
 from imuarray.gap.inference.when import Span, When
@@ -246,3 +246,25 @@ def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> 
     assert [log for log, _, _ in trial.when.triples] == [1]
     assert trial.fitted is not None
     assert trial.fitted.rms == pytest.approx((0.15,) * 3, rel=0.1)
+
+
+@pytest.mark.slow
+def test_noise_of_most_logs_is_more_than_that_of_the_quiet_ones() -> None:
+    """0.05 dps in one log at rest and 0.15 dps in two others: the fit is that of the two."""
+    noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((1, 0.0, math.inf), (2, 0.0, math.inf))))
+    evidence = evidence_of(("static", "tumble", "tumble"), "G1", {"G1": (noisy,)}, seed=7)
+    logs = noise_of_logs(evidence)
+    assert logs is not None
+    assert (logs.quiet, logs.noisy) == ((0,), (1, 2))
+    assert np.exp(logs.more - logs.less) == pytest.approx((3.0,) * 3, rel=0.1)
+
+
+@pytest.mark.slow
+def test_noise_that_grew_at_a_moment_of_a_log_whose_date_is_not_the_first() -> None:
+    """From 30 s of the second log on, and in the first: the logs that are as noisy, whatever their dates are."""
+    grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 0.0, math.inf), (1, 30.0, math.inf))))
+    evidence = evidence_of(("tumble", "static"), "G1", {"G1": (grown,)}, seed=7)
+    trials = [trial for trial in WHITE_NOISE.guesses(evidence) if trial.when.spans]
+    assert any(
+        [log for log, _, _ in trial.when.triples] == [0, 1] and trial.when.triples[1][1] > 25 for trial in trials
+    )

@@ -41,10 +41,13 @@ class NoiseOfLogs(NamedTuple):
 
 
 def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
-    """Divides the logs by their noise; None if all have the fitted one."""
+    """Divides the logs by their noise; None if all have the fitted one. That is the median of all, so that of the
+    noisier or of the quieter logs if these are the most.
+    """
     logs = sorted({phase.log for phase in evidence.still})
     alone = {log: evidence.within([log]) for log in logs}
-    noisy = tuple(log for log, log_evidence in alone.items() if log_evidence.score("noise").max() > BEYOND)
+    noisy = tuple(log for log in logs if alone[log].score("noise").max() > BEYOND)
+    noisy = noisy or tuple(log for log in logs if alone[log].score("noise").min() > -BEYOND)
     if not 0 < len(noisy) < len(logs):
         return None
     quiet = tuple(log for log in logs if log not in noisy)

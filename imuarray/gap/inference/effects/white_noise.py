@@ -15,7 +15,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.quietness import BEYOND, noise_of_logs, with_noise
 from imuarray.gap.inference.effects.steps import Onset, onsets
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, since
+from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, joined, since
 from imuarray.simulate.effects.white_noise import WhiteNoise
 
 _GROWN = 0.1
@@ -57,22 +57,26 @@ def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterat
 
 def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
     """Noise that grew within a log, also if its phases at rest are too short for spells; and in the logs after it that
-    have as much.
+    have as much; or in all that have as much, since the dates of logs need not be those of the clock of an effect.
     """
     for onset in onsets(evidence)[:1]:
         before, after = (
             np.log(noise / evidence.noise) for noise in (onset.states.noise_before, onset.states.noise_after)
         )
         is_larger = after - before > _GROWN
-        first, later = Span(onset.log, onset.onset_s, math.inf), _as_noisy(evidence, onset, is_larger)
-        when = since(first, later) if later else When((first,))
-        yield from _grown(evidence, np.where(is_larger, after, before), before, when)
+        first, noisy = Span(onset.log, onset.onset_s, math.inf), _as_noisy(evidence, onset, is_larger)
+        later = [log for log in noisy if log > onset.log]
+        whens = [since(first, later) if later else When((first,))]
+        if later != noisy:
+            whens.append(joined([When((first,)), in_logs(noisy)]))
+        for when in whens:
+            yield from _grown(evidence, np.where(is_larger, after, before), before, when)
 
 
 def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
-    """The logs after that of a moment whose noise on the `grown` axes is nearer to that after it."""
+    """The logs other than that of a moment whose noise on the `grown` axes is nearer to that after it."""
     middle = np.log(onset.states.noise_before * onset.states.noise_after) / 2
-    logs = sorted({phase.log for phase in evidence.still if phase.log > onset.log})
+    logs = sorted({phase.log for phase in evidence.still} - {onset.log})
     level = {log: np.log(evidence.noise) + evidence.within([log]).typical("noise") for log in logs}
     return [log for log in logs if ((level[log] - middle)[grown] > 0).all()]
 
