@@ -142,7 +142,9 @@ def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None
     upto = np.concatenate([[0.0], np.cumsum(turned.reshape(windows, _WINDOW_ROWS).sum(axis=1))])
     begin, end = np.triu_indices(windows + 1, _FEWEST_STRETCH_WINDOWS)
     gains = np.abs(upto[end] - upto[begin]) ** 2 / ((end - begin) * _WINDOW_ROWS * floor)
-    best = int(gains.argmax())
+    best, best_at_end = int(gains.argmax()), int(np.where((begin == 0) | (end == windows), gains, 0.0).argmax())
+    if gains[best] - gains[best_at_end] < _EACH_NATS:  # a moment that nothing shows is none
+        best = best_at_end
     if gains[best] < _TOTAL_NATS or gains[best] - abs(upto[-1]) ** 2 / (rows * floor) < _PARTLY_NATS:
         return None
     first, last = int(begin[best]) * _WINDOW_ROWS, int(end[best]) * _WINDOW_ROWS
