@@ -164,7 +164,7 @@ def fuse(  # noqa: PLR0913
     from imuarray.fuse.fuse import fuse as fused_blocks
     from imuarray.fuse.fused_result import FusedResult
     from imuarray.fuse.fusion_notes import FusionNotes
-    from imuarray.fuse.inputs import prepare_inputs, require_known_sensors
+    from imuarray.fuse.inputs import complete_responses, prepare_inputs, require_known_sensors
     from imuarray.units import INERTIAL
 
     name = str(calibration) if isinstance(calibration, str | PathLike) else ""
@@ -176,6 +176,8 @@ def fuse(  # noqa: PLR0913
         if name or known.sensors:
             require_known_sensors(opened, known, chosen, name or "the calibration")
         inputs = prepare_inputs(opened, known, technique=technique, only=chosen, ranges=SENSITIVITIES)
+        if not causal:
+            inputs = complete_responses(opened, inputs)
         blocks = fused_blocks(
             opened,
             inputs.calibration,

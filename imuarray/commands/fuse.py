@@ -124,7 +124,7 @@ def _run(options: FuseOptions) -> None:
     """Fuse and evaluate as the options say, and print the report."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
-    from imuarray.fuse.inputs import prepare_inputs, require_known_sensors
+    from imuarray.fuse.inputs import complete_responses, prepare_inputs, require_known_sensors
     from imuarray.log import open_log
 
     if options.output is not None:
@@ -145,6 +145,8 @@ def _run(options: FuseOptions) -> None:
                 ranges=SENSITIVITIES,
                 progress=moved,
             )
+        if not options.causal:
+            inputs = complete_responses(log, inputs)
         for remark in inputs.remarks:
             click.echo(f"imuarray: {remark}", err=True)
         calibration, names = inputs.calibration, list(inputs.only)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from imuarray.calibrate import Calibration
@@ -88,10 +88,6 @@ def prepare_inputs(
                 " `imuarray calibrate noise` on that log and give the file as calibration, or choose a technique"
                 " that needs no noise (mean, opposed)"
             ) from None
-    partly = [sensor for sensor in sensors if calibration.or_nominal(sensor).uncertain_axes()]
-    if any(sensor.quantity == "angular_rate" for sensor in partly):
-        calibration, transferred = _with_transfer(log, calibration, chosen)
-        remarks += transferred
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,
@@ -104,11 +100,19 @@ def prepare_inputs(
     )
 
 
-def _with_transfer(log: Log, calibration: Calibration, only: Sequence[str]) -> tuple[Calibration, list[str]]:
-    """Return the calibration with the columns that other gyroscopes of the log determine, and sentences about them."""
+def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
+    """Return the inputs of `prepare_inputs` with the columns of gyroscopes' responses that the calibration lacks and the
+    log determines, from other gyroscopes or from gravity, and sentences about them. It takes the whole log: frames that
+    are fused by what was known when they were read do without.
+    """
+    partly = [
+        sensor for sensor in _inertial(log, inputs.only) if inputs.calibration.or_nominal(sensor).uncertain_axes()
+    ]
+    if not any(sensor.quantity == "angular_rate" for sensor in partly):
+        return inputs
     from imuarray.calibrate.response_transfer import transfer_response  # its weight is for those who lack a column
 
-    transfer = transfer_response(log, calibration, only)
+    transfer = transfer_response(log, inputs.calibration, inputs.only)
     remarks = [
         f"response of {name} to rates about box {', '.join(axes)} determined in this log, from"
         f" {listed(transfer.references)}"
@@ -119,7 +123,7 @@ def _with_transfer(log: Log, calibration: Calibration, only: Sequence[str]) -> t
         " calibrated"
         for name in transfer.refused
     ]
-    return transfer.calibration, remarks
+    return replace(inputs, calibration=transfer.calibration, remarks=(*inputs.remarks, *remarks))
 
 
 def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from imuarray.calibrate import Calibration, calibrate_noise, calibrate_tumble
 from imuarray.calibrate.response_transfer import transfer_response
 from imuarray.fuse.compare import compare
-from imuarray.fuse.inputs import prepare_inputs
+from imuarray.fuse.inputs import complete_responses, prepare_inputs
 from imuarray.log import open_log
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -68,7 +68,7 @@ def test_every_technique_gains_by_it(tmp_path: Path) -> None:
     """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.2); `fuse` says so."""
     known = half_known(tmp_path, 0)
     with open_log(moved(tmp_path, 0)) as log:
-        inputs = prepare_inputs(log, known)
+        inputs = complete_responses(log, prepare_inputs(log, known))
         assert "response of Gyro3 to rates about box Y determined in this log, from Gyro1" in inputs.remarks
         ratios = {}
         for label, calibration in (("before", known), ("after", inputs.calibration)):
@@ -127,7 +127,7 @@ def test_every_technique_gains_by_gravity(tmp_path: Path) -> None:
     """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.4); `fuse` says so."""
     known = without_reference(tmp_path, 0)
     with open_log(rested(tmp_path, 0, 5.0)) as log:
-        inputs = prepare_inputs(log, known)
+        inputs = complete_responses(log, prepare_inputs(log, known))
         assert "response of Gyro3 to rates about box Y determined in this log, from gravity" in inputs.remarks
         ratios = {}
         for label, calibration in (("before", known), ("after", inputs.calibration)):
@@ -177,5 +177,6 @@ def test_what_can_not_be_transferred_stays(tmp_path: Path) -> None:
         refusal = transfer_response(log, Calibration({**known.sensors, "Gyro1": scaled}))
         assert (refusal.refused, refusal.axes) == (("Gyro3",), {})
         assert refusal.calibration.sensors["Gyro3"] is known.sensors["Gyro3"]
-        remarks = prepare_inputs(log, Calibration({**known.sensors, "Gyro1": scaled})).remarks
+        contradicted = Calibration({**known.sensors, "Gyro1": scaled})
+        remarks = complete_responses(log, prepare_inputs(log, contradicted)).remarks
         assert any(text.startswith("rates of Gyro3 contradict its calibration") for text in remarks)
