@@ -101,14 +101,12 @@ def prepare_inputs(
 
 
 def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
-    """Return the inputs of `prepare_inputs` with the columns of gyroscopes' responses that the calibration lacks and the
-    log determines, from other gyroscopes or from gravity, and sentences about them. It takes the whole log: frames that
-    are fused by what was known when they were read do without.
+    """Return the inputs of `prepare_inputs` with the columns of gyroscopes' responses that the calibration lacks and
+    the log determines, from other gyroscopes or from gravity, and sentences about them. It takes the whole log: frames
+    that are fused by what was known when they were read do without.
     """
-    partly = [
-        sensor for sensor in _inertial(log, inputs.only) if inputs.calibration.or_nominal(sensor).uncertain_axes()
-    ]
-    if not any(sensor.quantity == "angular_rate" for sensor in partly):
+    gyroscopes = [sensor for sensor in _inertial(log, inputs.only) if sensor.quantity == "angular_rate"]
+    if not any(inputs.calibration.or_nominal(sensor).uncertain_axes() for sensor in gyroscopes):
         return inputs
     from imuarray.calibrate.response_transfer import transfer_response  # its weight is for those who lack a column
 
