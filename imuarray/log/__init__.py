@@ -1,4 +1,4 @@
-"""The log: raw counts in HDF5, the one place where acquisition and analysis meet."""
+"""The log: raw counts in HDF5, the only interface between acquisition and analysis."""
 
 from imuarray.log.columns import Track
 from imuarray.log.reader import Log, open_log

@@ -1,5 +1,5 @@
-"""Columns in place of HDF5 datasets: of a growing log (`Column`), of any log with its place in errors (`NamedColumn`),
-and the tracks besides the sensors: `/truth`, `/reference` and `/clocks`.
+"""Columns that behave like HDF5 datasets: those of a growing log (`Column`), those of any log with their place in error
+messages (`NamedColumn`), and the tracks `/truth`, `/reference` and `/clocks`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 
 
 class NamedColumn:
-    """An HDF5 dataset (or a `Column`) that knows whose it is: LogError where its rows are damaged, else the same."""
+    """An HDF5 dataset (or a `Column`) that names its place in errors: reading damaged rows raises LogError."""
 
     __slots__ = ("_column", "_where")
 
@@ -33,7 +33,7 @@ class NamedColumn:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows, and what a row holds."""
+        """The number of rows, and the shape of a row."""
         return cast(tuple[int, ...], self._column.shape)
 
     @property
@@ -57,7 +57,7 @@ class NamedColumn:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
 
     def _damaged(self, key: Any) -> LogError:
-        """The rows that were asked for, in words."""
+        """Return an error message that names the requested rows."""
         rows = key[0] if isinstance(key, tuple) and key else key
         if isinstance(rows, slice):
             start, stop, _ = rows.indices(len(self))
@@ -71,7 +71,9 @@ class NamedColumn:
 
 
 class Column:
-    """A column whose first rows stand in a file and whose last ones are here; slices and shapes as an HDF5 dataset."""
+    """A column whose first rows are stored in a file and whose last rows are in memory; it is sliced like an HDF5
+    dataset and has the same shape.
+    """
 
     chunks = None
 
@@ -82,8 +84,8 @@ class Column:
         rows: int = 0,
         stored: Callable[[int, int], npt.NDArray[Any]] | None = None,
     ) -> None:
-        """`stored` gives the rows from one number to another of the `rows` in the file; OSError where they can't be
-        had.
+        """`stored` returns the rows between two row numbers of the `rows` in the file; OSError if they can't be
+        read.
         """
         self.name, self._rows, self._tail, self._stored = name, rows, tail, stored
         self.dtype: np.dtype[Any] = tail.dtype
@@ -106,7 +108,7 @@ class Column:
         return self._slice(0, len(self), 1)[key]
 
     def _slice(self, start: int, stop: int, step: int) -> npt.NDArray[Any]:
-        """Rows from both parts."""
+        """Return rows from both parts."""
         head = self._tail[:0]
         if self._stored is not None and start < min(stop, self._rows):
             head = np.asarray(self._stored(start, min(stop, self._rows)), self.dtype)[::step]
@@ -121,14 +123,14 @@ class Column:
 
 
 class LiveGroup:
-    """A group of such columns, in the place of an HDF5 group."""
+    """A group of such columns; it replaces an HDF5 group."""
 
     def __init__(self, name: str, attributes: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
         self.name, self.attrs = name, attributes
         self._columns = columns
 
     def get(self, name: str) -> Column | None:
-        """A column, if it is there."""
+        """The column of this name, if it exists."""
         return self._columns.get(name)
 
     def __getitem__(self, name: str) -> Column:
@@ -146,8 +148,8 @@ DATASET = (h5py.Dataset, Column)
 
 
 class Track(NamedTuple):
-    """`/truth` or `/reference`: columns time (n,) ns, specific_force (n, 3) m/s2 and angular_rate (n, 3) rad/s in
-    the box frame, temperature (n,) degC; None for what the log does not have.
+    """`/truth` or `/reference`: columns time (n,) ns, specific_force (n, 3) m/s2 and angular_rate (n, 3) rad/s in the
+    box frame, temperature (n,) degC; None for columns that the log lacks.
     """
 
     time: NamedColumn
@@ -167,7 +169,9 @@ class ClockTrack(NamedTuple):
 
 
 def track_of(group: Any, where: str) -> Track:
-    """The track that is a group of the file; LogError, with `where` it is, if it isn't one."""
+    """Return the track that a group of the file contains; LogError, which names the place `where`, if it contains
+    none.
+    """
     if not isinstance(group, GROUP) or "time" not in group:
         raise LogError(f"{where} has no time")
     columns = [group.get(column) for column in Track._fields]
@@ -178,7 +182,9 @@ def track_of(group: Any, where: str) -> Track:
 
 
 def clocks_of(group: Any, where: str) -> ClockTrack:
-    """The clocks that are a group of the file; LogError, with `where` it is, if it isn't that."""
+    """Return the clock rows that a group of the file contains; LogError, which names the place `where`, if it contains
+    none.
+    """
     columns = [group.get(column) for column, _, _ in CLOCKS]
     if any(not isinstance(column, DATASET) or column.dtype.kind != "i" for column in columns) or (
         len({column.shape for column in columns}) != 1
@@ -188,7 +194,7 @@ def clocks_of(group: Any, where: str) -> ClockTrack:
 
 
 def _named(columns: Sequence[Any], where: str) -> Iterator[Any]:
-    """The columns that there are, None for the others."""
+    """Return the columns that exist, and None for the others."""
     return (
         None if column is None else NamedColumn(column, f"{where}: {column.name.rsplit('/', 1)[-1]}")
         for column in columns

@@ -1,8 +1,8 @@
-"""The commit table of an HDF5 file that is being written: each row records how far it is good.
+"""The commit table of an HDF5 file that is being written: each row records up to where the file is complete.
 
 A row is written after its data are on the disk. It holds the state of the journal (position, CRC), the CRC of the rows
 that this commit added, the number of rows of every group, and its own CRC, which continues from the log's identity.
-Rows are given out only after their commit was checked; those of a bad one are read from the journal.
+Rows are returned only after their commit was checked; rows of a damaged commit are read from the journal.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ _KEPT_REPLACEMENTS = 4
 
 
 class Commit(NamedTuple):
-    """A state of the file: everything in the journal before `mark` is in it, as the first `rows` rows of its groups.
+    """A state of the file: it contains everything in the journal before `mark`, as the first `rows` rows of its
+    groups.
 
-    `crc` is that of the rows that it added; None where the commit before it can't be read, so that nobody knows which.
+    `crc` is that of the rows that this commit added; None if the previous commit can't be read, since it is then
+    unknown which rows these are.
     """
 
     mark: Mark
@@ -59,7 +61,7 @@ def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> Integers
 
 
 def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[Group]) -> list[Commit]:
-    """The commits that are whole and of the log with this identity, each after the one before."""
+    """Return the undamaged commits of the log with this identity, in order."""
     commits: list[Commit] = []
     if table.ndim != 2 or table.shape[1] != width(groups) or table.dtype != np.dtype("<i8"):
         return commits
@@ -100,12 +102,12 @@ class Segment(NamedTuple):
 
 
 class CommittedRows:
-    """The rows of an unfinished HDF5 file. `rows` says how many there are of each group."""
+    """The rows of an unfinished HDF5 file; `rows` is their number in each group."""
 
     def __init__(
         self, file: h5py.File, groups: Sequence[Group], commits: Sequence[Commit], journal: JournalReader | None
     ) -> None:
-        """`journal` has the same rows, where there is one; it stays open as long as this is used."""
+        """`journal` holds the same rows, if there is one; it must stay open as long as this object is used."""
         self._file, self._groups, self._commits, self._journal = file, groups, commits, journal
         zero = (0,) * len(groups)
         ends = [commit.rows for commit in commits]
@@ -116,19 +118,21 @@ class CommittedRows:
         self._count()
 
     def _count(self) -> None:
-        """Count where the segments of each group begin and end."""
+        """Determine where the segments of each group begin and end."""
         table = np.cumsum([[0] * len(self._groups), *map(self._lengths, self._segments)], axis=0)
         self._edges: list[list[int]] = table.T.tolist()
         self.rows = tuple(edges[-1] for edges in self._edges)
 
     def _lengths(self, segment: Segment) -> list[int]:
-        """Rows of each group in a segment, as far as they can be read."""
+        """Return the rows of each group in a segment, as far as they can be read."""
         if segment.number in self._remains:
             return [len(next(iter(columns.values()))) for columns in self._remains[segment.number]]
         return [end - start for start, end in zip(segment.start, segment.end, strict=True)]
 
     def check(self) -> list[str]:
-        """Check every commit. Rows that are damaged both here and in the journal are left out from now on, and said."""
+        """Check every commit. Rows that are damaged both here and in the journal are left out from now on, and
+        reported.
+        """
         lost = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
             if not self._fits(segment) and self._replaced(segment) is None:
@@ -158,11 +162,11 @@ class CommittedRows:
 
     @property
     def damaged(self) -> int:
-        """Commits that were found damaged so far."""
+        """The number of commits that were damaged so far."""
         return sum(not good for good in self._is_good.values())
 
     def read(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """The rows `start` to `stop` of a column of the group of this number; OSError where they are damaged."""
+        """Return the rows `start` to `stop` of a column of the group of this number; OSError if they are damaged."""
         kind, tail = next((kind, tail) for column, kind, tail in self._groups[number].columns if column == name)
         pieces: list[npt.NDArray[Any]] = [np.empty((0, *tail), kind)]
         edges = self._edges[number]
@@ -211,8 +215,8 @@ class CommittedRows:
         return block_crc(self._groups, stretches)
 
     def _replaced(self, segment: Segment) -> list[Columns] | None:
-        """The rows of a commit from the journal, by group; None if the journal does not have them all, and `check` has
-        not made do with what it has.
+        """Return the rows of a commit from the journal, by group; None if the journal lacks some of them, unless
+        `check` has accepted the loss.
         """
         if segment.number in self._remains:
             return self._remains[segment.number]

@@ -1,8 +1,8 @@
 """A log as labelled arrays (xarray) and tables (pandas), in SI units with absolute times; both packages are optional.
 
-The physical values of an accelerometer, gyroscope or magnetometer stand in the box frame under the name of their
-quantity, by the data sheet's sensitivity or by a calibration; the raw counts along the sensor's own axes stand beside
-them. A column that the log lacks is missing.
+The physical values of an accelerometer, gyroscope or magnetometer are in the box frame under the name of their
+quantity, computed with the data sheet's sensitivity or a calibration; the raw counts along the sensor's own axes are
+included. A column that the log lacks is missing.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def table(labelled: Any) -> Any:
 
 
 def times_of(time: Times, epoch: str) -> Any:
-    """(n,) datetime64[ns], UTC, of ns since an ISO 8601 epoch; timedelta64[ns] where the epoch is no date."""
+    """Convert ns since an ISO 8601 epoch into (n,) datetime64[ns], UTC; timedelta64[ns] if the epoch is no date."""
     try:
         zero = datetime.fromisoformat(epoch)
     except ValueError:
@@ -127,8 +127,9 @@ def times_of(time: Times, epoch: str) -> Any:
 
 
 def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:
-    """(n, 3) SI in the box frame, of all rows of a triad; None where the log has no sensitivity. A calibration's bias
-    is taken out as it is, without following the temperature. CalibrationError for one that does not fit.
+    """Return (n, 3) SI values in the box frame of all rows of a triad; None if the log states no sensitivity. A
+    calibration's bias is subtracted as it is, without following the temperature. CalibrationError if the calibration
+    does not fit the sensor.
     """
     counts = np.asarray(sensor.counts[:], float)
     if calibration is not None:
@@ -169,7 +170,7 @@ def _about(quantity: str, unit: str) -> dict[str, Any]:
 
 
 def optional_package(name: str) -> Any:
-    """xarray or pandas; MissingExtraError names the extra."""
+    """Import xarray or pandas; MissingExtraError names the extra."""
     from importlib import import_module
 
     try:

@@ -1,8 +1,8 @@
 """Disk space, allocated before it is needed because HDF5 does not survive a write that fails.
 
 A write that runs into a full disk leaves HDF5 with a file that it can't close and a process that ends in a segmentation
-fault. So the room for what HDF5 will write is allocated first (`Allowance`), a log ends while there is still some left
-(`WATERMARK`), and a reserve file is given back for the last steps if the disk fills up all the same.
+fault. The space for what HDF5 will write is therefore allocated first (`Allowance`), a log ends while some space
+remains (`WATERMARK`), and a reserve file is released for the last steps if the disk fills up nevertheless.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _NOT_SUPPORTED = frozenset({errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.
 
 
 def free_bytes(path: Path) -> int:
-    """Bytes that may still be written beside `path`."""
+    """Return the number of bytes that can still be written in the folder of `path`."""
     room = os.statvfs(path.parent)
     return room.f_bavail * room.f_frsize
 
 
 def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
-    """The error of `path` for what the system or HDF5 said: DiskFullError where there is no room (and `kept` what there
-    is).
+    """Return the error for `path` that fits an error of the system or of HDF5: DiskFullError if there is no space
+    (`kept` says what remains), else LogError.
     """
     number = errno_of(error)
     if number in FULL:
@@ -55,7 +55,7 @@ def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
 
 @contextlib.contextmanager
 def write_errors(path: Path, *kept: str) -> Iterator[None]:
-    """Raise the error of `path` (`unwritable`) for a write inside that fails."""
+    """Convert errors of a write inside the context into the error of `path` (`unwritable`)."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # HDF5 uses both
@@ -63,7 +63,9 @@ def write_errors(path: Path, *kept: str) -> Iterator[None]:
 
 
 def longest_file() -> int | None:
-    """The limit on the length of a file that this process may write, in bytes (RLIMIT_FSIZE); None if there is none."""
+    """Return the limit on the length of a file that this process may write, in bytes (RLIMIT_FSIZE); None if there is
+    none.
+    """
     if sys.platform == "win32":
         return None
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
@@ -78,10 +80,10 @@ def _allocate(fd: int, start: int, length: int) -> None:
 
 
 class Allowance:
-    """The room of one HDF5 file: `ask` before every write. Kept as the file's allocated length beyond its end."""
+    """The disk space reserved for one HDF5 file, allocated beyond its end; call `ask` before every write."""
 
     def __init__(self, path: Path, name: Path, *, allocate: bool = True) -> None:
-        """`path` is the file, `name` what errors call it; without `allocate` room is only looked for."""
+        """`path` is the file, `name` its name in errors; without `allocate`, free space is only checked."""
         self._path, self._name = path, name
         self._step = _STEP if allocate else _LOOK_STEP
         self._allocates = allocate
@@ -89,7 +91,7 @@ class Allowance:
         self._used = self._allocated = os.fstat(self.fd).st_size
 
     def ask(self, size: int) -> None:
-        """Room for `size` more bytes of data and what HDF5 adds; DiskFullError if there is none."""
+        """Reserve space for `size` more bytes of data and what HDF5 adds; DiskFullError if there is none."""
         self._used += size + size // 64
         if self._used <= self._allocated:
             return
@@ -116,11 +118,11 @@ class Allowance:
             raise unwritable(self._name, error) from None
 
     def settle(self) -> None:
-        """Count what the written data really took: compressed data take less than was asked for."""
+        """Replace the requested size by the size that the written data really took: compressed data take less."""
         self._used = min(self._used, self._end() or self._used)
 
     def trim(self) -> None:
-        """Give back what a closed file does not use."""
+        """Release the space that a closed file does not use."""
         end = self._end()
         if end is not None and end < os.fstat(self.fd).st_size:
             os.ftruncate(self.fd, end)
@@ -140,7 +142,7 @@ class Allowance:
 
 
 class Reserve:
-    """A file that does nothing but take up room, until it is needed."""
+    """A file that only occupies space, which is released when it is needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = reserve_of(path)

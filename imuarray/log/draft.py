@@ -1,4 +1,4 @@
-"""A finished log in the making: compressed columns in a file under a temporary name, renamed when it is complete."""
+"""A log in preparation: compressed columns in a file under a temporary name, which is renamed when it is complete."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ def _is_locked(path: Path) -> bool:
 
 
 class Draft:
-    """Rows go in by group and are written by whole chunks; `complete` makes the file the log at `path`."""
+    """A log in preparation: rows are added by group and written in whole chunks; `complete` turns the file into the log
+    at `path`.
+    """
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK, *, durable: bool = False) -> None:
         """Begin; LogError if nothing can be written there, ValueError for impossible headers.
@@ -174,14 +176,14 @@ class Draft:
             self._asked = 0
 
     def flush(self) -> None:
-        """Write everything that waits for its chunk to fill."""
+        """Write all rows that wait for their chunk to fill."""
         for number, count in enumerate(self._unwritten):
             self._write(number, count)
         with write_errors(self.path):
             self.file.flush()
 
     def stretches(self, number: int) -> Sequence[Columns]:
-        """The rows of a group so far, read back."""
+        """Yield the rows of a group so far, read back in blocks."""
         self.flush()
         group: Group = self.groups[number]
         if self._rows[number] == 0:
@@ -189,8 +191,8 @@ class Draft:
         return [{name: np.asarray(self.file[group.path][name][:]) for name, _, _ in group.columns}]
 
     def revise(self, number: int, name: str, change: Callable[[Columns], npt.NDArray[Any]]) -> None:
-        """Put other values in the place of a column of a group: those that `change` makes of each stretch of rows, as
-        many; ValueError if times no longer increase.
+        """Replace the values of a column of a group by those that `change` computes from each block of rows, the same
+        number of them; ValueError if times no longer increase.
         """
         self.flush()
         group = self.groups[number]
@@ -207,7 +209,7 @@ class Draft:
                 self.file[group.path][name][part] = values
 
     def close(self) -> None:
-        """Write all there is and close; `part` is then a whole log, and if it is `durable` it is on the disk."""
+        """Write everything and close the file. `part` is then a complete log; if it is `durable`, it is on the disk."""
         self.flush()
         texts = sum(len(event.sensor + event.kind + event.message) * 4 + _TEXT_BYTES for event in self.notes.events)
         texts += sum(len(phase.name) * 4 + _TEXT_BYTES for phase in self.notes.phases)
@@ -219,7 +221,7 @@ class Draft:
         self._room.close()
 
     def _close(self) -> None:
-        """Write what stands beside the columns, and close the file."""
+        """Write everything except the columns, and close the file."""
         for group in self.groups:
             if group.path in self.file:
                 if group.path in STIMULI:  # what nobody measured is missing, and no column of nan
@@ -237,11 +239,11 @@ class Draft:
         self._room.trim()
 
     def publish(self, path: Path) -> None:
-        """A closed draft takes its name: from now on it is the log at `path`."""
+        """Rename a closed draft: from now on it is the log at `path`."""
         self.part.replace(path)
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Remove all files of the draft."""
         with contextlib.suppress(Exception):
             self.file.close()
         self._room.close()

@@ -1,5 +1,5 @@
-"""The end of a log: what a reader sees of it is written, compressed, into a copy; the copy is compared with it, row by
-row; then it takes the log's place and the journal goes. Whatever interrupts that, the log is there.
+"""Finishing a log: its rows are copied into a compressed file, the copy is compared with the original row by row,
+replaces it, and the journal is removed. If this is interrupted at any point, the log is still complete.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ def recover(
     force: bool = False,
     now: datetime | None = None,
 ) -> Recovery:
-    """Finish the interrupted log at `path`, in its place or as `output`; a finished one is copied to `output`.
+    """Finish the interrupted log at `path`, in place or as `output`; a log that is already finished is copied to
+    `output`.
 
-    One whose journal is not there is finished only with `force`. An event says when (`now`; None: this moment) and how
-    many rows. LogBusyError, DiskFullError, LogError.
+    A log whose journal is missing is finished only with `force`. An event in the log records the time (`now`; None: the
+    current time) and the number of rows. LogBusyError, DiskFullError, LogError.
     """
     try:
         lock = JournalLock(path, create=False)
@@ -74,8 +75,8 @@ def recover(
 
 
 def _is_journal_of(log: Log) -> bool:
-    """Return whether the journal beside a finished log is its own, as a kill just before its removal leaves it, and not
-    that of another log: epoch and sensors are the same.
+    """Return whether the journal at a finished log belongs to it (epoch and sensors are the same), as after a kill just
+    before its removal, and not to another log.
     """
     try:
         with JournalReader(log.path) as journal:
@@ -113,7 +114,7 @@ def _trace(log: Log, now: datetime) -> Event:
 
 
 def _copy(path: Path, output: Path) -> None:
-    """A finished log under another name; LogError."""
+    """Copy a finished log to another name; LogError."""
     part = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
         shutil.copyfile(path, part)
@@ -126,7 +127,9 @@ def _copy(path: Path, output: Path) -> None:
 
 
 def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
-    """A finished copy of an unfinished log, and events `added`, takes the name `target` once it is known equal."""
+    """Write a finished copy of an unfinished log with the events `added`, and rename it to `target` once it is known to
+    be equal.
+    """
     if log.preamble is None:
         raise LogError(f"{log.path}: is finished")
     try:
@@ -155,7 +158,7 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tup
 
 
 def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
-    """The stored columns of a group, None if the log hasn't got it."""
+    """Return the stored columns of a group; None if the log has no such group."""
     if group.path in TRACK_COLUMNS:
         track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
         return None if track is None else track._asdict()
@@ -166,7 +169,7 @@ def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
 
 
 def _stretches(log: Log, group: Group) -> Iterator[dict[str, Any]]:
-    """The rows of a group, many at a time."""
+    """Yield the rows of a group in large blocks."""
     columns = None if group.path == NOTES else _columns(log, group)
     if columns is None:
         return
@@ -175,7 +178,7 @@ def _stretches(log: Log, group: Group) -> Iterator[dict[str, Any]]:
 
 
 def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event, ...]) -> None:
-    """LogError unless the copy holds, bit by bit, what the log holds, and the events `added`."""
+    """Raise LogError unless the copy holds, bit by bit, the contents of the log and the events `added`."""
     for group in groups:
         for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):
             if any(ours[name].tobytes() != theirs[name].tobytes() for name in ours):
@@ -185,8 +188,8 @@ def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event,
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
-    """Remove what a finished log does not need: journal (put aside to `keep` it), reserve, and the copies of terminated
-    processes. The new name of the journal, if it was put aside.
+    """Remove the files that a finished log does not need: its journal (renamed instead, with `keep`), the reserve, and
+    copies of terminated processes. Return the new name of the journal if it was renamed.
     """
     kept = None
     if lock is not None and keep:

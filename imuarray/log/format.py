@@ -1,4 +1,4 @@
-"""The names, units and flags of a log, format 1. Everything else that writes or reads a log takes them from here.
+"""The names, units and flags of a log, format 1, for every module that writes or reads one.
 
 Times are int64 nanoseconds since the log's epoch, on a clock that never steps. Counts are raw signed register values.
 """
@@ -101,7 +101,7 @@ class Phase(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event while logging; `sensor` is "" for the array as a whole."""
+    """An event during recording; `sensor` is "" for the array as a whole."""
 
     time_ns: int
     sensor: str
@@ -111,8 +111,8 @@ class Event(NamedTuple):
 
 class ClockRow(NamedTuple):
     """A row of `/clocks`: the log's own time and four clocks of the machine (CLOCK_MONOTONIC, ..._RAW, CLOCK_BOOTTIME,
-    CLOCK_REALTIME), in ns, read together. From such rows the wall time of any sample can be had, however often the wall
-    clock was set.
+    CLOCK_REALTIME), in ns, read together. These rows give the wall time of any sample, however often the wall clock was
+    set.
     """
 
     time_ns: int

@@ -5,7 +5,7 @@ into an endless loop: an object of no size, or of nearly 2^64 bytes, leads it ba
 therefore read here first, and an inconsistent heap is reported as an error of the disk.
 
 One length is not visible here: the one that the reference to a text states (32 bits). HDF5 allocates that much memory
-before it finds that the text is shorter, which is an error.
+before it notices that the text is shorter and reports an error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ class HeapCheckedFile(io.RawIOBase):
     """The bytes of a file, for h5py's driver for Python files; OSError (EBADMSG) for a heap that does not add up."""
 
     def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
-        """`check_heaps`: heaps are checked; not for reading numbers, among which anything may stand."""
+        """`check_heaps` switches the check on. It must be off while numbers are read, since any bytes may occur among
+        them.
+        """
         self._file = path.open("rb", buffering=0)
         self._check_heaps = check_heaps
         self._at = 0
@@ -61,7 +63,7 @@ class HeapCheckedFile(io.RawIOBase):
         return count
 
     def _look(self, data: bytes) -> None:
-        """Check heaps that begin in these bytes, or just before them: HDF5 may read them in two pieces."""
+        """Check heaps that begin in these bytes or just before them, since HDF5 may read a heap in two pieces."""
         before = os.pread(self._file.fileno(), min(self._at, len(_SIGN) - 1), max(self._at - len(_SIGN) + 1, 0))
         data, start = before + data, self._at - len(before)
         offset = data.find(_SIGN)
@@ -79,7 +81,7 @@ class HeapCheckedFile(io.RawIOBase):
 
 
 def _adds_up(fd: int, at: int) -> bool:
-    """Return whether the objects of the heap at this place fill it and no more."""
+    """Return whether the objects of the heap at this place fill it exactly."""
     length = int.from_bytes(os.pread(fd, _HEAD, at)[8:], "little")
     if not _HEAD <= length <= LONGEST:
         return False

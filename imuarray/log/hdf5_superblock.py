@@ -1,9 +1,10 @@
-"""An HDF5 file that was never closed, opened for reading and left unchanged.
+"""Opens an HDF5 file that was never closed for reading, without changing it.
 
-Its superblock says that it is open for writing, so HDF5 refuses it unless it is opened as a reader beside a living
-writer (SWMR). Such a reader waits for damage to go away, twice as long each time and in the end for ever; after a power
-cut nobody is there to repair it. HDF5 is therefore shown the file with that one flag cleared, and with its actual end:
-the superblock states the end at the last flush of the whole file, and a chunk that was flushed alone may follow it.
+Its superblock says that it is open for writing, so HDF5 opens it only as a reader of a file with an active writer
+(SWMR). Such a reader waits for damaged blocks to be repaired, twice as long each time and in the end for ever; after a
+power cut no writer will repair them. HDF5 is therefore given the file with that one flag cleared and with its actual
+end: the superblock states the end at the last flush of the whole file, and a chunk that was flushed alone may follow
+it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _LENGTH = 44
 
 
 def is_marked_open(path: Path) -> bool:
-    """Return whether a file says that it was open for writing when it was last heard of."""
+    """Return whether a file is marked as open for writing."""
     with path.open("rb") as file:
         head = file.read(_LENGTH)
     return _is_version_3(head) and head[_FLAGS] != 0
@@ -33,7 +34,9 @@ def _is_version_3(head: bytes) -> bool:
 
 
 class UnclosedFile(HeapCheckedFile):
-    """The bytes of a file, its superblock without flags and with its real end; for h5py's driver for Python files."""
+    """The bytes of a file, with the flags of its superblock cleared and its actual end; for h5py's driver for Python
+    files.
+    """
 
     def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
         """`check_heaps` as of `HeapCheckedFile`."""
@@ -47,7 +50,7 @@ class UnclosedFile(HeapCheckedFile):
             self._head = cleared + _checksum(cleared)
 
     def readinto(self, buffer: Any, /) -> int:
-        """Read bytes; those of the superblock are the cleared ones."""
+        """Read bytes; those of the superblock are the corrected ones."""
         at = self._at
         count = super().readinto(buffer)
         if at < len(self._head):
@@ -57,7 +60,7 @@ class UnclosedFile(HeapCheckedFile):
 
 
 def _checksum(data: bytes) -> bytes:
-    """Bob Jenkins' lookup3 (hashlittle, public domain, 2006), with which HDF5 checks its metadata."""
+    """Compute Bob Jenkins' lookup3 (hashlittle, public domain, 2006), with which HDF5 checks its metadata."""
     mask = 0xFFFFFFFF
     words = [int.from_bytes(data[start : start + 4], "little") for start in range(0, -(-len(data) // 12) * 12, 4)]
     a = b = c = (0xDEADBEEF + len(data)) & mask

@@ -1,4 +1,4 @@
-"""The health of a recording: one sign, green, amber or red, with its reason, from missed frames, silent sensors, lost
+"""The health of a recording: green, amber or red with a reason, derived from missed frames, silent sensors, lost
 readings and events that report a fault.
 """
 
@@ -70,8 +70,8 @@ class Observations:
 
 @dataclass(frozen=True)
 class Health:
-    """Green: as it should be; amber: something was lost or failed; red: it fails now, or much is lost. `reason` says
-    why, without a full stop, and `advice` what to do about the first reason ("": nothing).
+    """Green: as intended; amber: something was lost or failed; red: a fault persists, or much is lost. `reason` gives
+    the reason without a full stop, `advice` what to do about the first reason ("": nothing).
     """
 
     level: Level
@@ -85,7 +85,7 @@ class _Reason(NamedTuple):
 
 
 def health_of(seen: Observations) -> Health:
-    """Return the health of a recording of which this was seen."""
+    """Return the health of a recording from its observations."""
     urgent, minor = list(_urgent(seen)), list(_minor(seen))
     reasons = [*urgent, *minor]
     if not reasons:
@@ -138,7 +138,7 @@ _ROOM = "free space, or log to another disk"
 
 
 def _is_counted(seen: Observations, sensor: str, kind: str) -> bool:
-    """Return whether what these events report is counted as missed frames, lost readings or silence anyway."""
+    """Return whether the content of these events is already counted as missed frames, lost readings or silence."""
     if kind == "late":
         return seen.missed > 0
     return kind == "lost" and (seen.lost.get(sensor, 0) > 0 or seen.gaps.get(sensor, 0) > 0 or sensor in seen.silent)

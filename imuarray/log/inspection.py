@@ -1,8 +1,8 @@
-"""Inspection of a file from elsewhere before anything in it is trusted.
+"""Inspects a file from an unknown source before anything in it is trusted.
 
-Nothing in a log may lead outside it (links, external storage, virtual datasets, references), hide behind a filter that
-would have to be loaded, declare more than it can hold, or be reached twice. Links, headers, declared sizes and texts
-are inspected here; no number is read.
+Nothing in a log may lead outside it (links, external storage, virtual datasets, references), use a filter that would
+have to be loaded, declare more data than the file can hold, or be reachable twice. Links, headers, declared sizes and
+texts are inspected here; no numbers are read.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ _SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
 
 
 def inspect(path: Path, file: h5py.File) -> list[str]:
-    """LogError if the open `file` was built to do harm; one of another kind, which nobody reads on, is let pass.
+    """Raise LogError if the open `file` was built to do harm. A file of another kind passes, because it is not read
+    further.
 
-    Groups and datasets of a log that are damaged are never opened again; their paths come back.
+    Damaged groups and datasets of a log are not opened again; their paths are returned.
     """
     damaged: list[str] = []
     try:
@@ -70,8 +71,8 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
 def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: list[str] | None = None) -> None:
     """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
 
-    `inspected` is the same file opened through `HeapCheckedFile`: its texts are read last, which costs most. What HDF5
-    can't decode is an error of its own, or, where `damaged` is given, is noted there by its path.
+    `inspected` is the same file opened through `HeapCheckedFile`. Its texts are read last, because that takes longest.
+    If HDF5 can't decode something, LogError is raised, or the path is added to `damaged` if that is given.
     """
     size = file.id.get_filesize()
     root = _Place(h5o.open(file.id, b"/"), b"")
@@ -92,14 +93,14 @@ def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: l
 
 
 class _Damage:
-    """Notes the paths of what HDF5 can't make sense of, in a list; without one, and at the root, it stays an error."""
+    """Collects the paths of objects that HDF5 can't decode; without a list, and at the root, an error is raised."""
 
     def __init__(self, paths: list[str] | None) -> None:
         self._paths = paths
 
     @contextmanager
     def noted(self, path: bytes) -> Iterator[None]:
-        """Note damage inside as that of the object at `path`."""
+        """Note damage inside the context as that of the object at `path`."""
         try:
             yield
         except DAMAGE:
@@ -164,12 +165,12 @@ class _Text(NamedTuple):
 
 
 def _shown(name: bytes) -> str:
-    """A name, or a path of names that were found to be good, for a message."""
+    """Return a name, or a path of valid names, for a message."""
     return printable(name.decode(errors="backslashreplace"))
 
 
 def _linked(group: _Place, where: str) -> list[bytes]:
-    """Names of what is in a group; LogError for links that are no plain ones, and for names that are no words."""
+    """Return the names in a group; LogError for links other than plain ones, and for names with invalid characters."""
     links: list[tuple[bytes, int]] = []
     group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)
     names = []
@@ -205,7 +206,7 @@ def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
 
 
 def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
-    """Numbers and texts, and not too many of them; where the texts are."""
+    """Check that attributes are numbers and texts and not too many; return the places of the texts."""
     texts: list[_Text] = []
     info = h5o.get_info(node.item)
     if info.num_attrs > MAX_ATTRIBUTES:
@@ -234,7 +235,7 @@ def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
 
 
 def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
-    """Kind, where the data are, and how much is declared; where its texts are."""
+    """Check type, storage and declared size of a dataset; return the place of its texts."""
     item = node.item
     kind, plan = item.get_type(), item.get_create_plist()
     if kind.get_class() not in _PLAIN:
@@ -281,7 +282,7 @@ def _text_bytes(item: h5d.DatasetID) -> int:
 
 
 def _read(item: Any, text: _Text, where: str) -> None:
-    """Texts of an object, from a file in which nothing damaged is believed."""
+    """Read the texts of an object from a file whose heaps are checked."""
     if text.attribute is not None:
         attribute = h5a.open(item, text.attribute)
         attribute.read(np.empty(attribute.shape, attribute.dtype))

@@ -1,9 +1,10 @@
-"""A log that is being written, or whose writing was cut short, read as if it were whole; nothing is changed.
+"""Reads a log that is being written, or whose writing was interrupted, as a complete log; nothing is changed.
 
-Such a log is stored twice: in the HDF5 file up to its last commit, and in the journal. Both have the preamble, with
-check sums, so each replaces what is damaged in the other. Attributes come from the preamble. Rows come from the HDF5
-file, commit by commit, each checked before it is given out; rows of a bad commit, and all after the last one, come from
-the journal. Where HDF5 can't read its file at all, the whole log is rebuilt from the journal, in a temporary file.
+Such a log is stored twice: in the HDF5 file up to its last commit, and in the journal. Both contain the preamble with
+checksums, so each can replace what is damaged in the other. Attributes come from the preamble. Rows come from the HDF5
+file, commit by commit, each checked before its rows are returned; rows of a damaged commit, and all rows after the last
+commit, come from the journal. If HDF5 can't read its file at all, the whole log is rebuilt from the journal, in a
+temporary file.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ _SENSORS = "sensors/"
 
 
 class LiveView:
-    """The whole log, in the place of an HDF5 file: its attributes and groups."""
+    """The whole log, which replaces an HDF5 file: its attributes and groups."""
 
     def __init__(self, file: h5py.File, journal: JournalReader | None, content: _Content) -> None:
-        """Takes over the file and the journal: `close` closes both."""
+        """Take ownership of the file and the journal: `close` closes both."""
         self._file, self._journal, self._committed = file, journal, content.committed
         self.preamble, self.losses = content.preamble, content.losses
         self.has_journal = journal is not None
@@ -75,7 +76,7 @@ class LiveView:
         return self._committed.damaged
 
     def get(self, name: str) -> Any:
-        """A part, None if the log has none of that name."""
+        """Return a group; None if the log has none of that name."""
         return self._items.get(name)
 
     def __getitem__(self, name: str) -> Any:
@@ -115,7 +116,7 @@ def _table(names: tuple[str, ...], rows: list[Phase] | list[Event]) -> dict[str,
 
 
 class RebuiltFile(h5py.File):  # type: ignore[misc]  # h5py ships no types
-    """A log made again from its journal, in a file that has no name any more."""
+    """A log that was rebuilt from its journal, in a file that has no name any more."""
 
     preamble: Preamble
     losses: tuple[str, ...]
@@ -125,11 +126,11 @@ class RebuiltFile(h5py.File):  # type: ignore[misc]  # h5py ships no types
 def open_interrupted(
     path: Path, *, thorough: bool = False, journal_fd: int | None = None
 ) -> LiveView | RebuiltFile | None:
-    """The view of an unfinished log at `path`; None if it is finished, or none at all; LogError.
+    """Return the view of an unfinished log at `path`; None if it is finished or no log; LogError.
 
-    `thorough` checks every commit at once, as is done where the journal is missing. `journal_fd` is the journal, open,
-    where its name can't be relied upon: then the log is unfinished whatever the file says. A log that its writer
-    finishes meanwhile is looked at again: the draft was opened, and its journal is gone.
+    `thorough` checks every commit at once, which is always done if the journal is missing. `journal_fd` is the open
+    journal, for callers that can't rely on its name; the log is then unfinished whatever the file states. If the writer
+    finishes the log meanwhile (the draft was opened, and its journal is gone), the file is opened again.
     """
     with ExitStack() as opened:
         version = _version(path)
@@ -157,7 +158,7 @@ def open_interrupted(
 
 
 def _version(path: Path) -> tuple[int, int, int] | None:
-    """Return what changes when the file is replaced or written to; None if there is none."""
+    """Return a value that changes when the file is replaced or written to; None if there is no file."""
     try:
         status = path.stat()
     except OSError:
@@ -175,7 +176,7 @@ def _marks(path: Path, file: h5py.File | None) -> tuple[bool, Preamble | None]:
 
 
 def _journal(path: Path, fd: int | None, known: Preamble | None) -> tuple[JournalReader | None, str]:
-    """The journal of a log, None and why if it can't be read."""
+    """Open the journal of a log; return None and the reason if it can't be read."""
     try:
         return JournalReader(path, fd=fd, known=known), ""
     except FileNotFoundError:
@@ -185,7 +186,7 @@ def _journal(path: Path, fd: int | None, known: Preamble | None) -> tuple[Journa
 
 
 def _open(path: Path) -> h5py.File | None:
-    """The HDF5 file, None if HDF5 can't open it."""
+    """Open the HDF5 file; return None if HDF5 can't open it."""
     try:
         return h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except DAMAGE:
@@ -193,14 +194,15 @@ def _open(path: Path) -> h5py.File | None:
 
 
 def is_unfinished(file: h5py.File) -> bool:
-    """Return whether a file was begun as one that grows, and never finished: finished ones have neither mark."""
+    """Return whether a file was created as a growing log and never finished; a finished log has neither mark."""
     return PREAMBLE in file.attrs or file.get(COMMITS, getlink=True) is not None
 
 
 def stored_preamble(path: Path) -> Preamble | None:
-    """The preamble in the unfinished file at `path`; None if it is damaged, or not there. What h5py raises on damage.
+    """Return the preamble in the unfinished file at `path`; None if it is damaged or missing. On damage h5py may raise
+    its own errors.
 
-    Its heap of texts is checked before HDF5 believes it (`imuarray.log.hdf5_heaps`).
+    Its heap of texts is checked before HDF5 reads it (`imuarray.log.hdf5_heaps`).
     """
     with h5py.File(UnclosedFile(path), "r") as inspected:
         text = inspected.attrs.get(PREAMBLE)
@@ -216,7 +218,7 @@ def stored_preamble(path: Path) -> Preamble | None:
 
 
 def _is_sound(path: Path, file: h5py.File) -> bool:
-    """Return whether a finished file can be read: else its journal, if it is still there, has all of it."""
+    """Return whether a finished file can be read. If not, its journal, if it still exists, has all rows."""
     try:
         return not inspect(path, file)
     except LogError:
@@ -224,7 +226,7 @@ def _is_sound(path: Path, file: h5py.File) -> bool:
 
 
 def may_be_unfinished(path: Path) -> bool:
-    """Return whether a log should be looked at so: it says so, it has a journal, or HDF5 can't open it."""
+    """Return whether a log should be opened as unfinished: it is marked so, it has a journal, or HDF5 can't open it."""
     try:
         return journal_of(path).is_file() if not path.is_file() else is_marked_open(path) or journal_of(path).is_file()
     except OSError:
@@ -234,7 +236,9 @@ def may_be_unfinished(path: Path) -> bool:
 def _view(
     path: Path, file: h5py.File, known: Preamble | None, journal: JournalReader | None, why: str, thorough: bool
 ) -> LiveView | None:
-    """The file as far as it is good, and the journal (or `why` there is none); None where the file is of no use."""
+    """Combine the undamaged part of the file and the journal (or `why` it is missing); return None if the file is
+    unusable.
+    """
     preamble = known if journal is None else journal.preamble
     try:
         with h5py.File(UnclosedFile(path), "r") as inspected:
@@ -272,7 +276,7 @@ def _content(
 
 
 def _newest_ns(groups: tuple[Group, ...], committed: CommittedRows) -> Mapping[int, int]:
-    """The last times of sensors that have rows, by number."""
+    """Return the last times of the sensors that have rows, by number."""
     counted = enumerate(zip(groups, committed.rows, strict=True))
     sensors = ((number, rows) for number, (group, rows) in counted if rows and group.path.startswith(_SENSORS))
     newest = {}
@@ -285,7 +289,7 @@ def _newest_ns(groups: tuple[Group, ...], committed: CommittedRows) -> Mapping[i
 
 
 def rebuilt(journal: JournalReader) -> RebuiltFile:
-    """The log that a journal holds, made anew in a temporary file that is gone when it is closed; LogError."""
+    """Rebuild the log that a journal holds, in a temporary file that is deleted when it is closed; LogError."""
     with tempfile.TemporaryDirectory(prefix="imuarray-") as folder:
         draft = Draft(Path(folder) / "rebuilt.h5", journal.preamble)
         try:

@@ -42,14 +42,14 @@ _TRIES, _PAUSE_S = 20, 0.005
 
 
 class Mark(NamedTuple):
-    """A place between two blocks: bytes from the start, and the CRC that the next block goes on from."""
+    """A position between two blocks: bytes from the start, and the CRC from which the next block continues."""
 
     position: int
     chain: int
 
 
 class Record(NamedTuple):
-    """A block that was read: the number of its group, its rows as bytes, and the place behind it."""
+    """A block that was read: the number of its group, its rows as bytes, and the position after it."""
 
     group: int
     rows: int
@@ -80,8 +80,8 @@ def is_running(path: Path) -> bool:
 
 
 def _locked_alone(fd: int) -> bool:
-    """Lock an open file alone. Who looks whether it is written (`is_running`) has it for a moment, as one of many: that
-    is waited for. False if another process holds it exclusively, or for longer.
+    """Lock an open file exclusively. `is_running` holds a shared lock for a moment, which is waited for. Return False
+    if another process holds an exclusive lock, or a shared lock for longer.
     """
     for _ in range(_TRIES):
         if _locked(fd, exclusive=True):
@@ -99,7 +99,7 @@ def _unlock(fd: int) -> None:
 
 
 def _locked(fd: int, *, exclusive: bool) -> bool:
-    """Lock an open file, as one of many or alone; False if another process has it."""
+    """Lock an open file, shared or exclusively; return False if another process holds it."""
     if sys.platform == "win32":
         return True
     try:
@@ -113,7 +113,9 @@ class JournalLock:
     """The journal of one log, open and locked: no other process writes or recovers that log meanwhile."""
 
     def __init__(self, path: Path, *, create: bool) -> None:
-        """LogBusyError if another process has it; FileNotFoundError if there is none and none is to be created."""
+        """Lock the journal. LogBusyError if another process has locked it; FileNotFoundError if it does not exist and
+        must not be created.
+        """
         self.path = journal_of(path)
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:
@@ -134,13 +136,13 @@ class JournalLock:
             return False
 
     def remove(self) -> None:
-        """The log is complete without it."""
+        """Remove the journal: the log is complete without it."""
         if self.is_named:
             self.path.unlink(missing_ok=True)
 
     def put_aside(self) -> Path | None:
-        """The log is finished, but the journal holds more than could be read, or another log: it is kept as
-        `RUN.h5.journal.damaged`, or with a number behind that if there is one already. The new name.
+        """Rename the journal to `RUN.h5.journal.damaged`, with a number appended if that name exists, because it holds
+        more than could be read, or another log. Return the new name.
         """
         if not self.is_named:
             return None
@@ -153,17 +155,19 @@ class JournalLock:
         return name
 
     def close(self) -> None:
-        """Unlock."""
+        """Release the lock and close the journal."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
 
 
 class JournalWriter:
-    """Appends blocks to a locked journal. `mark` is the place behind the last block; all before it is written."""
+    """Appends blocks to a locked journal. `mark` is the position after the last block; everything before it is
+    written.
+    """
 
     def __init__(self, fd: int, preamble: Preamble) -> None:
-        """Begin the journal anew."""
+        """Start the journal with an empty file."""
         head = _head(preamble)
         crc = zlib.crc32(head)
         self._fd = fd
@@ -174,7 +178,7 @@ class JournalWriter:
         self._write((head + CRC.pack(crc)) * 2, crc)
 
     def append(self, blocks: Sequence[tuple[int, int, bytes]]) -> None:
-        """Add blocks (group, rows, bytes); if OSError comes, none of them is there."""
+        """Append blocks (group, rows, bytes); after an OSError the journal has none of them."""
         chain, parts = self.mark.chain, []
         for group, rows, payload in blocks:
             head = HEAD.pack(group, self._tag, rows)
@@ -199,12 +203,12 @@ class JournalWriter:
 
 
 class JournalReader:
-    """An open journal; a context manager. `preamble` and `groups` are those with which it was begun."""
+    """An open journal; a context manager. `preamble` and `groups` are those with which it was created."""
 
     def __init__(self, path: Path, *, fd: int | None = None, known: Preamble | None = None) -> None:
         """Open the journal of the log at `path`, or read the open one `fd`; FileNotFoundError, LogError.
 
-        `known` is the log's preamble where it is known from elsewhere: it stands in for a damaged one.
+        `known` is the log's preamble from another source; it replaces a damaged one.
         """
         self.path = journal_of(path)
         if fd is None and self.path.exists() and not self.path.is_file():  # to open a pipe would wait for its other end
@@ -222,7 +226,7 @@ class JournalReader:
         self._tags = (own,) if version == 2 else (own, 0)
 
     def _begin(self, known: Preamble | None) -> tuple[Preamble, Mark, int]:
-        """The preamble, the place of the first block, and the version of the format."""
+        """Return the preamble, the position of the first block, and the version of the format."""
         fd = self._file.fileno()
         copy = _copy_at(fd, 0)
         if copy is None:
@@ -239,8 +243,9 @@ class JournalReader:
         raise LogError(f"{self.path}: the journal's beginning is damaged")
 
     def records(self, start: Mark | None = None, newest_ns: Mapping[int, int] | None = None) -> Iterator[Record]:
-        """The blocks from `start` on (None: all) up to the last good one. Blocks that can't be read are left out, and
-        `damage` says so; behind them times go on from those before, and from `newest_ns` by group.
+        """Yield the blocks from `start` (None: the beginning) to the last good one. Blocks that can't be read are
+        skipped and reported in `damage`; the times of later blocks must be later than those before, and than
+        `newest_ns` by group.
         """
         mark, newest = start or self.start, dict(newest_ns or {})
         salvage = Salvage(self._file.fileno(), [group.row_bytes for group in self.groups], self._tags)
@@ -263,14 +268,14 @@ class JournalReader:
                 yield restored
 
     def columns(self, records: Iterable[Record]) -> list[Columns]:
-        """The rows of blocks by group, each group's one after the other; empty columns for groups without rows."""
+        """Return the rows of blocks by group, in order; empty columns for groups without rows."""
         parts: list[list[Columns]] = [[] for _ in self.groups]
         for record in records:
             parts[record.group].append(self.groups[record.group].decode(record.payload, record.rows))
         return [group.joined(some) for group, some in zip(self.groups, parts, strict=True)]
 
     def between(self, start: Mark | None, end: Mark) -> list[Record]:
-        """The blocks between two places (None: from the beginning); LogError unless all of them are good."""
+        """Return the blocks between two positions (None: from the beginning); LogError unless all of them are good."""
         mark, records = start or self.start, []
         for record in self._chained(mark):
             if record.after.position > end.position:
@@ -282,13 +287,13 @@ class JournalReader:
         return records
 
     def _times(self, record: Record) -> Integers:
-        """The times of a sensor's block, none of another's."""
+        """Return the times of a sensor's block; none for other groups."""
         rows = record.rows if self.groups[record.group].path.startswith("sensors/") else 0
         return np.frombuffer(record.payload, "<i8", rows)
 
     def _behind(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
-        """Return where blocks go on behind a bad one at `end`, and that block if it could be restored; None at the end
-        of the journal. What is lost is noted in `damage`.
+        """Return where good blocks resume after a bad one at `end`, and the bad block if it could be restored; None at
+        the end of the journal. Lost data are recorded in `damage`.
         """
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
@@ -313,14 +318,14 @@ class JournalReader:
         return None
 
     def _note(self, start: int, end: int, salvage: Salvage) -> None:
-        """Note that rows are lost between two positions."""
+        """Record that rows between two positions are lost."""
         hole = salvage.has_hole(start, end)
         cause = "were not on the disk at a power cut, or are damaged" if hole else "are damaged"
         rest = "; not all of the journal could be searched for more" if salvage.is_spent else ""
         self.damage.append(f"journal: bytes {start} to {end - 1} {cause}, rows are lost{rest}")
 
     def _chained(self, start: Mark) -> Iterator[Record]:
-        """The blocks from `start` on up to the first that is not good."""
+        """Yield the blocks from `start` to the first that is not good."""
         position, chain = start
         self._file.seek(position)
         while len(head := self._file.read(HEAD.size + CRC.size)) == HEAD.size + CRC.size:
@@ -339,7 +344,7 @@ class JournalReader:
             self._file.seek(position)
 
     def _rest(self) -> int:
-        """Bytes from here to the end, now: the log may be growing."""
+        """Return the number of bytes from here to the current end; the log may be growing."""
         return os.fstat(self._file.fileno()).st_size - self._file.tell()
 
     def close(self) -> None:
@@ -354,13 +359,13 @@ class JournalReader:
 
 
 def _head(preamble: Preamble) -> bytes:
-    """The beginning of a journal, but for its check sum."""
+    """Return the beginning of a journal, without its checksum."""
     text = preamble.to_json().encode("ascii")
     return MAGIC + CRC.pack(len(text)) + text
 
 
 class _Copy(NamedTuple):
-    """A good copy of the preamble: its text, the place of the first block, and the version of the format."""
+    """An undamaged copy of the preamble: its text, the position of the first block, and the version of the format."""
 
     text: bytes
     blocks: Mark
@@ -368,7 +373,7 @@ class _Copy(NamedTuple):
 
 
 def _copy_at(fd: int, at: int) -> _Copy | None:
-    """The copy of the preamble at byte `at` of a journal; None if there is no good one."""
+    """Return the copy of the preamble at byte `at` of a journal; None if it is damaged or missing."""
     start = os.pread(fd, len(MAGIC) + CRC.size, at)
     magic = start[: len(MAGIC)]
     if magic not in (MAGIC, MAGIC_1) or len(start) < len(MAGIC) + CRC.size:

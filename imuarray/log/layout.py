@@ -47,18 +47,18 @@ _TEXT = "text"
 
 @dataclass(frozen=True)
 class Group:
-    """Equally long columns; each is (name, little-endian type, shape of a row)."""
+    """A group of equally long columns; each is (name, little-endian type, shape of a row)."""
 
     path: str
     columns: tuple[tuple[str, str, tuple[int, ...]], ...]
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one row, all columns together."""
+        """The number of bytes of one row, all columns together."""
         return sum(np.dtype(kind).itemsize * math.prod(tail) for _, kind, tail in self.columns)
 
     def checked(self, columns: Columns) -> dict[str, npt.NDArray[Any]]:
-        """The columns in order and in their types; ValueError unless they are these, of one length."""
+        """Return the columns in order and converted to their types; ValueError unless names match and lengths agree."""
         names = {name for name, _, _ in self.columns}
         if columns.keys() != names or len({len(rows) for rows in columns.values()}) != 1:
             given = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
@@ -84,7 +84,7 @@ class Group:
         return columns
 
     def joined(self, parts: Sequence[Columns]) -> dict[str, npt.NDArray[Any]]:
-        """Stretches one after the other; empty columns if there is none."""
+        """Concatenate blocks of columns; empty columns if there is none."""
         return {
             name: np.concatenate([np.empty((0, *tail), kind), *(part[name] for part in parts)])
             for name, kind, tail in self.columns
@@ -136,7 +136,7 @@ def groups_of(sensors: Iterable[SensorHeader]) -> tuple[Group, ...]:
 
 
 class OpenPhase(NamedTuple):
-    """A phase that has begun and whose end is not known yet; `end_ns` is when it ends at the latest."""
+    """A phase that has begun and whose end is not known yet; `end_ns` is the latest possible end."""
 
     start_ns: int
     end_ns: int
@@ -168,7 +168,7 @@ class Notes:
             raise LogError(f"phases and events can't be read: {error}") from None
 
     def phases_until(self, end_ns: int) -> list[Phase]:
-        """All phases of a log that ends at `end_ns`; one that was never ended goes on so far."""
+        """Return all phases of a log that ends at `end_ns`; a phase that was never ended lasts until then."""
         ended = {(phase.start_ns, phase.name) for phase in self.phases}
         open_ended = (begun for begun in self.begun if (begun.start_ns, begun.name) not in ended)
         lasting = (Phase(*begun)._replace(end_ns=min(begun.end_ns, end_ns)) for begun in open_ended)
@@ -176,7 +176,7 @@ class Notes:
 
 
 def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
-    """A note as rows of the group `notes`."""
+    """Return a note as rows of the group `notes`."""
     kind = "begun" if isinstance(note, OpenPhase) else "event" if isinstance(note, Event) else "phase"
     line = json.dumps({kind: note}, default=lambda number: number.item()) + "\n"
     return {_TEXT: np.frombuffer(line.encode("ascii"), np.uint8)}
@@ -234,7 +234,7 @@ def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
 
 
 def create_columns(file: h5py.File, group: Group, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
-    """A group with its columns, empty and made to grow."""
+    """Create a group with its columns, empty and resizable."""
     made = file.create_group(group.path)
     for name, kind, tail in group.columns:
         made.create_dataset(name, (0, *tail), kind, maxshape=(None, *tail), chunks=(chunk, *tail), **storage)
@@ -279,7 +279,7 @@ def create_track(file: h5py.File, name: str, epoch: str, chunk: int, storage: Ma
 
 
 def attach_scales(group: h5py.Group) -> None:
-    """Dimension scales on every column: without them xarray invents names and finds no time."""
+    """Attach dimension scales to every column; without them xarray invents names and does not recognise the time."""
     group["time"].make_scale("time")
     if "axis" in group:
         group["axis"].make_scale("axis")
@@ -294,8 +294,8 @@ def attach_scales(group: h5py.Group) -> None:
 def write_plots(file: h5py.File, names: Sequence[str]) -> None:
     """Write `/plots`: for each sensor its counts over time, as NeXus viewers (silx, h5web) look for them.
 
-    A sensor's own group can't say so: there, `axes` are those of the box. The columns are soft links to those of the
-    sensor, the only ones in a log; whoever reads it as a log does not follow them (`imuarray.log.inspection`).
+    A sensor's own group can't provide this, because its attribute `axes` holds the box axes. The columns are soft links
+    to those of the sensor, the only links in a log; the reader does not follow them (`imuarray.log.inspection`).
     """
     plots = file.create_group(PLOTS)
     plots.attrs.update(NX_class="NXentry", default=min(names))
@@ -310,7 +310,9 @@ def write_plots(file: h5py.File, names: Sequence[str]) -> None:
 def write_table(
     file: h5py.File, name: str, fields: Sequence[str], rows: Sequence[Any], renamed: Mapping[str, str]
 ) -> None:
-    """A group of equally long columns from named tuples; whole numbers are int64, the rest text."""
+    """Write a group of equally long columns from named tuples; whole numbers are stored as int64, everything else as
+    text.
+    """
     group = file.create_group(name)
     for index, key in enumerate(fields):
         values = [row[index] for row in rows]

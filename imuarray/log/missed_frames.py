@@ -1,13 +1,14 @@
 """The duration of a recording and the number of missed frames, as the logger counts them and as its log shows them.
 
-A recording lasts as long as its frames, missed ones included, of one period each. Time for making and finishing files
-is not part of any frame. The logger counts missed frames and reports them in events of the kind "late"; where a log's
-events are not complete (it was cut short, or is a part of a longer one) they are derived from the times of its rows.
+The duration of a recording is that of its frames, missed ones included, at one period each; the time to create and
+finish files does not count. The logger counts missed frames and reports them in events of the kind "late". If the
+events of a log are incomplete (it was interrupted, or is a part of a longer one), missed frames are derived from the
+times of its rows.
 
-A logger begins frames on a grid: frame k is due k periods after the first one. A frame whose time has passed before the
-one before it has ended is missed; the grid stays. The number of missing frames between two rows of a sensor that is
-read once a frame is therefore the number of periods between them less the rows, however many are missing and however
-evenly the others arrive.
+A logger begins frames on a grid: frame k is due k periods after the first one. A frame is missed if its time has passed
+before the previous frame ends; the grid does not shift. The number of missing frames between two rows of a sensor that
+is read once per frame is therefore the number of periods between them minus the number of rows, regardless of how many
+are missing and how regularly the others arrive.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class FrameTiming(NamedTuple):
 
 
 def frames_in(seconds: float, rate_hz: float) -> int:
-    """Return how many frames begin in `seconds`, at least one; a millionth of a frame is none."""
+    """Return how many frames begin in `seconds`, at least one; a remainder below a millionth of a frame is ignored."""
     return max(1, math.ceil(seconds * rate_hz - 1e-6))
 
 
@@ -52,8 +53,8 @@ def duration_s(frames: int, missed: int, rate_hz: float) -> float:
 
 
 def missed_by_events(events: Iterable[Event]) -> int | None:
-    """Frames that events (in the order in which they were noted) tell to have been missed; None where a total is among
-    them whose beginning is not: it was told in the log before.
+    """Return the number of missed frames according to the events, in the order in which they were recorded; None if
+    they include a total of a fault that began in the previous log.
     """
     missed, first = 0, None
     for event in events:
@@ -68,13 +69,13 @@ def missed_by_events(events: Iterable[Event]) -> int | None:
 
 
 def frame_period_ns(source: str, frame_rate_hz: float) -> int:
-    """The period of the grid on which the rows of a log from `source` lie; 0 if they lie on none that is known."""
+    """Return the period of the grid on which the rows of a log from `source` lie; 0 if no grid is known."""
     return round(1e9 / frame_rate_hz) if source in _SAME_CLOCK and frame_rate_hz > 0 else 0
 
 
 def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: int) -> bool:
-    """Return whether a sensor that gives `rate_hz` rows a second, of a chip that has `chip_rate_hz` values a second (0:
-    not known), gives one in every frame.
+    """Return whether a sensor with `rate_hz` rows per second, of a chip with `chip_rate_hz` values per second (0: not
+    known), yields one row in every frame.
     """
     if frame_period_ns <= 0:
         return False
@@ -86,8 +87,8 @@ def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: i
 def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int) -> int:
     """Count the missing rows between the first and the newest of `rows` of a sensor that is read once a frame.
 
-    `last_ns` (1 or 2,) are the times of its newest rows. Sensors are read there and back: a row that has as many before
-    it as the first one, or two more, and so on, is a whole number of periods behind it but for what it is late.
+    `last_ns` (1 or 2,) are the times of its newest rows. The visiting order of sensors alternates from frame to frame;
+    rows an even number of frames apart are therefore a whole number of periods apart, except for lateness.
     """
     if rows < 2 or frame_period_ns <= 0:
         return 0
@@ -97,19 +98,19 @@ def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int)
 
 
 def missed_by_all(missing: Sequence[tuple[int, int]], frame_period_ns: int) -> int | None:
-    """Frames that were missed, from (time of the first row, rows that are missing) of each sensor that is read once a
-    frame; None for none of them. What is missing from one alone is a reading that was lost. The first frame may have
-    taken several periods: then a sensor that was read late in it has seen the fewer of them pass.
+    """Return the number of missed frames from (time of the first row, number of missing rows) of each sensor that is
+    read once per frame; None without such sensors. A row that only one sensor lacks is a lost reading. If the first
+    frame took several periods, a sensor that was read late in it has missed fewer frames.
     """
     begins_ns = min((first_ns for first_ns, _ in missing), default=0)
     return min((count + (first_ns - begins_ns) // frame_period_ns for first_ns, count in missing), default=None)
 
 
 def frame_timing(log: Log) -> FrameTiming:
-    """Missed frames and duration of `log`.
+    """Return missed frames and duration of `log`.
 
-    Where the log lies on a known grid of frames the duration is that of its frames and missed frames, to one frame
-    where every sensor has lost readings. Elsewhere it is the time from its first row to its last one, and one period.
+    If the log lies on a known grid of frames, the duration is that of its frames and missed frames, accurate to one
+    frame if every sensor has lost readings. Otherwise it is the time from the first row to the last, plus one period.
     """
     period_ns = frame_period_ns(log.source, log.frame_rate_hz)
     sensors = [sensor for sensor in log.sensors.values() if sensor.quantity in INERTIAL and len(sensor) > 1]
@@ -134,7 +135,7 @@ def frame_timing(log: Log) -> FrameTiming:
 
 
 def _span_s(log: Log) -> float:
-    """The time from the first row to the last one, plus one frame, in s."""
+    """Return the time from the first row to the last, plus one frame, in s."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     if not rows:
         return 0.0

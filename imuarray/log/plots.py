@@ -1,4 +1,4 @@
-"""Drawings of a log: every sensor over time."""
+"""Plots of a log: every sensor over time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SI = {"specific_force": "m/s²", "angular_rate": "rad/s", "magnetic_field": "T"
 
 
 def log_figure(sensors: Sequence[SensorLog], calibration: Calibration | None = None) -> Figure:
-    """A panel for each sensor that has rows: physical values in the box frame, or counts; MissingExtraError."""
+    """Draw a panel for each sensor that has rows: physical values in the box frame, or counts; MissingExtraError."""
     panels: dict[str, tuple[Reals, Reals]] = {}
     for sensor in sensors:
         if not len(sensor):

@@ -1,6 +1,6 @@
 """The preamble of a log, written before its first row: sensors with their headers, epoch, source, configuration.
 
-It stands in the journal as well, so that a log can be rebuilt from its journal alone.
+The journal contains it as well, so that a log can be rebuilt from its journal alone.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _MOST_COLUMNS = 32
 
 @dataclass(frozen=True)
 class Preamble:
-    """`identity` tells a log and its journal from those of another recording. `frame_rate_hz` is the frame rate that
-    was asked for, 0 where there is none: an imported log's sensors may have been read at any time.
+    """The preamble of a log. `identity` distinguishes a log and its journal from other recordings. `frame_rate_hz` is
+    the requested frame rate; 0 if there is none, as in an imported log.
     """
 
     sensors: tuple[SensorHeader, ...]
@@ -50,13 +50,13 @@ class Preamble:
     frame_rate_hz: float = 0.0
 
     def to_json(self) -> str:
-        """One line of JSON."""
+        """Return the preamble as one line of JSON."""
         sensors = [asdict(header) | {"extra": dict(header.extra)} for header in self.sensors]
         return json.dumps(asdict(self) | {"sensors": sensors}, default=lambda number: number.item())
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Preamble:
-        """LogError unless it is what `to_json` makes."""
+        """Return the preamble that `to_json` wrote; LogError for anything else."""
         try:
             values = json.loads(text)
             listed = values.pop("sensors")
@@ -77,7 +77,7 @@ class Preamble:
 
 
 def _header(values: dict[str, Any]) -> SensorHeader:
-    """A sensor's header from JSON; TypeError or ValueError unless it is one that could have been written."""
+    """Return a sensor's header from JSON; TypeError or ValueError unless the writer could have written it."""
     header = SensorHeader(**values | {name: tuple(values[name]) for name in _TUPLES})
     names = (header.name, *header.columns, *header.compensated)
     if not all(_is_word(name) for name in names) or not 0 < len(header.columns) <= len(names) <= _MOST_COLUMNS:
@@ -101,7 +101,7 @@ def _header(values: dict[str, Any]) -> SensorHeader:
 
 
 def _is_word(name: Any) -> bool:
-    """Can this be the name of something in an HDF5 file, and be shown?"""
+    """Return whether this can be a name in an HDF5 file and be displayed."""
     fits = isinstance(name, str) and 0 < len(name.encode(errors="replace")) <= _LONGEST_TEXT
     return fits and name.isprintable() and "/" not in name and name not in _NO_NAMES
 
@@ -111,7 +111,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_extra(name: Any, value: Any) -> bool:
-    """Can this be an attribute of one chip only?"""
+    """Return whether this can be an attribute of a particular chip."""
     known = {field.name for field in fields(SensorHeader)} | _OWN_ATTRIBUTES
     fits = _is_number(value) and abs(value) < 1 << 63
     return _is_word(name) and name not in known and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))
@@ -120,8 +120,8 @@ def _is_extra(name: Any, value: Any) -> bool:
 def header_of(
     sensor: SensorConfig, extra: Mapping[str, int | float | str], *, is_estimated: bool = False
 ) -> SensorHeader:
-    """The header of a configured sensor; `extra` holds what only its chip knows (a barometer's calibration words). With
-    `is_estimated` the times of its rows are, and the log says how well.
+    """Return the header of a configured sensor; `extra` holds attributes of its chip (such as a barometer's calibration
+    words). With `is_estimated`, the times of its rows are estimates, and the log states their uncertainty.
     """
     spec = sensor.spec
     barometer = spec.quantity == "pressure"

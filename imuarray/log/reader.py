@@ -1,8 +1,8 @@
-"""Reading a log, finished or not: validated first, then read lazily, a slice at a time.
+"""Reads a log, finished or not: the file is validated first, then its rows are read lazily, a slice at a time.
 
-A file from elsewhere is checked before anything in it is trusted: it must be a log of a known format, nothing in it may
-lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
-length.
+A file from an unknown source is checked before anything in it is trusted: it must be a log of a known format, nothing
+in it may lead outside it (links, external storage, virtual datasets), and its columns must exist with the right type
+and length.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 class Log:
     """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more.
 
-    It can be pickled, as its path: another process opens the file itself, for reading, and then again only if no log
-    that came to it so is open there any more. A log that came so is shared; whoever closes it closes it for all.
+    A log can be pickled; it is stored as its path. The receiving process opens the file for reading once, and all
+    copies of the log in that process share the open file: closing one closes them all.
     """
 
     def __init__(self, path: str | PathLike[str], *, thorough: bool = False, journal_fd: int | None = None) -> None:
-        """Open and check `path`; LogError says what is missing or wrong with it. `thorough` reads all of a log that was
-        not finished, and checks every block of it; `journal_fd` is the open journal of one that its writer finishes.
+        """Open and check `path`; LogError states what is missing or wrong. `thorough` reads the whole of an unfinished
+        log and checks every block; `journal_fd` is the open journal of a log that its writer is finishing.
         """
         self.path = Path(path)
         try:
@@ -96,15 +96,17 @@ class Log:
 
     @property
     def state(self) -> str:
-        """ "finished", "being written" or "interrupted"; of an unfinished log all that was acknowledged can be read."""
+        """The state "finished", "being written" or "interrupted"; all acknowledged rows of an unfinished log can be
+        read.
+        """
         if self.preamble is None:
             return "finished"
         return "being written" if is_running(self.path) else "interrupted"
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """The acknowledged rows of an unfinished log that can't be read any more, and the parts of a finished one that
-        are not as they were written, a line each. A damaged row of a finished log is a LogError when it is read.
+        """The acknowledged rows of an unfinished log that can no longer be read, and the parts of a finished log that
+        were changed, one line each. Reading a damaged row of a finished log raises LogError.
         """
         if isinstance(self._file, LiveView | RebuiltFile):
             return self._file.losses
@@ -114,19 +116,17 @@ class Log:
 
     @property
     def has_journal(self) -> bool:
-        """True if an unfinished log has the journal that belongs to it; True for one that is finished."""
+        """True for an unfinished log with its journal, and for a finished log."""
         return not isinstance(self._file, LiveView) or self._file.has_journal
 
     @property
     def damaged_commits(self) -> int:
-        """Return, for an unfinished log: how many commits of its HDF5 file were found damaged, and come from the
-        journal.
-        """
+        """The number of damaged commits in the HDF5 file of an unfinished log; their rows come from the journal."""
         return self._file.damaged_commits if isinstance(self._file, LiveView) else 0
 
     @property
     def is_rebuilt(self) -> bool:
-        """True if the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
+        """True if the HDF5 file of an unfinished log is unusable, and everything comes from its journal."""
         return isinstance(self._file, RebuiltFile)
 
     @property
@@ -151,11 +151,11 @@ class Log:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames per second that were asked for; 0 if the log does not say, or says no such number."""
+        """The requested frames per second; 0 if the log does not state a valid number."""
         return positive(self._file.attrs.get("frame_rate_hz"))
 
     def __getitem__(self, name: str) -> SensorLog:
-        """One sensor by name; LogError names those that there are."""
+        """Return the sensor of this name; the LogError for an unknown name lists the names that exist."""
         if self._is_damaged(f"/sensors/{name}"):
             raise LogError(f"{self.path}: sensor {name} is damaged; intact are {', '.join(self.sensors)}")
         if name not in self.sensors:
@@ -181,7 +181,7 @@ class Log:
         return tuple(Event(*row) for row in zip(*columns, strict=True))
 
     def _columns(self, name: str, columns: tuple[str, ...], numbers: int) -> list[list[Any]]:
-        """Equally long columns: the first `numbers` of them whole numbers, the others text."""
+        """Return equally long columns: the first `numbers` of them whole numbers, the others text."""
         group = self._group(name)
         if group is None:
             return [[] for _ in columns]
@@ -198,7 +198,7 @@ class Log:
         return values
 
     def _group(self, name: str) -> Any:
-        """A group of the file, None if it has none of that name; LogError if it is damaged."""
+        """Return a group of the file; None if it does not exist; LogError if it is damaged."""
         if self._is_damaged(f"/{name}"):
             raise LogError(f"{self.path}: group {name} is damaged")
         return self._file.get(name)
@@ -209,12 +209,12 @@ class Log:
 
     @property
     def truth(self) -> Track | None:
-        """The motion that the box really felt, in a simulated or emulated log."""
+        """The true motion of the box, in a simulated or emulated log."""
         return self._track("truth")
 
     @property
     def reference(self) -> Track | None:
-        """The measurements of a reference instrument, if one was there."""
+        """The measurements of a reference instrument, if the log has any."""
         return self._track("reference")
 
     @property
@@ -295,8 +295,8 @@ class Log:
 
 
 def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File | LiveView, list[str]]:
-    """The file, or what is to be seen of a log that is being written or was never finished; and the paths of what is
-    damaged in a finished one.
+    """Open the file, or the view of a log that is being written or was never finished; also return the paths of what is
+    damaged in a finished log.
     """
     if journal_fd is not None or may_be_unfinished(path):
         unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
@@ -314,7 +314,7 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
 
 
 def _open_unfinished(path: Path, thorough: bool) -> LiveView | RebuiltFile:
-    """A log that was closed properly and never finished, and whose journal is missing."""
+    """Open a log that was closed properly but never finished, and whose journal is missing."""
     unfinished = open_interrupted(path, thorough=thorough)
     if unfinished is None:  # it was finished a moment ago
         raise LogError(f"{path}: changed while it was opened; open it again")
@@ -343,7 +343,7 @@ _SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()
 
 
 def _shared(path: Path) -> Log:
-    """The log at a path as it was unpickled before, if it is still open; else opened. LogError as `open_log`."""
+    """Return the log at a path that was unpickled before, if it is still open; else open it. LogError as `open_log`."""
     log = _SHARED.get(path)
     if log is None or not log.is_open:
         log = _SHARED[path] = open_log(path)
@@ -351,10 +351,10 @@ def _shared(path: Path) -> Log:
 
 
 def _plain(value: Any) -> Any:
-    """Text as str whichever way HDF5 stored it."""
+    """Return text as str, however HDF5 stored it."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def _text(value: Any) -> str:
-    """An attribute as text."""
+    """Return an attribute as text."""
     return str(_plain(value))

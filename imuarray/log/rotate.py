@@ -1,7 +1,9 @@
-"""A long recording cut into parts of equal time: `RUN_001.h5`, `RUN_002.h5`, ..., logs of their own with one epoch.
+"""Splits a long recording into parts of equal duration: `RUN_001.h5`, `RUN_002.h5`, ..., separate logs with one
+epoch.
 
-A part is begun in the background, shortly before it is required, and finished there as soon as every sensor has rows
-after its end, because opening and finishing files takes time for which sensors don't wait. Nothing is lost in between.
+A part is created in the background shortly before it is needed, and finished in the background as soon as every sensor
+has rows after its end, because opening and finishing files takes time during which sensors would wait. No rows are lost
+in between.
 """
 
 from __future__ import annotations
@@ -31,18 +33,18 @@ _LEAD_NS = 5_000_000_000
 
 
 def part_of(path: Path, number: int) -> Path:
-    """The name of a part, counted from 1: `RUN_001.h5`."""
+    """Return the name of a part, counted from 1: `RUN_001.h5`."""
     return path.with_name(f"{path.stem}_{number:03d}{path.suffix}")
 
 
 def runs_of(numbers: Integers) -> list[tuple[int, slice]]:
-    """The runs of equal numbers (n,), n > 0: which number, and its rows."""
+    """Yield the runs of equal numbers (n,), n > 0: the number, and its rows."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return [(int(numbers[start]), slice(start, end)) for start, end in pairwise(edges)]
 
 
 class RotatingWriter:
-    """Takes what a LogWriter takes, and writes parts of `every_s` seconds; a context manager.
+    """A writer with the interface of LogWriter that writes parts of `every_s` seconds; a context manager.
 
     Each part gets its share of a phase. `paths` are the parts so far.
     """
@@ -83,7 +85,7 @@ class RotatingWriter:
         self._part(0)
 
     def _part(self, number: int) -> LogWriter:
-        """The part of this number, counted from 0; where it is finished already, the oldest that is not."""
+        """Return the part of this number, counted from 0; if it is already finished, the oldest part that is not."""
         number = max(number, self._first)
         if number not in self._open:
             ahead = self._ahead.pop(number, None)
@@ -98,25 +100,25 @@ class RotatingWriter:
         return self._open[number]
 
     def starts(self, time_ns: int) -> None:
-        """The first frame is at this time: the first part lasts `every_s` from here on."""
+        """Note the time of the first frame: the first part lasts `every_s` from here on."""
         self._origin_ns = time_ns
         self._started(time_ns)
 
     def part_at(self, time_ns: int) -> int:
-        """The number of the part in which this time lies, counted from 0."""
+        """Return the number of the part that contains this time, counted from 0."""
         return self._number(time_ns)
 
     def _number(self, time_ns: int) -> int:
         return (time_ns - self._origin_ns) // self._every_ns
 
     def _span_ns(self, number: int) -> tuple[int, int]:
-        """Start and end of a part; what was before the first frame is the first part's."""
+        """Return start and end of a part; the first part also contains everything before the first frame."""
         start_ns = self._origin_ns + number * self._every_ns
         return start_ns if number else min(start_ns, 0), start_ns + self._every_ns
 
     def _look_ahead(self, time_ns: int) -> None:
-        """Begin the part behind this time, if it will be wanted soon. One that would replace an older log (`force`)
-        is begun when it is required and not before: maybe it never is.
+        """Create the part after this time, if it will be needed soon. A part that would replace an older log (`force`)
+        is created only when it is needed, since that may never happen.
         """
         number = max(self._number(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)
@@ -154,7 +156,7 @@ class RotatingWriter:
         self._turn()
 
     def _split(self, time: Times) -> list[tuple[int, slice]]:
-        """Number of a part, and the rows that belong to it."""
+        """Yield the number of each part, and its rows."""
         if len(time) == 0:
             return []
         return runs_of((time - self._origin_ns) // self._every_ns)
@@ -165,7 +167,7 @@ class RotatingWriter:
         self._part(self._number(event.time_ns) if self._open else 0).event(event)
 
     def clocks(self, row: ClockRow) -> None:
-        """Note what the machine's clocks say, in the part of that time."""
+        """Add a row of the machine's clocks to the part of that time."""
         self._raise()
         self._part(self._number(row.time_ns) if self._open else 0).clocks(row)
         self._look_ahead(row.time_ns)
@@ -203,7 +205,7 @@ class RotatingWriter:
             self._finishing = [worker for worker in self._finishing if worker.is_alive()] + [thread]
 
     def _name_phases(self, number: int, part: LogWriter) -> None:
-        """Each part's share of the phases; those that are not over go on to its end."""
+        """Give each part its share of the phases; phases that have not ended last to its end."""
         start_ns, end_ns = self._span_ns(number)
         end_ns = min(end_ns, max(self._last_ns.values()) + 1)
         for phase in Notes(self._phases, begun=[OpenPhase(*phase) for phase in self._begun]).phases_until(end_ns):
@@ -225,7 +227,7 @@ class RotatingWriter:
 
     @property
     def acknowledged(self) -> Mapping[str, int]:
-        """Rows by sensor, of all parts, that are kept whatever happens to this process."""
+        """Return the rows by sensor, of all parts, that survive an end of this process."""
         with self._counting:
             parts = [self._finished, *(part.acknowledged for part in self._parts)]
             return {name: sum(part[name] for part in parts) for name in self._finished}
@@ -240,7 +242,7 @@ class RotatingWriter:
             part.drain()
 
     def keep(self) -> None:
-        """Keep the log from now on, whatever happens."""
+        """Keep the log from now on, even if an error follows."""
         self._keep = True
         for part in self._open.values():
             part.keep()
@@ -272,7 +274,7 @@ class RotatingWriter:
             raise failure
 
     def _named(self, failure: BaseException | None) -> BaseException | None:
-        """The failure; where the disk was full, it names the parts that could not be finished."""
+        """Return the error; if the disk was full, it names the parts that could not be finished."""
         unfinished = [path for path in self.paths if journal_of(path).exists()]
         if not isinstance(failure, DiskFullError) or not unfinished:
             return failure

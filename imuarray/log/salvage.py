@@ -1,12 +1,12 @@
-"""The search for good blocks behind damage in a journal.
+"""Searches for good blocks after damage in a journal.
 
-A block that the search finds must not be a stale sector of another log of the same shape. It counts if the check sum of
-the block before leads on to it, and that check sum is this log's; or if the block bears this log's tag and its check
-sum leads to the next one.
+A block that the search finds must not be a stale sector of another log of the same shape. It is accepted if the
+checksum of the previous block leads to it and that checksum belongs to this log; or if the block has this log's tag and
+its checksum leads to the next block.
 
-Damage costs only the data that it hit: where the bad bytes are one block whose head alone is wrong, the head is
-reconstructed (the check sum of the block covers head and payload), and where the next block continues from the check
-sum that the payload should have, the stored check sum alone was wrong.
+Only the damaged data are lost. If the bad bytes are one block of which only the head is wrong, the head is
+reconstructed, because the checksum of the block covers head and payload. If the next block continues from the checksum
+that the payload should have, only the stored checksum was wrong.
 
 Each reader has a budget of bytes that it searches and checks, so that no journal takes longer than about a second.
 """
@@ -57,8 +57,8 @@ class JournalBlock(NamedTuple):
 
 
 class Resumption(NamedTuple):
-    """The place where good blocks go on: byte position and chain. `block` is the bad one before, if it could be
-    restored.
+    """The position at which good blocks resume: byte position and chain. `block` is the bad block before it, if it
+    could be restored.
     """
 
     position: int
@@ -74,8 +74,8 @@ class LastBlock(NamedTuple):
 
 
 class Salvage:
-    """Looks into one journal (an open file descriptor). `row_bytes` are those of the groups, `tags` those that the
-    blocks of this log may bear; the first is its own.
+    """Searches one journal (an open file descriptor). `row_bytes` are those of the groups, `tags` those that blocks of
+    this log may have; the first is its own.
     """
 
     def __init__(self, fd: int, row_bytes: Sequence[int], tags: Sequence[int]) -> None:
@@ -84,16 +84,16 @@ class Salvage:
 
     @property
     def _end(self) -> int:
-        """The length of the journal, now."""
+        """Return the current length of the journal."""
         return os.fstat(self._fd).st_size
 
     def _read(self, size: int, position: int) -> bytes:
-        """Bytes of the journal; memory is asked for only as far as there are any."""
+        """Read bytes of the journal; memory is allocated only for bytes that exist."""
         return os.pread(self._fd, max(0, min(size, self._end - position)), position)
 
     @property
     def is_spent(self) -> bool:
-        """True if the budget is used up: behind the last place that was searched there may be more good blocks."""
+        """True if the budget is used up; there may be more good blocks after the last position that was searched."""
         return self._search_bytes <= 0 or self._check_bytes <= 0
 
     def is_good(self, position: int, chain: int) -> bool:
@@ -110,7 +110,7 @@ class Salvage:
         return len(payload) == size and head[HEAD.size :] == CRC.pack(_chained(head, payload, chain))
 
     def _declared(self, head: bytes) -> int | None:
-        """Bytes of payload that a head declares; None unless it can be the head of a block of this log."""
+        """Return the bytes of payload that a head declares; None unless it can be the head of a block of this log."""
         if len(head) < OVERHEAD:
             return None
         group, tag, rows = HEAD.unpack_from(head)
@@ -119,8 +119,8 @@ class Salvage:
         return int(rows * self._row_bytes[group])
 
     def resume(self, position: int, chain: int) -> Resumption | None:
-        """Return where good blocks go on behind the bad one at `position`, which should go on from `chain`; None if
-        nowhere that the budget reaches.
+        """Return where good blocks resume after the bad one at `position`, which should continue from `chain`; None if
+        there is no such place within the budget.
         """
         chains = self._chains(position, chain)
         for at in self._heads(position):
@@ -140,15 +140,15 @@ class Salvage:
         return None
 
     def last(self, position: int, chain: int) -> LastBlock | None:
-        """The block that stands from `position` to the end of the journal, if its head alone is wrong."""
+        """Return the block from `position` to the end of the journal, if only its head is wrong."""
         block = self._reheaded(position, chain, self._end)
         if block is None:
             return None
         return LastBlock(block, CRC.unpack(self._read(CRC.size, position + HEAD.size))[0])
 
     def _gap(self, position: int, chain: int, end: int, after: int) -> JournalBlock | None:
-        """The bad bytes as one block, if its payload can be proved good: by its own check sum under another head, or by
-        the block behind it, which goes on from `after`.
+        """Return the bad bytes as one block, if its payload can be proved good: by its own checksum under another head,
+        or by the next block, which continues from `after`.
         """
         head = self._read(OVERHEAD, position)
         size = self._declared(head)
@@ -159,7 +159,7 @@ class Salvage:
         return self._reheaded(position, chain, end)
 
     def _reheaded(self, position: int, chain: int, end: int) -> JournalBlock | None:
-        """The bytes from `position` to `end` as one block under the head that its check sum wants."""
+        """Return the bytes from `position` to `end` as one block with the head that fits its checksum."""
         if not OVERHEAD < end - position <= _LONGEST_GAP:
             return None
         content = self._read(end - position, position)
@@ -172,10 +172,11 @@ class Salvage:
         return None
 
     def _chains(self, position: int, chain: int) -> list[int]:
-        """Return what the block behind the bad one may go on from: the bad one's check sum as it should be, and as it
-        stands.
+        """Return the checksums from which the block after the bad one may continue: the bad block's checksum as it
+        should be, and as it is stored.
 
-        As it stands only if it is this log's for certain: written in one sector with the end of the block before it.
+        The stored one is valid only if it certainly belongs to this log: if it lies in the same sector as the end of
+        the previous block.
         """
         head = self._read(OVERHEAD, position)
         if len(head) < OVERHEAD:
@@ -187,7 +188,7 @@ class Salvage:
         return [_chained(head, payload, chain), *(CRC.unpack_from(head, HEAD.size) if is_own else ())]
 
     def _heads(self, position: int) -> Iterator[int]:
-        """Positions from `position` on where a block of this log may begin, by tag, group and rows."""
+        """Yield positions from `position` on at which a block of this log may begin, by tag, group and rows."""
         end = self._end
         windows = iter(_WINDOWS)
         length = next(windows)
@@ -200,8 +201,8 @@ class Salvage:
             length = next(windows, length)
 
     def is_torn(self, position: int) -> bool:
-        """Return whether the bytes from `position` to the end are what a crash or a power cut leaves there: the first
-        bytes of a block, and zeros of pages that never reached the disk.
+        """Return whether the bytes from `position` to the end are the result of a crash or a power cut: the first bytes
+        of a block, and zeros of pages that never reached the disk.
         """
         length = self._end - position
         size = self._declared(self._read(OVERHEAD, position))
@@ -215,7 +216,7 @@ class Salvage:
         return self._is_zero(page_end if page_end < position + OVERHEAD else position)
 
     def _is_zero(self, position: int) -> bool:
-        """Return whether nothing but zeros stands from `position` on."""
+        """Return whether there are only zeros from `position` on."""
         while piece := self._read(1 << 20, position):
             if piece.count(0) < len(piece):
                 return False
@@ -223,7 +224,7 @@ class Salvage:
         return True
 
     def has_hole(self, start: int, end: int) -> bool:
-        """Return whether a page between two positions is all zeros: a power cut may have kept it from the disk."""
+        """Return whether a page between two positions is all zeros, as after a power cut that kept it from the disk."""
         data = self._read(min(end - start, SEARCH_BYTES), start)
         ends = range(_PAGE - start % _PAGE, len(data) + 1, _PAGE)
         return any(not any(data[max(0, stop - _PAGE) : stop]) for stop in ends)
@@ -235,7 +236,7 @@ def _chained(head: bytes, payload: bytes, chain: int) -> int:
 
 
 def _plausible(data: bytes, tags: Sequence[int], groups: int) -> list[int]:
-    """Offsets at which `data` can be the head of a block: one of the tags, a group that there is, rows."""
+    """Return the offsets at which `data` can be the head of a block: a valid tag, group and number of rows."""
     count = len(data) - OVERHEAD + 1
     if count <= 0:
         return []

@@ -1,4 +1,4 @@
-"""One sensor's part of a log that is read: what it says of itself, checked, and its columns."""
+"""The part of a log that belongs to one sensor: its attributes, checked, and its columns."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _EDGE_ROWS = 4096
 
 
 class OpenLog(Protocol):
-    """An open log, as its sensors know it."""
+    """The interface of an open log that its sensors use."""
 
     path: Path
 
@@ -50,15 +50,15 @@ class OpenLog(Protocol):
 
 
 class SensorLog(CountScale):
-    """One sensor's part of a log. `time`, `counts`, ... are as HDF5 datasets: slice them, or `numpy.asarray` them
-    whole; LogError where they are damaged. Pickled, it is its log's path and its name.
+    """The data of one sensor in a log. `time`, `counts`, ... behave like HDF5 datasets: slice them, or read them whole
+    with `numpy.asarray`; LogError if they are damaged. A pickled sensor is stored as the path of its log and its name.
     """
 
     def __init__(
         self, group: h5py.Group | LiveGroup, where: str, log: OpenLog, opened: Callable[[Path], OpenLog]
     ) -> None:
-        """Check the group; LogError. `where` is what it is called in errors; `opened` opens the log at a path, in the
-        process that the sensor is sent to.
+        """Check the group; LogError. `where` is its name in errors; `opened` opens the log at a path in a process to
+        which the sensor is sent.
         """
         self._group = group
         self._columns: dict[str, NamedColumn] = {}
@@ -105,7 +105,7 @@ class SensorLog(CountScale):
         return number
 
     def _numbers(self, attribute: str, default: Floats) -> Floats:
-        """An attribute of several numbers, shaped as its default."""
+        """Return an attribute of several numbers, with the shape of its default."""
         value = self._group.attrs.get(attribute, default)
         try:
             numbers = np.asarray(value, float)
@@ -117,7 +117,9 @@ class SensorLog(CountScale):
         return numbers
 
     def _orientation(self) -> Floats:
-        """The stored matrix if there is one (a fused or foreign log may have finer ones), else that of `axes`."""
+        """Return the stored matrix if there is one (a fused or foreign log may have a finer one), else that of
+        `axes`.
+        """
         try:
             named = np.array(orientation_of(self.axes))
         except ValueError as error:
@@ -156,7 +158,7 @@ class SensorLog(CountScale):
 
     @property
     def count_bits(self) -> int:
-        """The number of bits of a triad's counts: its attribute says so where there are more than 16."""
+        """The number of bits of a triad's counts, from its attribute; 16 without one."""
         return round(self._number(COUNT_BITS, 16.0))
 
     @property
@@ -176,12 +178,12 @@ class SensorLog(CountScale):
 
     @property
     def status(self) -> NamedColumn | npt.NDArray[np.uint16]:
-        """(n,) flags of `imuarray.log.format`; zeros in a log that has none."""
+        """The flags (n,) of `imuarray.log.format`; zeros in a log that has none."""
         return self._column("status") if self._has("status") else np.zeros(len(self), np.uint16)
 
     def compensated(self, name: str) -> NamedColumn:
-        """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
-        LogError.
+        """Return a column in physical units computed with the chip's own calibration ("temperature" degC, "pressure"
+        Pa); LogError.
         """
         if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
@@ -189,8 +191,8 @@ class SensorLog(CountScale):
 
     @property
     def time_uncertainty(self) -> NamedColumn | None:
-        """(n,) by how many s the time of each row may be off at most, if the log says so: of sensors whose queue was
-        drained.
+        """The largest possible error (n,) of the time of each row in s, for sensors whose queue was drained; None if
+        the log does not state it.
         """
         return self._column(TIME_UNCERTAINTY) if self.has_compensated(TIME_UNCERTAINTY) else None
 
@@ -198,7 +200,9 @@ class SensorLog(CountScale):
         return name in self._columns or self._group.get(name) is not None
 
     def _column(self, name: str) -> NamedColumn:
-        """A column by its name, looked up once: HDF5 takes as long for that as for reading some thousand rows."""
+        """Return a column by its name, looked up once: HDF5 takes as long for that as for reading some thousand
+        rows.
+        """
         if name not in self._columns:
             self._columns[name] = NamedColumn(self._group[name], f"{self.where}: {name}")
         return self._columns[name]
@@ -257,11 +261,11 @@ class SensorLog(CountScale):
         return _again, (self._opened, self._path.absolute(), self.name)
 
     def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
-        """Slices that cover the log, `rows` at a time."""
+        """Yield slices that cover the log, `rows` at a time."""
         return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
 
     def flagged(self) -> dict[str, int]:
-        """Return how many rows bear each flag of `imuarray.log.format`."""
+        """Return how many rows have each flag of `imuarray.log.format`."""
         counts = dict.fromkeys(FLAGS, 0)
         for block in self.blocks():
             status = np.asarray(self.status[block])
@@ -270,7 +274,7 @@ class SensorLog(CountScale):
         return counts
 
     def between(self, start_ns: int, end_ns: int) -> slice:
-        """The rows whose time lies in [start_ns, end_ns), found without reading the column."""
+        """Return the rows whose time lies in [start_ns, end_ns), without reading the whole column."""
         return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
 
 
@@ -279,8 +283,8 @@ def _again(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorLo
 
 
 def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
-    """The first row of an increasing column whose time is `at_ns` or later, among its first `rows` (None: all); by
-    bisection, reading one chunk at the end.
+    """Return the first row of an increasing column whose time is `at_ns` or later, among its first `rows` (None: all);
+    by bisection, reading one chunk at the end.
     """
     low, high = 0, int(time.shape[0]) if rows is None else rows
     while high - low > 4096:
@@ -290,7 +294,7 @@ def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
 
 
 def recorded_header(sensor: SensorLog) -> SensorHeader:
-    """The header with which a log like the one that `sensor` is from would be written."""
+    """Return the header with which a log like that of `sensor` would be written."""
     x, y, z = sensor.position_mm.tolist()
     bits = {COUNT_BITS: sensor.count_bits} if sensor.is_triad and sensor.count_bits > 16 else {}
     columns = {"pressure": ("ut", "up"), "temperature": ("t",)}.get(sensor.quantity, ("x", "y", "z"))

@@ -1,8 +1,8 @@
-"""Check sums of the parts of a finished log that HDF5 does not protect: texts, and the tables of phases and events.
+"""Checksums of the parts of a finished log that HDF5 does not protect: texts, and the tables of phases and events.
 
 HDF5 protects its own structures, and `fletcher32` the chunks of columns. Texts of varying length are stored in heaps
-without a check sum, and short tables in plain stretches of the file. A finished log therefore records the check sums of
-these at the time when it was written. Attributes that other programs add are not counted.
+without a checksum, and short tables contiguously in the file. A finished log therefore stores checksums of these parts
+as they were written. Attributes that other programs add are ignored.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ PARTS = ("attributes", *_TABLES)
 
 
 def check_sums(file: Any) -> list[int]:
-    """CRC-32 of the attributes, the phases and the events of an open HDF5 file; what h5py raises on damage."""
+    """Return the CRC-32 of the attributes, the phases and the events of an open HDF5 file; on damage h5py raises its
+    own errors.
+    """
     crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
     attributes = [_attributes(file.attrs, _LOG)]
     for name in sorted(file["sensors"]):
@@ -40,7 +42,7 @@ def check_sums(file: Any) -> list[int]:
 
 
 def changed_parts(file: Any) -> list[str]:
-    """Return those of `PARTS` that differ from what was written; none for a log without check sums."""
+    """Return the `PARTS` that differ from what was written; none for a log without checksums."""
     written = file.attrs.get(CHECK_SUMS)
     if not isinstance(written, np.ndarray) or written.shape != (len(PARTS),):
         return []
@@ -58,14 +60,14 @@ def _crc(parts: Iterator[bytes]) -> int:
 
 
 def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
-    """The values of attributes by these names, as far as they are there."""
+    """Return the values of the attributes of these names that exist."""
     return b"\0".join(
         b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in attributes
     )
 
 
 def _column(column: Any) -> bytes:
-    """All of a column of numbers or texts."""
+    """Read a whole column of numbers or texts."""
     if column.dtype.kind != "O":
         return np.ascontiguousarray(column[:]).tobytes()
     return b"\1".join(map(_bytes, read_texts(column)))

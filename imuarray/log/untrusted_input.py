@@ -1,4 +1,5 @@
-"""Reading from untrusted files: opened or refused with one clear line; texts are read in pieces, notes checked.
+"""Reads untrusted files: opens or rejects them with a clear error, reads texts in pieces, and checks phases and
+events.
 
 `imuarray.log.inspection` checks the structure of a file before anything in it is trusted.
 """
@@ -43,14 +44,14 @@ def open_file(path: Path) -> h5py.File:
 
 
 def positive(value: Any) -> float:
-    """An attribute that is one positive, finite number; else 0."""
+    """Return an attribute that is one positive, finite number; else 0."""
     number = value.item() if isinstance(value, np.generic) else value
     fits = isinstance(number, int | float) and not isinstance(number, bool) and 0 < number < math.inf
     return float(number) if fits else 0.0
 
 
 def check_note(fields: Any, numbers: int) -> None:
-    """ValueError unless these are the fields of a phase or an event: so many times, and texts."""
+    """Raise ValueError unless these are the fields of a phase or an event: so many times, followed by texts."""
     times, texts = fields[:numbers], fields[numbers:]
     if not isinstance(fields, list) or not all(isinstance(text, str) for text in texts):
         raise ValueError("a note is times and texts")
@@ -59,8 +60,8 @@ def check_note(fields: Any, numbers: int) -> None:
 
 
 def read_texts(column: Any) -> list[Any]:
-    """All of a column of texts or numbers, a few rows at a time: each text may be as long as a heap, and all of them
-    the same one. ValueError for more than `MAX_TEXT_BYTES`, TypeError for what is no column.
+    """Read a whole column of texts or numbers, a few rows at a time, since each text may be as long as a heap and all
+    of them may be the same one. ValueError for more than `MAX_TEXT_BYTES`, TypeError for anything but a column.
     """
     if not isinstance(column, h5py.Dataset) or column.dtype.kind != "O":
         return list(column[:].tolist())

@@ -1,4 +1,4 @@
-"""Reads and checks every block of a log: check sums of chunks and commits, chunks that were never written, times."""
+"""Reads and checks every block of a log: checksums of chunks and commits, chunks that were never written, times."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _ROWS = 1 << 16
 
 
 class Verification(NamedTuple):
-    """The result of a verification: `problems` are rows that can't be had or can't be right, `remarks` what a reader
-    makes good.
+    """The result of a verification: `problems` are rows that can't be read or can't be right, `remarks` are defects
+    that a reader corrects.
     """
 
     state: str
@@ -50,7 +50,7 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> V
 
 
 def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
-    """Rows that were read so far, and what was wrong with the last of them."""
+    """Read all rows of a sensor; yield the number of rows so far and the problems of the last block."""
     columns = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
@@ -87,7 +87,7 @@ def _stimulus(log: Log, name: str) -> list[str]:
 
 
 def _read(place: str, columns: Mapping[str, Any], block: slice) -> tuple[dict[str, Any], list[str]]:
-    """A stretch of all columns that can be read, and complaints about the others."""
+    """Read a block of all columns that can be read, and return complaints about the others."""
     read, problems = {}, []
     for name, column in columns.items():
         try:
@@ -98,7 +98,7 @@ def _read(place: str, columns: Mapping[str, Any], block: slice) -> tuple[dict[st
 
 
 def _holes(place: str, name: str, column: Any) -> list[str]:
-    """A complaint if chunks are missing: HDF5 would give zeros for them, and no error."""
+    """Return a complaint if chunks are missing: HDF5 would return zeros for them without an error."""
     if not hasattr(column, "id") or column.chunks is None:  # zeros in place of none, or of a log that still grows
         return []
     try:

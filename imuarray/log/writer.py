@@ -84,7 +84,7 @@ class LiveFile:
     """The HDF5 file of a log that is being recorded. Its columns only ever grow, by commits."""
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK) -> None:
-        """Create it, with everything that it will ever hold, under a temporary name; on the disk; then name it."""
+        """Create the file with all groups and attributes under a temporary name; rename it once it is on the disk."""
         self._groups = groups_of(preamble.sensors)
         self._rows = [0] * len(self._groups)
         self._identity = preamble.identity
@@ -118,7 +118,7 @@ class LiveFile:
         self.file.swmr_mode = True
 
     def commit(self, waiting: Sequence[Sequence[Columns]], mark: Mark) -> None:
-        """Add rows of all groups, everything that the journal holds before `mark`; LogError."""
+        """Add rows of all groups: everything that the journal holds before `mark`; LogError."""
         added = {number: self._groups[number].joined(parts) for number, parts in enumerate(waiting) if parts}
         for number, rows in added.items():
             self._add(number, rows)
@@ -155,12 +155,12 @@ class _Item(NamedTuple):
 
 
 class Live:
-    """A log that is being recorded at `path`. `put` blocks of rows; `flush` waits until they are on the disk."""
+    """A log that is being recorded at `path`. `put` adds blocks of rows; `flush` waits until they are on the disk."""
 
     def __init__(
         self, path: Path, preamble: Preamble, *, watermark: int, sync_s: float, force: bool, chunk: int = CHUNK
     ) -> None:
-        """Begin: lock, journal and file are there, on the disk and named, when this returns. LogBusyError,
+        """Begin: lock, journal and file exist on the disk under their names when this returns. LogBusyError,
         DiskFullError, LogError.
         """
         self.path = path
@@ -192,7 +192,7 @@ class Live:
             raise
 
     def _begin(self, preamble: Preamble, is_empty: bool) -> None:
-        """Journal, reserve, file: all of them or none. `is_empty`: the journal is that of no other log."""
+        """Create journal, reserve and file: all of them or none. `is_empty`: the journal belongs to no other log."""
         reserve = None
         try:
             self._reserve = reserve = Reserve(self.path)
@@ -208,7 +208,7 @@ class Live:
             raise
 
     def put(self, number: int, columns: Columns) -> None:
-        """Add rows of the group of this number; raises what went wrong with earlier ones (DiskFullError, LogError)."""
+        """Add rows of the group of this number; raises errors of earlier rows (DiskFullError, LogError)."""
         if self.error is not None:
             raise self.error
         rows = len(next(iter(columns.values())))
@@ -223,11 +223,11 @@ class Live:
             raise self.error
 
     def drain(self) -> None:
-        """Wait until everything that was put is on the disk, of a log that another thread closes."""
+        """Wait until everything that was put is on the disk, for a log that another thread closes."""
         self._thread.join()
 
     def close(self) -> None:
-        """Write what waits and close the file; the journal stays, and locked (`lock`). Errors are left in `error`."""
+        """Write what waits and close the file; the journal remains, locked (`lock`). Errors are stored in `error`."""
         if self._thread.is_alive():
             self._queue.put(None)
             self._thread.join()
@@ -235,7 +235,7 @@ class Live:
         self._file.close()
 
     def _run(self) -> None:
-        """The thread: takes what is there, all at once, until there is nothing more to come."""
+        """Run the thread: write all blocks that wait, at once, until no more can come."""
         while True:
             items, flushed, more = self._take()
             if self.error is None:
@@ -253,7 +253,7 @@ class Live:
                 return
 
     def _take(self) -> tuple[list[_Item], list[threading.Event], bool]:
-        """Blocks that came, those who wait for them, and whether more can come."""
+        """Return the blocks that wait, the callers that wait for them, and whether more can come."""
         items: list[_Item] = []
         try:
             item = self._queue.get(timeout=self._sync_s if self._dirty else None)
@@ -298,7 +298,7 @@ class Live:
         return True
 
     def _append(self, items: Sequence[_Item]) -> None:
-        """Append to the journal; if the disk is full, once more with the space of the reserve."""
+        """Append to the journal; if the disk is full, try again with the space of the reserve."""
         try:
             self._journal.append(items)
         except OSError as error:
@@ -332,8 +332,8 @@ SYNC_S = 1.0
 
 
 class Block(NamedTuple):
-    """Rows of one sensor: time (n,) int64 ns since the epoch, counts (n, k), status (n,) flags, and what the chip has
-    besides.
+    """Rows of one sensor: time (n,) int64 ns since the epoch, counts (n, k), status (n,) flags, and further columns of
+    its chip.
     """
 
     time: Times
@@ -359,7 +359,7 @@ def _no_log(path: Path) -> NoReturn:
 
 
 class WriterSettings(TypedDict):
-    """The keyword arguments of `LogWriter`, for those that make several."""
+    """The keyword arguments of `LogWriter`, for callers that create several."""
 
     source: str
     epoch: str
@@ -373,8 +373,8 @@ class WriterSettings(TypedDict):
 class LogWriter:
     """A log being written; a context manager. Leaving it with an error removes the file, unless `keep()` was called.
 
-    Once it is kept, a thread writes: `append` returns when its rows are queued (and waits when too many are), and
-    raises what went wrong with earlier ones: DiskFullError, LogError. `flush` returns when everything is on the disk.
+    Once the log is kept, a thread writes it: `append` returns when its rows are queued (and waits when too many are),
+    and raises errors of earlier rows: DiskFullError, LogError. `flush` returns when everything is on the disk.
     """
 
     # Keyword-only and independent of one another: attributes that a file has, and how it is kept.
@@ -391,8 +391,8 @@ class LogWriter:
         watermark: int = WATERMARK,
         sync_s: float = SYNC_S,
     ) -> None:
-        """Create `path` for `sensors`; `epoch` is the ISO 8601 UTC wall time of time 0, `frame_rate_hz` what was asked
-        for (0: not known). A kept log ends with DiskFullError when less than `watermark` bytes are free.
+        """Create `path` for `sensors`; `epoch` is the ISO 8601 UTC wall time of time 0, `frame_rate_hz` the requested
+        frame rate (0: not known). A kept log ends with DiskFullError when less than `watermark` bytes are free.
         OutputExistsError, LogBusyError, LogError.
         """
         self.path = Path(path)
@@ -435,7 +435,7 @@ class LogWriter:
             self._put(self._numbers[name], rows._asdict())
 
     def clocks(self, row: ClockRow) -> None:
-        """Note what the machine's clocks say."""
+        """Add a row of the machine's clocks."""
         columns = {name: np.array([value]) for (name, _, _), value in zip(CLOCKS, row, strict=True)}
         self._put(self._numbers["clocks"], columns)
 
@@ -444,8 +444,8 @@ class LogWriter:
         self._put(len(self._groups) - 1, note_columns(phase))
 
     def begins(self, phase: Phase) -> None:
-        """Name a stretch of time that ends at `phase.end_ns` at the latest: a log that is cut short has it too. `phase`
-        with the same start and name ends it.
+        """Name a stretch of time that ends at `phase.end_ns` at the latest, so that a log that is interrupted has it
+        too. `phase` with the same start and name ends it.
         """
         self._put(len(self._groups) - 1, note_columns(OpenPhase(*phase)))
 
@@ -454,15 +454,15 @@ class LogWriter:
         self._put(len(self._groups) - 1, note_columns(event))
 
     def __getitem__(self, sensor: str) -> SensorLog:
-        """The rows of a sensor so far, as they are read from a log; KeyError for a log that is kept."""
+        """Return the rows of a sensor so far, as they are read from a log; KeyError for a log that is kept."""
         if self._live is not None:
             raise KeyError(sensor)
         self._draft.flush()
         return SensorLog(self._draft.file[f"sensors/{sensor}"], f"{self.path}: sensor {sensor}", self, _no_log)
 
     def revise(self, sensor: str, column: str, change: Callable[[Columns], npt.NDArray[Any]]) -> None:
-        """Put other values in a column ("status", "time", ...) of a sensor's rows so far: those that `change` makes of
-        the columns of each stretch of rows. What is known of a recording only at its end comes into a log in this way.
+        """Replace the values of a column ("status", "time", ...) of a sensor's rows so far by those that `change`
+        computes from the columns of each block of rows. This adds what is known only at the end of a recording.
         ValueError if times no longer increase, KeyError for a log that is kept.
         """
         if self._live is not None:
@@ -478,24 +478,24 @@ class LogWriter:
 
     @property
     def acknowledged(self) -> dict[str, int]:
-        """Rows by sensor that are kept whatever happens to this process: those of a draft never are."""
+        """Return the rows by sensor that survive an end of this process; rows of a draft never do."""
         rows = [0] * len(self._groups) if self._live is None else self._live.acknowledged
         return {name: rows[self._numbers[name]] for name in self._last_ns}
 
     def flush(self) -> None:
-        """Write everything that waits; of a kept log it is then acknowledged and on the disk."""
+        """Write everything that waits; the rows of a kept log are then acknowledged and on the disk."""
         if self._live is None:
             self._draft.flush()
         else:
             self._live.flush()
 
     def drain(self) -> None:
-        """Wait until everything is on the disk, of a log that another thread is leaving."""
+        """Wait until everything is on the disk, for a log that another thread is closing."""
         if self._live is not None:
             self._live.drain()
 
     def keep(self) -> None:
-        """Keep the log from now on, whatever happens: it appears under its name, with a journal next to it.
+        """Keep the log from now on, even if an error follows: it appears under its name, with a journal next to it.
 
         LogBusyError if another process began the same log meanwhile, DiskFullError, LogError.
         """
@@ -546,7 +546,7 @@ class LogWriter:
             self._draft.discard()
 
     def _complete(self) -> None:
-        """The draft becomes the log."""
+        """Turn the draft into the log."""
         try:
             self._draft.close()
             self._draft.publish(self.path)
@@ -555,8 +555,8 @@ class LogWriter:
             raise
 
     def _end(self, live: Live, error: BaseException | None) -> None:
-        """The live log becomes a finished one, if there is room; else it stays as it is, and readable. What went wrong
-        in the thread is raised unless it was already.
+        """Finish the live log, if there is space; otherwise it remains unfinished and readable. An error of the thread
+        is raised unless it was raised before.
         """
         kept = KEPT
         try:
