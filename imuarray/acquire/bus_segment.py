@@ -1,23 +1,23 @@
-"""One segment of the bus (a multiplexer channel, or a bus of its own): its adapter, its sensors, and its identity.
+"""One segment of the bus (a multiplexer channel, or a separate bus): its adapter, its sensors, and its identity.
 
-`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and the duration of
-its clock. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row with no answer in
-between are attributed to the bus and not to a sensor; the bus is then tried ever less often until something answers. An
-unplugged adapter ends every transaction with ENODEV and is looked for at a steady rate.
+`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one of
+its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
+answer in between are attributed to the bus and not to a sensor; the bus is then tried at growing intervals until
+something answers. An unplugged adapter ends every transaction with ENODEV and is looked for at a constant rate.
 
-`Channel` verifies that the selected channel is the one that is connected. A multiplexer that missed its command leaves
+`Channel` verifies that the selected channel is the one that is connected. A multiplexer that missed its command keeps
 the old channel connected, and chips that share an address would answer for each other. The readings of a chip with a
 twin (the same address on another channel) are accepted only after a witness was read in the same visit: a register
-whose configured value differs between the twins, or a chip that has no twin. Where there is no witness, the
-multiplexer's control byte is read back, which does not detect a switch that is stuck.
+whose configured value differs between the twins, or a chip that has no twin. Without a witness, the multiplexer's
+control byte is read back, which does not detect a switch that is stuck.
 
 `ConfigurationReadback` reads the configuration registers of all chips back, a few per frame in turn; two wrong reads in
-a row count. A chip that a supply glitch has reset goes on measuring with its default settings and does not report it
-(the paper's BMA1, run 10). Each register is read at least once in `SWEEP_S`, so that a reset is noticed within a
-second; the rows since the last good check are flagged, and an event says what was read. The bit that keeps the two
-bytes of a reading together is one of the settings. A check uses the segment that is selected anyway: it costs one read,
-never a switch. Registers that also identify the connected channel are read there and take no turn here. Once a sweep
-the kernel is asked whether one of its drivers has claimed the address.
+a row count. A chip that a supply glitch has reset continues with its default settings and does not report it (the
+paper's BMA1, run 10). Each register is read at least once in `SWEEP_S`, so that a reset is noticed within a second; the
+rows since the last good check are flagged, and an event states what was read. The bit that keeps the two bytes of a
+reading together is one of the settings. A check uses the segment that is already selected: it costs one read, never a
+switch. Registers that also identify the connected channel are read there and not here. Once per sweep the kernel is
+asked whether one of its drivers has claimed the address.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ SWEEP_S = 0.85
 
 
 def frames_of(rate_hz: float) -> int:
-    """Frames in a sweep, at least one."""
+    """Return the number of frames in a sweep, at least one."""
     return max(1, math.floor(SWEEP_S * rate_hz))
 
 
 @dataclass
 class _Check:
-    """One register of one chip; without a `setting`, whose its address is."""
+    """A register of a chip that is read back; without a `setting`, only the owner of the chip's address is checked."""
 
     buffer: SampleBuffer
     setting: Setting | None
@@ -58,7 +58,7 @@ class _Check:
 
 
 class ConfigurationReadback:
-    """The checks of all routes, and whose turn it is."""
+    """The checks of all routes, and the order in which they take turns."""
 
     def __init__(
         self,
@@ -67,8 +67,9 @@ class ConfigurationReadback:
         report: Callable[[SampleBuffer, str, str], None],
         witnesses: Iterable[Witness] = (),
     ) -> None:
-        """`buffers` in visiting order; `report` (sensor, kind of event, message) is told when a chip has lost its
-        configuration or its address; the registers of `witnesses` are read by others, who say what they saw.
+        """`buffers` in visiting order; `report` (sensor, kind of event, message) is called when a chip has lost its
+        configuration or its address. The registers of `witnesses` are read by `Channel`, which reports them to `saw`
+        and `doubts`.
         """
         self._checks = [_Check(item, setting) for item in buffers for setting in (*item.driver.watched, None)]
         self._of = {id(item): [check for check in self._checks if check.buffer is item] for item in buffers}
@@ -83,7 +84,7 @@ class ConfigurationReadback:
         self.per_frame = math.ceil(reads / frames_of(rate_hz))
 
     def due(self) -> list[_Check]:
-        """This frame's checks: those that were wrong last time first, then the next in turn."""
+        """Return this frame's checks: those that were wrong last time first, then the next in turn."""
         again = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
         turn: list[_Check] = []
         reads, index, count = 0, self._next, len(self._in_turn)
@@ -99,18 +100,18 @@ class ConfigurationReadback:
         return again + turn
 
     def saw(self, witness: Witness) -> None:
-        """Note that this register was read elsewhere, and is right."""
+        """Note that this register was read elsewhere and is right."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = 0
         check.good_rows = len(check.buffer.times_ns)
 
     def doubts(self, witness: Witness) -> None:
-        """Note that this register was read elsewhere, and is not as configured."""
+        """Note that this register was read elsewhere and is not as configured."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = max(check.wrong, 1)
 
     def run(self, check: _Check) -> None:
-        """Read one register back; a bus that fails says nothing about it."""
+        """Read one register back; a failed transaction is no evidence about the register."""
         if check.setting is None:
             self._ask(check)
             return
@@ -147,13 +148,15 @@ class ConfigurationReadback:
             self._report(check.buffer, kind, message)
 
     def restart(self, buffer: SampleBuffer) -> None:
-        """Note that all registers of a chip are right: they were just read, or configured."""
+        """Note that all registers of a chip are right, because they were just read or configured."""
         for check in self._of[id(buffer)]:
             check.wrong = 0
             check.good_rows = len(buffer.times_ns)
 
     def finish(self) -> None:
-        """Check everything once more (twice where it is wrong), and flag what can't be: no row stays in doubt."""
+        """Check everything once more (wrong registers twice), and flag the rows that remain in doubt, so that no row
+        stays undecided.
+        """
         for check in self._checks:
             if check.buffer.recovery is None:
                 self.run(check)
@@ -192,7 +195,9 @@ SLACK_NS = 1_000_000
 
 
 class Adapter:
-    """One adapter. `silent_until_ns`: nothing is sent before; `hangs` and `removed` while it is so."""
+    """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` are True while it hangs or is
+    unplugged.
+    """
 
     def __init__(self) -> None:
         self.hangs = False
@@ -204,23 +209,23 @@ class Adapter:
 
     @property
     def down(self) -> bool:
-        """True if nothing behind it can be reached."""
+        """True if nothing on it can be reached."""
         return self.hangs or self.removed
 
     def was_removed(self, now_ns: int) -> bool:
-        """A transaction ended with one of `REMOVED`; whether that is when the adapter went."""
+        """Note that a transaction ended with one of `REMOVED`; return whether the adapter was removed just now."""
         began = not self.removed
         self.removed = True
         self.silent_until_ns = now_ns + SEARCH_NS
         return began
 
     def returned(self) -> None:
-        """Note that the adapter is there again."""
+        """Note that the adapter is present again."""
         self.removed = False
         self.silent_until_ns = -(1 << 62)
 
     def timed_out(self, now_ns: int) -> bool:
-        """A transaction ended with one of `HUNG`; whether that is when the bus began to hang."""
+        """Note that a transaction ended with one of `HUNG`; return whether the bus began to hang just now."""
         self.time_outs += 1
         if self.time_outs < 2:
             return False
@@ -242,8 +247,8 @@ class Adapter:
         """Return when a burst of so many clocks, requested and received between these times, was on the wire, and
         whether that is certain.
 
-        A clock takes what it took in the quickest burst so far. The rest of the time is the machine's: if that is more
-        than `SLACK_NS` the middle of what is possible is wrong by half of it at most.
+        The duration of a clock is that of the quickest burst so far; the rest of the time was spent in the machine. If
+        the rest exceeds `SLACK_NS`, the middle of the possible interval may be wrong by half of it.
         """
         took_ns = ended_ns - begun_ns
         if took_ns < clocks * self.clock_ns:
@@ -255,10 +260,11 @@ class Adapter:
 
 
 class Channel:
-    """One channel of a multiplexer, and who on it can tell that it is connected; `twins` have a twin elsewhere.
+    """One channel of a multiplexer, and the witnesses on it that prove that it is connected; `twins` have a twin
+    elsewhere.
 
-    The registers that can tell are asked in turn, at most `limit` of them, so that this is also a look at whether they
-    are as configured: `seen` is the one that was right last time, `doubted` one that answered and was not.
+    Witness registers are read in turn, at most `limit` of them, which also checks their configuration: `seen` is the
+    one that was right last time, `doubted` one that answered with a wrong value.
     """
 
     def __init__(
@@ -274,9 +280,10 @@ class Channel:
         self._turn = 0
 
     def right(self) -> bool:
-        """Ask the next witness; if it doesn't say yes, the multiplexer's control byte and the other witnesses.
+        """Return whether the channel is connected: ask the next witness; unless it confirms, read the multiplexer's
+        control byte and the other witnesses.
 
-        A chip that was reset or removed is no evidence: it can't make a right channel wrong.
+        A chip that was reset or removed is no evidence against a channel.
         """
         self.seen = self.doubted = None
         if self.witnesses:
@@ -292,7 +299,9 @@ class Channel:
         return True
 
     def _hear(self, witness: Witness) -> bool | None:
-        """Yes, no, or None from a chip that is silent or reads neither what it should nor what its twin does."""
+        """Return True if the witness confirms the channel, False if not, None if the chip is silent or returns neither
+        its own value nor that of its twin.
+        """
         registers, setting = witness.route.driver.registers, witness.setting
         try:
             register = setting.register
@@ -309,7 +318,7 @@ class Channel:
         return None if witness.others else True
 
     def _read_back(self) -> bool:
-        """Does the multiplexer's control byte say this channel?"""
+        """Return whether the multiplexer's control byte names this channel."""
         try:
             control = self._mux.bus.transfer(self._mux.address, read=1)[0]
         except OSError:
@@ -317,7 +326,7 @@ class Channel:
         return control & (pca9544a.ENABLE.mask | pca9544a.CHANNEL.mask) == self._order
 
     def forget(self) -> None:
-        """Select anew before the next transaction."""
+        """Select the channel again before the next transaction."""
         self._mux.selected = None
 
 
@@ -330,8 +339,8 @@ def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], l
 
 @dataclass(frozen=True)
 class Polling:
-    """The things that all segments of a poll loop share: its clock and rate, the faults that concern all sensors of a
-    segment, and the function that is told which adapter was removed and when (ns).
+    """The data that all segments of a poll loop share: its clock and rate, the faults that concern all sensors of a
+    segment, and a callback that receives the removed adapter and the time of the removal (ns).
     """
 
     clock: Clock
@@ -341,7 +350,7 @@ class Polling:
 
 
 class BusSegment:
-    """Sensors that are connected together, in their order."""
+    """Sensors that are connected at the same time, in visiting order."""
 
     def __init__(
         self,
@@ -370,8 +379,8 @@ class BusSegment:
         self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus
 
     def begin(self) -> int:
-        """Connect it before the first reading is timed, and the time then; if that fails the reading will fail too,
-        and say so.
+        """Connect the segment before the first reading is timed, and return the time. If that fails, the reading will
+        fail as well and report it.
         """
         if self._select is not None and self._clock.now_ns() >= self.adapter.silent_until_ns:
             try:
@@ -404,7 +413,7 @@ class BusSegment:
             self._hang.over(now_ns, "works again")
 
     def _return(self, now_ns: int) -> None:
-        """Note that the adapter is there."""
+        """Note that the adapter is present again."""
         if not self.adapter.removed:
             return
         self.adapter.returned()
@@ -417,7 +426,7 @@ class BusSegment:
                 bus.mux.selected = None
 
     def has_returned(self, buffer: SampleBuffer) -> bool:
-        """Ask whether anybody is at the sensor's address: whatever comes back but `REMOVED`, the adapter is there."""
+        """Send a request to the sensor's address: any result except `REMOVED` shows that the adapter is present."""
         registers = buffer.driver.registers
         try:
             registers.bus.transfer(registers.address)
@@ -431,7 +440,7 @@ class BusSegment:
         """Verify that the right channel was connected; if not, discard the readings of its twins and count them in
         `lost`.
 
-        Where a hung bus can't be asked nothing is believed either.
+        If a hung bus makes this impossible, the readings are discarded as well.
         """
         if self.channel is None:
             return not self.adapter.down

@@ -1,4 +1,4 @@
-"""Clocks of the machine, recorded side by side at intervals; samples are timed by one that never steps.
+"""The clocks of the machine, recorded together at intervals; samples are timed by one that never steps.
 
 A single-board computer has no clock that survives a night without power: its wall clock is set some time after it has
 started, and may be set again. Rows of (monotonic, wall) give the wall time of every sample afterwards, and the steps of
@@ -26,7 +26,7 @@ Read = Callable[[], tuple[int, int, int, int]]
 
 
 def machine_clocks() -> tuple[int, int, int, int]:
-    """The machine's four clocks."""
+    """Read the machine's four clocks."""
     return (
         time.clock_gettime_ns(time.CLOCK_MONOTONIC),
         time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW),
@@ -36,7 +36,9 @@ def machine_clocks() -> tuple[int, int, int, int]:
 
 
 def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
-    """The machine's clocks for a bus that obeys them; for an emulated one, four clocks that agree with its own."""
+    """Return the machine's clocks for a bus that follows them; for an emulated bus, four clocks that agree with
+    its own.
+    """
     if isinstance(clock, MonotonicClock):
         return machine_clocks
     wall_ns = round(wall_time.timestamp() * 1e6) * 1000 - start_ns
@@ -49,7 +51,7 @@ def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
 
 
 class Clocks:
-    """A reader of the clocks: a row to `keep` every 10 s, and a sentence to `tell` when the wall clock steps."""
+    """Reads the clocks: passes a row to `keep` every 10 s, and a sentence to `tell` when the wall clock steps."""
 
     def __init__(self, read: Read, epoch_ns: int, keep: Callable[[ClockRow], None], tell: Tell) -> None:
         self._read, self._epoch_ns, self._keep, self._tell = read, epoch_ns, keep, tell
@@ -57,7 +59,7 @@ class Clocks:
         self._wall_ns: int | None = None
 
     def tick(self, now_ns: int) -> None:
-        """Read them if it is time."""
+        """Read the clocks if a row is due."""
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + PERIOD_NS

@@ -1,6 +1,6 @@
-"""Detects which chips answer on a bus and compares them with the configuration; only a self-test changes anything.
+"""Detects which chips answer on a bus and compares them with the configuration; only a self-test changes settings.
 
-An address that a kernel driver owns answers as well, so that the owner must be asked for first.
+An address that a kernel driver owns answers as well, so the owner is determined first.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from imuarray.facts.registers import Register
 
 
 def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
-    """Return the chips that an address may hold, with the identity register and the value that proves them. Chips that
-    identify themselves alike share an entry.
+    """Return the chips that may be at an address, with the identity register and the value that proves them. Chips with
+    the same identity share an entry.
     """
     names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
     for chip, spec in CHIPS.items():
@@ -42,11 +42,11 @@ MUX = "pca9544a"
 
 @dataclass(frozen=True)
 class Detection:
-    """One line of `detect`: a place, what the configuration wants there ("" if nothing), what answered, and whether
+    """One line of `detect`: a place, what the configuration expects there ("" if nothing), what answered, and whether
     that is right.
 
-    A known chip of which the configuration says nothing has no `sensor` and no `expected`; it is not wrong, only
-    worth knowing.
+    A known chip that the configuration does not name has no `sensor` and no `expected`; it is reported, but is no
+    error.
     """
 
     place: str
@@ -75,8 +75,8 @@ _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: 
 
 
 def owner_of(address: int, bus: OpenBus) -> str:
-    """Return who has that address of the root bus, or a place behind it: a driver of the kernel; empty for nobody, and
-    for a bus that can't tell (LNX-12).
+    """Return which kernel driver owns an address of the root bus, or a place on it; "" for none, and for a bus that
+    does not know owners (LNX-12).
     """
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     try:
@@ -91,9 +91,10 @@ def owner_of(address: int, bus: OpenBus) -> str:
 
 
 def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Detection]:
-    """Ask for every sensor of `array` (and let it test itself), then look for chips that `array` does not name.
+    """Check every sensor of `array` (with `self_test`, also run its self-test), then look for chips that `array` does
+    not name.
 
-    Nothing is sent to an address that a driver of the kernel has, nor through a multiplexer that the kernel switches
+    Nothing is sent to an address that a kernel driver owns, nor through a multiplexer that the kernel switches
     (LNX-24).
     """
     mux = array.mux.address if array.mux else None
@@ -114,8 +115,8 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
 
 
 def _owned(bus: OpenBus) -> list[Detection]:
-    """Addresses of chips that we know which a driver of the kernel has. That may be an array's, or a clock's on the
-    same bus: it is worth knowing, and not wrong.
+    """Report addresses of known chips that a kernel driver owns. The chip may be one of an array or a clock on the same
+    bus, so this is no error.
     """
     known = sorted({*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)})
     owners = {address: owner_of(address, bus) for address in known}
@@ -127,7 +128,7 @@ def _owned(bus: OpenBus) -> list[Detection]:
 
 
 def _ask(route: SensorRoute, self_test: bool) -> Detection:
-    """Ask one sensor: is it the configured chip, is its address free, and does it pass its self-test?"""
+    """Check one sensor: is it the configured chip, is its address free, and does it pass its self-test?"""
     sensor = route.sensor
     try:
         route.claim()
@@ -153,7 +154,7 @@ def _ask(route: SensorRoute, self_test: bool) -> Detection:
 
 
 def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
-    """Ask the multiplexer: does it answer, and is its address free?"""
+    """Check the multiplexer: does it answer, and is its address free?"""
     if owner:
         return Detection(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
     try:
@@ -164,10 +165,11 @@ def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
 
 
 def explore(bus: OpenBus) -> list[Detection]:
-    """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet.
+    """Return every known chip that answers, behind the multiplexer if there is one, on a bus without a
+    configuration.
 
-    An address that a driver of the kernel has is not asked; a line says whose it is. Of the bus ``iio:``, every device
-    that the kernel serves.
+    Nothing is sent to an address that a kernel driver owns; a line names the driver. On the bus ``iio:``, every device
+    that the kernel serves is returned.
     """
     if isinstance(bus, IioBus):
         return [_served(device) for device in bus.devices()]
@@ -179,7 +181,7 @@ def explore(bus: OpenBus) -> list[Detection]:
 
 
 def _served(device: IioDevice) -> Detection:
-    """Return what a device of the kernel offers: its triads, and how they can be read."""
+    """Return a description of a kernel device: its triads, and how they can be read."""
     try:
         captured = "captured or read" if device.elements() else "read"
         rates_hz = rates_of(device)
@@ -189,7 +191,9 @@ def _served(device: IioDevice) -> Detection:
 
 
 def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
-    """The address that answers as a multiplexer: some barometers have one of the eight addresses too (PCA-11)."""
+    """Return the address that answers as a multiplexer; some barometers share one of its eight possible addresses
+    (PCA-11).
+    """
     for address in pca9544a.ADDRESSES:
         if address in owned:  # one that the kernel switches must not be written to: LNX-24
             continue
@@ -200,13 +204,13 @@ def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
 
 
 def _is_known(bus: Bus, address: int) -> bool:
-    """Return whether a chip that may have this address, a barometer, answers there."""
+    """Return whether a known barometer, which may share this address, answers there."""
     return any(address in addresses and _answers(bus, address, register) for _, addresses, register in _IDENTITIES)
 
 
 def _keeps_control(bus: OpenBus, address: int) -> bool:
-    """Return whether it reads as it was written (PCA-02), with channel 1 connected and then with none. To a chip with
-    registers the byte is where to read next.
+    """Return whether the control byte reads back as written (PCA-02), with channel 1 connected and then with none. A
+    chip with registers would take the byte as a register address.
     """
     for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
         bus.transfer(address, bytes([control.value]))
@@ -222,8 +226,8 @@ def _keeps_control(bus: OpenBus, address: int) -> bool:
 def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Detection]:
     """Find known chips at places (channel and address) that are not `taken`.
 
-    The trunk is asked while no channel is connected; what answers there answers on every channel, and is not asked
-    again. Nothing is sent to the mux's own address but its control byte.
+    The trunk is searched while no channel is connected. What answers there answers on every channel, and is not
+    searched for again. Only the control byte is sent to the multiplexer's own address.
     """
     if mux_address is None:
         return _look(bus, None, {address for _, address in taken})

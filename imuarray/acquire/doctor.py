@@ -1,8 +1,9 @@
 """Diagnoses why a bus does not work: one line per check, with advice; nothing is changed.
 
-The checks cover the machine (device files, permissions), what the kernel says of an I2C bus (adapter, clock, abilities,
-drivers that own our addresses), the port of a microcontroller, and the folder that logs are recorded into. A `Machine`
-is a file tree below a root folder, a user, and what only a living kernel can tell, so that a test can make one up.
+The checks cover the machine (device files, permissions), what the kernel reports about an I2C bus (adapter, clock,
+capabilities, drivers that own the array's addresses), the port of a microcontroller, and the folder for logs. A
+`Machine` is a file tree below a root folder, a user, and what only a running kernel can tell, so that a test can
+construct one.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Check(NamedTuple):
 
 
 def functionality(device: Path) -> int | None:
-    """The bits with which an adapter says what it can (LNX-30); None if it can't be asked."""
+    """Return the bits with which an adapter states its capabilities (LNX-30); None if it can't be asked."""
     try:
         fd = os.open(device, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -54,7 +55,7 @@ def functionality(device: Path) -> int | None:
 
 
 def free_bytes_in(folder: Path) -> int:
-    """Bytes that may still be written there; OSError."""
+    """Return the bytes that can still be written in a folder; OSError."""
     return free_bytes(folder / "RUN.h5")
 
 
@@ -69,11 +70,11 @@ class Machine:
     free_bytes: Callable[[Path], int] = free_bytes_in
 
     def path(self, absolute: str) -> Path:
-        """The path of a file of this machine."""
+        """Return the path of a file of this machine."""
         return self.root / absolute.lstrip("/")
 
     def text(self, absolute: str) -> str:
-        """The line in a file of the kernel's; "" if there is none."""
+        """Return the line in a file of the kernel's; "" if it does not exist."""
         try:
             return self.path(absolute).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
@@ -81,7 +82,7 @@ class Machine:
 
 
 def permission(machine: Machine, device: str) -> Check:
-    """May this user read and write a device file that is there?"""
+    """Check whether this user may read and write an existing device file."""
     try:
         about = machine.path(device).stat()
     except OSError as error:
@@ -100,7 +101,7 @@ def permission(machine: Machine, device: str) -> Check:
 
 
 def _group(machine: Machine, number: int) -> str:
-    """A group's name, by the machine's own list."""
+    """Return a group's name, by the machine's own list."""
     for line in machine.text("/etc/group").splitlines():
         name, _, rest = line.partition(":")
         if rest.split(":")[1:2] == [str(number)]:
@@ -122,14 +123,14 @@ _FASTER = (
 
 
 def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
-    """The device files that an array needs: the root bus of the URL, then the buses that sensors name."""
+    """Return the device files that an array needs: the root bus of the URL, then the buses that sensors name."""
     named = [sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c] if array else []
     return list(dict.fromkeys([path or (named[0] if named else ""), *named]))
 
 
 def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str], rate_hz: float) -> list[Check]:
-    """All of them, for each of `buses`; one that isn't there is not asked further. Without an array the addresses of
-    its sensors are unknown: drivers of the kernel are listed and not judged.
+    """Run all checks of each of `buses`; a missing bus is not checked further. Without an array the addresses of its
+    sensors are unknown, so kernel drivers are listed without a verdict.
     """
     checks: list[Check] = []
     for device in buses:
@@ -144,12 +145,12 @@ def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str]
 
 
 def _number(machine: Machine, device: str) -> str:
-    """N of /dev/i2c-N, also where the name is a link to it."""
+    """Return N of /dev/i2c-N, also if the name is a link to it."""
     return os.path.realpath(machine.path(device)).rpartition("-")[2]
 
 
 def there(machine: Machine, device: str) -> Check:
-    """Is there an adapter, and a device file for it?"""
+    """Check whether the adapter and its device file exist."""
     adapters = sorted(path.name for path in machine.path(DEVICES).glob("i2c-[0-9]*"))
     if not adapters:
         advice = "enable I2C: on a Raspberry Pi raspi-config, or dtparam=i2c_arm=on in config.txt; then restart"
@@ -165,7 +166,7 @@ def there(machine: Machine, device: str) -> Check:
 
 
 def abilities(machine: Machine, device: str) -> Iterator[Check]:
-    """Can it carry plain I2C messages, and what is odd about it?"""
+    """Check whether the adapter can transfer plain I2C messages, and report unusual properties."""
     bits = machine.functionality(machine.path(device))
     if bits is not None and not bits & _FUNC_I2C:
         yield Check("abilities", False, f"{device}: SMBus only", "plain I2C messages are needed: use another adapter")
@@ -178,7 +179,7 @@ def abilities(machine: Machine, device: str) -> Iterator[Check]:
 
 
 def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
-    """Has a driver of the kernel one of our addresses on this bus (LNX-12)?"""
+    """Check whether a kernel driver owns one of the array's addresses on this bus (LNX-12)."""
     number = _number(machine, device)
     on_i2c = [sensor for sensor in array.sensors if sensor.on_i2c]
     ours = {sensor.address: sensor.name for sensor in on_i2c if _is_on(sensor, device, is_root)}
@@ -214,7 +215,7 @@ def _is_on(sensor: SensorConfig, device: str, is_root: bool) -> bool:
 
 
 def _channels(machine: Machine, place: str) -> str:
-    """The buses behind a multiplexer that the kernel drives (LNX-21)."""
+    """Return the buses behind a multiplexer that the kernel drives (LNX-21)."""
     links = sorted(machine.path(place).glob("channel-[0-9]*"))
     return ", ".join(f"{link.name} is /dev/{link.resolve().name}" for link in links)
 
@@ -235,7 +236,7 @@ def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: flo
 
 
 def frame_clocks(array: ArrayConfig) -> int:
-    """Clocks of a frame that reads every sensor once, without its checks: BUS-02, BUS-04."""
+    """Return the clocks of a frame that reads every sensor once, without read-back: BUS-02, BUS-04."""
     channels = {sensor.channel for sensor in array.sensors if sensor.channel is not None}
     on_i2c = [sensor for sensor in array.sensors if sensor.on_i2c]
     return sum(9 * (DRIVERS[sensor.chip].burst + 3) for sensor in on_i2c) + 18 * len(channels)
@@ -245,7 +246,7 @@ _NO_DRIVER = "the device tree, or new_device of the bus, makes a driver bind; de
 
 
 def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
-    """Is every chip select that the array names there, and may this user open it?"""
+    """Check whether every chip select that the array names exists and this user may open it."""
     named = dict.fromkeys(str(sensor.bus) for sensor in array.sensors if sensor.on_spi) if array else {}
     checks: list[Check] = []
     for device in named:
@@ -269,7 +270,7 @@ def _wired_checks(machine: Machine, array: ArrayConfig | None, rate_hz: float) -
 
 
 def iio_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
-    """Does the kernel serve every device that the array names, and may this user capture from it?"""
+    """Check whether the kernel serves every device that the array names, and this user may capture from it."""
     if array is None:
         listed = ", ".join(str(device) for device in devices(machine.root))
         return [Check("device", bool(listed), listed or "the kernel exposes none", _NO_DRIVER)]
@@ -287,7 +288,7 @@ def iio_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
 
 
 def address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
-    """A multiplexer at 0x77 and a BMP180, which has no other address, answer together (PCA-11)."""
+    """Check for a multiplexer at 0x77 and a BMP180, which has no other address: both would answer (PCA-11)."""
     (address,) = bmp180.ADDRESSES
     advice = "strap the multiplexer's address pins to one of 0x70 to 0x76, or no BMP180 behind it can be read"
     if array.mux is not None and array.mux.address == address:
@@ -308,7 +309,7 @@ _LIVE = 2.0
 
 
 def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> list[Check]:
-    """All of them."""
+    """Run all checks of the folder for logs."""
     if not folder.is_dir():
         return [Check("folder", False, f"{folder}: it does not exist", f"mkdir -p {folder}")]
     writable = os.access(folder, os.W_OK | os.X_OK)
@@ -340,7 +341,7 @@ def _about(hours: float) -> str:
 
 
 def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
-    """List logs that were never finished, and other files that terminated processes left."""
+    """List logs that were never finished, and other files of terminated processes."""
     clean = True
     for journal in sorted(folder.glob("*.journal")):
         log = journal.with_suffix("")
@@ -371,9 +372,9 @@ def examine(
     machine: Machine | None = None,
     talk: Callable[[], list[Check]] | None = None,
 ) -> list[Check]:
-    """All checks for `array` on the bus `url` (empty: none is named), recorded into the folder `logs`; without an array
-    those that need no sensors. `talk` asks the sensors themselves; it is left out where an earlier check says why it
-    can't work.
+    """Run all checks for `array` on the bus `url` (empty: none is given) and for the folder `logs`; without an array,
+    only those that need no sensors. `talk` communicates with the sensors; it is skipped if an earlier check explains
+    why it can't work.
     """
     machine = machine or Machine()
     scheme, _, rest = url.partition(":")

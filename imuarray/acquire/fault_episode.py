@@ -1,7 +1,7 @@
 """Episodes of faults, reported by two events: one when an episode begins, one with count and duration when it is over.
 
-An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before it counts as
-over. The number of events is thus limited however long a fault persists: see `MOST_EVENTS_AN_HOUR`.
+An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before the episode
+is over. The number of events is thus limited however long a fault persists: see `MOST_EVENTS_AN_HOUR`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ UNITS: Mapping[str, str] = MappingProxyType(
 class FaultEpisode:
     """The episodes of one kind of fault of one sensor; `tell` receives the events.
 
-    `happened` is for what happens now and then and is over when it stays away, `begin` and `over` for what lasts in
-    between. What happened once has no end of its own: the event says it all.
+    Use `happened` for faults that recur and are over when they no longer occur, `begin` and `over` for faults that
+    last. A fault that occurred once has no event for its end.
     """
 
     def __init__(self, kind: str, unit: str, tell: Tell) -> None:
@@ -60,7 +60,7 @@ class FaultEpisode:
         self._reported = False
 
     def happened(self, at_ns: int, message: str, count: int = 1, until_ns: int | None = None) -> None:
-        """Note an occurrence at `at_ns`, the first or another one; `count` of them until `until_ns`."""
+        """Note an occurrence at `at_ns`, the first or a later one; `count` of them until `until_ns`."""
         if not self.on:
             self.on, self._since_ns, self.last_ns = True, at_ns, at_ns
             relapse = self._ended_ns is not None and at_ns - self._ended_ns <= RELAPSE_NS
@@ -81,7 +81,9 @@ class FaultEpisode:
         self._lasts = True
 
     def over(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
-        """End a lasting episode: reported at once unless it recurs, not at all if another event has `reported` it."""
+        """End a lasting episode: reported at once unless it recurs, and not at all if another event has `reported`
+        it.
+        """
         self._lasts, self._reported = False, reported
         if self.on:
             self.last_ns, self._end = max(self.last_ns, at_ns), message
@@ -125,7 +127,7 @@ class FaultEpisodes:
         self._all: dict[tuple[str, str, Hashable], FaultEpisode] = {}
 
     def of(self, sensor: str, kind: str, which: Hashable = None) -> FaultEpisode:
-        """The episode of this kind of `sensor` ("": the array); `which` tells several of a kind apart."""
+        """Return the episode of this kind of `sensor` ("": the array); `which` distinguishes several of a kind."""
         key = sensor, kind, which
         if key not in self._all:
             self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), self._teller(sensor))

@@ -1,4 +1,6 @@
-"""Proposes a configuration of the chips that answered on a bus; `calibrate axes` finds the directions of their axes."""
+"""Proposes a configuration for the chips that answered on a bus; `calibrate axes` determines the directions of their
+axes.
+"""
 
 from __future__ import annotations
 
@@ -37,15 +39,15 @@ _HEAD = """\
 
 
 def tell_apart(detections: Sequence[Detection], bus: OpenBus) -> list[Detection]:
-    """Distinguish chips that identify themselves alike by which of their self-tests they pass;
-    those that pass none, or can't be asked often enough, stay as they are. Their settings are lost.
+    """Distinguish chips with the same identity by which of their self-tests they pass; chips that pass none, or can't
+    be asked often enough, keep their identity. Their settings are lost.
     """
     mux = next((line.address for line in detections if line.found == MUX), None)
     return [replace(line, found=_passing(line, mux, bus) or line.found) for line in detections]
 
 
 def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
-    """The chip, among those with the same identity, whose self-test this one passes."""
+    """Return the chip, among those with the same identity, whose self-test this one passes."""
     if line.address is None:
         return None
     segment: Bus = bus if line.channel is None or mux is None else Pca9544a(bus, mux).channel(line.channel)
@@ -60,7 +62,7 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
 
 
 def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> str:
-    """The text of a configuration for the detections of `explore`; SensorError if there is no known chip."""
+    """Return the text of a configuration for the detections of `explore`; SensorError if there is no known chip."""
     devices = [line for line in detections if line.rates_hz]
     if devices or bus.startswith(IIO):
         return _propose_devices(devices, bus, name)
@@ -100,7 +102,7 @@ _DEVICES_HEAD = """\
 
 
 def _propose_devices(devices: Sequence[Detection], bus: str, name: str) -> str:
-    """A configuration of the triads of devices that the kernel serves; SensorError if there is none."""
+    """Return a configuration of the triads of kernel devices; SensorError if there is none."""
     if not devices:
         raise SensorError(f"{bus}: the kernel serves no accelerometer, gyroscope or magnetometer: nothing to configure")
     text = _DEVICES_HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
@@ -113,7 +115,7 @@ def _propose_devices(devices: Sequence[Detection], bus: str, name: str) -> str:
 
 
 def _sensor(name: str, chip: str, line: Detection, settings: Mapping[str, Any]) -> str:
-    """The text of one [[sensor]] table."""
+    """Return the text of one [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     own = "".join(f"{key} = {value}\n" for key, value in settings.items())
     remark = f"  # {_REMARKS[line.found]}" if line.found in _REMARKS else ""
