@@ -1,8 +1,8 @@
-"""Records an array into a log: connects its sensors, polls them or listens to a stream, and names the phases.
+"""Records an array into a log: connects its sensors, polls them or receives a stream, and names the phases.
 
-The poll loop (`Poll`) reads frame after frame at a steady rate; bursts are kept raw, decoded and written many at a
-time. A sensor that does not answer, has lost its configuration or stands still is recovered in its own place of the
-frame (`imuarray.acquire.sensor_health`); the others are read as before.
+The poll loop (`Poll`) reads frame after frame at a steady rate; bursts are stored as raw bytes, and decoded and written
+in blocks. A sensor that does not answer, has lost its configuration or repeats its reading is recovered in its own
+place in the frame (`imuarray.acquire.sensor_health`); the others are read as before.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class Poll:
         self.truth_rows: list[tuple[int, Any]] = []
 
     def _segments(self, routes: Sequence[SensorRoute]) -> list[BusSegment]:
-        """Group the sensors in the order of the configuration. Channels of one multiplexer, and its trunk, are one
-        adapter; a bus of its own is another.
+        """Group the sensors in the order of the configuration. The channels of one multiplexer, and its trunk, share an
+        adapter; a separate bus has another.
         """
         shared, everybody = Adapter(), list(self.buffers.values())
         polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
@@ -113,8 +113,8 @@ class Poll:
                     self.health.set_up_later(buffer, at_ns)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
-        """Frame after frame on a grid of their times: one that begins late is counted late, one whose time has passed
-        is counted missed.
+        """Read frame after frame on a grid of times: a frame that begins late is counted as late, one whose time has
+        passed as missed.
         """
         period_ns = round(1e9 / self.rate_hz)
         self.log.keep()
@@ -141,7 +141,7 @@ class Poll:
             self.finish()
 
     def skip(self, frames: int) -> int:
-        """Count `frames` missed frames: polled sensors have lost readings, sensors with a queue have not."""
+        """Count `frames` missed frames: polled sensors lose readings, sensors with a queue do not."""
         if frames:
             self.summary.missed += frames
             text = f"{counted(frames, 'frame')} missed: the frame before ended too late"
@@ -158,8 +158,8 @@ class Poll:
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to do what can't
-        wait for a frame that is far away (`_soonest`).
+        """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what can't wait for a
+        frame that is far away (`_soonest`).
         """
         tried: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
@@ -177,10 +177,10 @@ class Poll:
                 return
 
     def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
-        """Return when a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
+        """Return when a sensor must be visited before the frame at `due_ns`, and its place; `due_ns` if none must.
 
-        The result of a conversion would be too old by then, and a chip that is being set up would be away for many
-        frames: a set-up has up to ten pieces.
+        The reasons are the result of a conversion that would be too old by then, and a configuration in progress, which
+        takes up to ten steps and would otherwise last for many frames.
         """
         visits: list[tuple[int, int]] = []
         if self.rate_hz * _FAR_NS >= 1e9:
@@ -196,7 +196,7 @@ class Poll:
         return min(visits, default=(due_ns, 0))
 
     def frame(self) -> None:
-        """Read every sensor that is due once, and check whose turn it is while its segment is selected."""
+        """Read every sensor that is due once, and run the checks that are due while their segment is selected."""
         if self.truth is not None:
             now_ns = self.clock.now_ns()
             self.truth_rows.append((now_ns, self.truth(now_ns)))
@@ -214,10 +214,10 @@ class Poll:
             self.write()
 
     def group(self, segment: BusSegment, only: SampleBuffer | None = None) -> bool:
-        """Read one segment's sensors, or one of them, one after the other; whether it was the right segment, so that
-        checks make sense.
+        """Read the sensors of one segment, or one of them, in order; return whether it was the right segment, so that
+        checks are meaningful.
 
-        The end of one reading is the start of the next: each is known to lie between two readings of the clock.
+        The end of one reading is the start of the next, so that each lies between two readings of the clock.
         """
         adapter = segment.adapter
         now_ns = segment.begin()
@@ -237,10 +237,11 @@ class Poll:
         return segment.confirm(self.readback, self.summary.lost)
 
     def visit(self, buffer: SampleBuffer, segment: BusSegment, now_ns: int) -> None:
-        """Fetch; once more if nobody acknowledged; then the reading is missing: no row, an event when silence begins.
+        """Read a sensor, twice if it does not acknowledge. If both fail, the reading is missing: it has no row, and an
+        event reports the start of the silence.
 
-        Before anything is sent again it is asked which channel is connected: a silent address may be a wrong channel,
-        and what was read before in this visit another chip's.
+        Before the second attempt the connected channel is verified: a silent address may be due to a wrong channel, and
+        earlier readings of this visit may be another chip's.
         """
         again = False
         try:
@@ -292,7 +293,7 @@ class Poll:
         self.options.tell(event)
 
     def finish(self) -> None:
-        """Verify the rows that wait, or flag them; write them; end all fault episodes."""
+        """Verify or flag the waiting rows; write them; end all fault episodes."""
         self.readback.finish()
         self.health.finish(self.clock.now_ns())
         self.write(last=True)
@@ -317,7 +318,7 @@ class Poll:
 
 
 def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:
-    """The true state of an emulated world as rows of `/truth`."""
+    """Return the true state of an emulated world as rows of `/truth`."""
     return Stimulus(
         np.array([at_ns for at_ns, _ in rows], np.int64) - epoch_ns,
         np.array([felt.force_box for _, felt in rows]),
@@ -385,7 +386,7 @@ def record(
 def _writer(
     path: str | PathLike[str], headers: Sequence[SensorHeader], options: RecordingOptions, **about: Any
 ) -> Writer:
-    """One log, or one that is split into parts; `about` is what the log says of itself."""
+    """Create the writer of one log, or of one that is split into parts; `about` holds the attributes of the log."""
     about |= {"frame_rate_hz": options.rate_hz, "force": options.force}
     if options.rotate_s is None:
         return LogWriter(path, headers, **about)
@@ -393,7 +394,7 @@ def _writer(
 
 
 def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:
-    """The phases in the time of a log that began at `start_ns`, without what was before it."""
+    """Return the phases as seen by a log that began at `start_ns`, without what was before it."""
     return [
         phase._replace(start_ns=max(phase.start_ns - start_ns, 0), end_ns=phase.end_ns - start_ns)
         for phase in phases
@@ -402,10 +403,10 @@ def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:
 
 
 def _until(phases: Sequence[Phase], end_ns: int) -> list[Phase]:
-    """The phases of a log that ended at `end_ns`, without what would have been after it."""
+    """Return the phases as seen by a log that ended at `end_ns`, without what would have been after it."""
     return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
 
 
 def _iso(moment: datetime) -> str:
-    """ISO 8601 with microseconds and Z, in whatever zone `moment` is."""
+    """Format a moment in any time zone as ISO 8601 with microseconds and Z."""
     return moment.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -1,4 +1,4 @@
-"""The options of a recording, and its summary: what happened while the log was recorded, in numbers."""
+"""The options of a recording, and its summary: counts of what happened while the log was recorded."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The recovery of a sensor, one step per frame in its own place in the frame, so that no other sensor waits for it.
+"""Recovers a sensor, one step per frame in its own place in the frame, so that no other sensor waits for it.
 
-The steps are: ask for its identity, ever less often while it does not answer; compare its configuration with the
-intended one; if they differ, set it up from the start, and let its filters settle while the others are read.
+The steps are: read its identity, at growing intervals while it does not answer; compare its configuration with the
+intended one; if they differ, configure it from the start, and let its filters settle while the others are read.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ LONGEST_PAUSE_NS = 3_200_000_000
 
 
 class SensorRecovery:
-    """The recovery of one sensor. `intact` once it is found as it was configured, `done` when it can be read again.
+    """The recovery of one sensor. `intact` is True if it still had its configuration, `done` when it can be read
+    again.
 
-    `look` tries for that; without it the chip is set up anew whatever it says.
+    With `look`, its configuration is compared first; without, the chip is configured anew in any case.
     """
 
     def __init__(self, route: SensorRoute, now_ns: int, *, look: bool) -> None:
@@ -45,7 +46,7 @@ class SensorRecovery:
         return None if self._way is None or self.done else self._next_ns
 
     def go_on(self, now_ns: int) -> None:
-        """Do one step. An error is kept in `failure`, and the recovery starts again after a pause."""
+        """Do one step. An error is stored in `failure`, and the recovery starts again after a pause."""
         self._way = self._way or self._steps()
         self.failure = None
         try:

@@ -1,12 +1,13 @@
-"""Readings of one sensor between bus and log: buffered as raw bytes, decoded in blocks, written once they are trusted.
+"""The readings of one sensor between bus and log: stored as raw bytes, decoded in blocks, and written once they are
+trusted.
 
-A row is written only after the chip's configuration was verified *after* the row was read: a chip that fell back to its
-defaults is noticed later than it happened, and its readings in between must not stand in the log as good. The same
-holds for a chip whose reading no longer changes, which takes a while to distinguish from chance.
+A row is written only after the chip's configuration was verified *after* the row was read. A chip that falls back to
+its defaults is noticed with a delay, and the readings in between must not be stored as good. The same applies to a chip
+whose reading no longer changes, which takes a while to distinguish from chance.
 
-`Intake` is where decoded rows enter the log, for every bus. Times in a log strictly increase. A row whose time does not
-(a queue that was miscounted, a badly fitted clock, a frame that was delivered twice) must end neither the log nor the
-rows around it: it is refused and counted as a lost reading, an event reports it, and the next row carries the flag
+`Intake` writes decoded rows into the log, for every bus. Times in a log strictly increase. A row whose time does not
+(after a miscounted queue, a bad fit of the clock, a frame that was delivered twice) must end neither the log nor the
+rows around it: it is rejected and counted as a lost reading, an event reports it, and the next row carries the flag
 "readings lost just before".
 """
 
@@ -116,7 +117,7 @@ class SampleBuffer:
 
     @property
     def has_failed(self) -> bool:
-        """True if a visit has failed since the last reading, of a sensor that converts on demand."""
+        """True if a visit has failed since the last reading, for a sensor that converts on demand."""
         return self._failed
 
     def mark_lost(self) -> None:
@@ -133,7 +134,7 @@ class SampleBuffer:
         self._silent_since_ns = None
 
     def note_silence(self, at_ns: int) -> int:
-        """Note that a read at `at_ns` failed; for how many ns reads have been failing."""
+        """Note that a read at `at_ns` failed; return for how many ns reads have been failing."""
         if self._silent_since_ns is None:
             self._silent_since_ns = at_ns
         return at_ns - self._silent_since_ns
@@ -148,7 +149,7 @@ class SampleBuffer:
         self._silent_since_ns = None
 
     def condemn(self) -> None:
-        """Trust no row of this sensor any more: `trust` has no effect from now on."""
+        """Mark this sensor as permanently untrusted: `trust` has no effect from now on."""
         self._condemned = True
 
     def _frames_of_a_reading(self) -> int:
@@ -165,7 +166,9 @@ class SampleBuffer:
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
-        """Return when a conversion ends whose result would be too old in the frame at `due_ns`, or None."""
+        """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None if there is
+        none.
+        """
         if self._converter is None or self._recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
@@ -186,8 +189,8 @@ class SampleBuffer:
         return True
 
     def overdue(self, at_ns: int) -> int:
-        """Return how many more readings are lost now that a visit at `at_ns` gave none: one per visit; of a sensor that
-        converts on demand the number that its reading period promised since its last reading.
+        """Return how many more readings are lost after a visit at `at_ns` without a reading: one per visit; for a
+        sensor that converts on demand, the number that its reading period yields since its last reading.
         """
         if not self._on_demand:
             return 1
@@ -199,12 +202,12 @@ class SampleBuffer:
         return max(self._overdue - known, 0)
 
     def silent(self, now_ns: int) -> bool:
-        """Return whether `take` took none of the readings of the last seconds, or of the last few that were due."""
+        """Return whether `take` received none of the readings of the last seconds, or of the last few that were due."""
         longest_ns = max(_SILENT_S, _SILENT_READINGS / self.row_rate_hz) * 1e9
         return self.newest_ns is None or now_ns - self.newest_ns > longest_ns
 
     def add(self, burst: bytes, at_ns: int, *, doubtful: bool = False) -> None:
-        """Add the readings of one fetch: one taken at `at_ns`, or those of a queue."""
+        """Add the readings of one fetch: a single one taken at `at_ns`, or those of a queue."""
         if doubtful:
             self._doubtful.append(len(self._times_ns))
         if self._missing:
@@ -232,8 +235,9 @@ class SampleBuffer:
         overrun: bool = False,
         uncertainties_ns: Sequence[float] = (),
     ) -> None:
-        """Add readings of a stream, taken at `times_ns`; before rows `gaps` of them (ascending) readings were lost, and
-        with `overrun` before the first because the chip's queue ran over. `uncertainties_ns` of the times of a queue.
+        """Add readings of a stream, taken at `times_ns`. Readings were lost before the rows `gaps` (ascending), and
+        with `overrun` before the first, because the chip's queue overflowed. `uncertainties_ns` are those of the times
+        of a queue.
         """
         rows = len(self._times_ns)
         if self._set_up_again:
@@ -249,7 +253,7 @@ class SampleBuffer:
         self._bursts += bursts
 
     def cut(self, row: int) -> int:
-        """Discard the rows from `row` on, which are another chip's readings; returns their number."""
+        """Discard the rows from `row` on, which are another chip's readings; return their number."""
         count = max(len(self._times_ns) - row, 0)
         if count:
             self._missing = True
@@ -286,8 +290,8 @@ class SampleBuffer:
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """The row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows that
-        were written before count, and can't be told any more.
+        """Return the row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows
+        that are already written are counted, but can no longer be flagged.
         """
         rows, enough, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < enough:
@@ -310,8 +314,8 @@ class SampleBuffer:
         return self._written_since_ns if goes_on else self._times_ns[row]
 
     def thaw(self) -> None:
-        """Note that it is frozen. If configuring did not change that, wait longer before the next time: it may be
-        quiet.
+        """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
+        since the signal may be quiet.
         """
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
         self.frozen_reading = self._reading(len(self._times_ns) - 1)
@@ -342,11 +346,11 @@ class SampleBuffer:
         return np.frombuffer(bytes(self._bursts[: count * size]), np.uint8).reshape(count, size)
 
     def take(self, count: int, epoch_ns: int) -> Block:
-        """Decode the oldest `count` rows, at least one, and forget them; `doubtful_rows` (count,) tells which of them
-        were.
+        """Decode the oldest `count` rows, at least one, and remove them; `doubtful_rows` (count,) is True for rows that
+        were doubtful.
 
-        A chip that is polled more slowly than it measures overruns by design; only where every sample was meant to be
-        read, frame by frame or by its queue, is that worth a flag.
+        A chip that is polled more slowly than it measures overruns by design. An overrun is flagged only if every
+        sample should be read, frame by frame or from its queue.
         """
         decoded = self.driver.decode(self._bytes(count))
         status = decoded.status.copy()
@@ -403,7 +407,9 @@ class SampleBuffer:
         ]
 
     def _repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
-        """Return STALE where the bytes of a reading equal those before, the only evidence without a data-ready bit."""
+        """Return STALE where the bytes of a reading equal the previous ones, the only evidence without a data-ready
+        bit.
+        """
         before = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
         self._last = readings[-1:]
         return np.where((readings == before).all(axis=1), STALE, 0).astype(np.uint16)
@@ -434,8 +440,8 @@ _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 
 
 class Intake:
-    """Writes blocks of rows into `log`; `observe` sees each as it was written, `faults` tell of refused rows, which
-    are counted in `lost` by sensor.
+    """Writes blocks of rows into `log`; `observe` receives each block as it was written, `faults` report rejected rows,
+    which are counted in `lost` by sensor.
     """
 
     def __init__(
@@ -451,7 +457,8 @@ class Intake:
         self._inherited: dict[str, np.uint16] = {}
 
     def write(self, buffer: SampleBuffer, count: int, now_ns: int) -> Block:
-        """Take the oldest `count` rows that wait, and write those that are in order; what was written, maybe no row.
+        """Take the oldest `count` waiting rows, and write those that are in order; return the written rows, possibly
+        none.
 
         DiskFullError, LogError.
         """
@@ -475,8 +482,8 @@ class Intake:
 
 
 def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
-    """(n,) which of the `times` (n,) can be stored behind `newest_ns` (None: nothing is stored yet): those that are at
-    most `latest_ns` and later than all such before them.
+    """Return (n,) which of the `times` (n,) can be stored after `newest_ns` (None: nothing is stored yet): those that
+    are at most `latest_ns` and later than all earlier ones that are stored.
     """
     possible = times <= latest_ns
     floor = np.iinfo(np.int64).min
@@ -486,10 +493,10 @@ def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
 
 
 def selected(block: Block, kept: Booleans, inherited: np.uint16) -> tuple[Block, np.uint16]:
-    """The rows of `block` that are `kept` (n,), and the flags that its next row inherits.
+    """Return the rows of `block` that are `kept` (n,), and the flags that its next row inherits.
 
-    The first row takes over the flags `inherited` from before the block; each row takes over those of refused rows
-    right before it, and is flagged as following lost readings.
+    The first row takes over the flags `inherited` from before the block; each row takes over those of rejected rows
+    just before it, and is flagged as following lost readings.
     """
     if kept.all() and not inherited:
         return block, np.uint16(0)

@@ -1,7 +1,8 @@
-"""The health of polled sensors: silence, lost configuration, frozen readings, a wrong start, and the response to each.
+"""The health of polled sensors: silence, lost configuration, frozen readings, a wrong start-up state, and the response
+to each.
 
-Rows that are in doubt wait or are flagged; the sensor is looked for or configured again (`imuarray.acquire.recovery`);
-events report it.
+Rows in doubt wait or are flagged; the sensor is looked for or configured again (`imuarray.acquire.recovery`); events
+report it.
 
 `Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
 reading since the last read. Two reads may follow each other closely (a late frame, a burst of frames after a stall); an
@@ -36,14 +37,14 @@ _UNRELATED = LOST_BEFORE | RECONFIGURED | SUSPECT
 
 
 class Freshness:
-    """The freshness of one sensor's readings, block after block."""
+    """Checks that one sensor has new readings as often as it must, block after block."""
 
     def __init__(self, sensor: SensorConfig) -> None:
         self.longest_ns = round(1e9 / (sensor.chip_rate_hz * (1 - TOLERANCE))) + 2 * SLACK_NS
         self._fetched_ns: int | None = None
 
     def overdue(self, times_ns: Times, status: npt.NDArray[np.uint16], doubtful: Booleans) -> Booleans:
-        """(n,) True for rows that are stale though the chip must have had something new.
+        """Return (n,) True for rows that are stale although the chip must have had a new reading.
 
         `times_ns` (n,) are the times of the reads, `status` (n,) their flags; `doubtful` (n,) marks reads whose time is
         uncertain, or before which another read may have taken the new reading. Such a read is not judged, and the time
@@ -120,8 +121,8 @@ class SensorHealth:
     # In a frame -----------------------------------------------------------------------------------------------------
 
     def lost(self, buffer: SampleBuffer, at_ns: int, error: OSError | None) -> None:
-        """Note that a reading did not arrive; `error` None: it was not requested, as the bus hangs or its adapter is
-        gone.
+        """Note that a reading did not arrive; `error` is None if it was not requested because the bus hangs or its
+        adapter is removed.
         """
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
@@ -134,11 +135,11 @@ class SensorHealth:
             buffer.recover(at_ns, look=True)
 
     def set_up_later(self, buffer: SampleBuffer, at_ns: int) -> None:
-        """Configure a sensor once its removed adapter is back: it may have lost its supply."""
+        """Configure a sensor once its removed adapter is back, since it may have lost its supply."""
         buffer.recover(at_ns, look=False)
 
     def step(self, buffer: SampleBuffer, now_ns: int) -> OSError | None:
-        """Do one step of a recovery in place of a reading; returns the bus's error, if there is one."""
+        """Do one step of a recovery in place of a reading; return the error of the bus, if there is one."""
         recovery = buffer.recovery
         state = self._states[id(buffer)]
         count = self._count(buffer, now_ns)
@@ -154,7 +155,7 @@ class SensorHealth:
         return recovery.failure if isinstance(recovery.failure, OSError) else None
 
     def arrived(self, buffer: SampleBuffer, at_ns: int) -> None:
-        """Count the readings that are lost, at the first reading after a failed visit and before it is added."""
+        """Count the lost readings, at the first reading after a failed visit and before it is added."""
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
         if state.lost.on:
@@ -188,14 +189,14 @@ class SensorHealth:
         self._readback.restart(buffer)
 
     def not_as_it_was(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
-        """Handle a chip that has lost its configuration or its address; its rows are flagged already."""
+        """Handle a chip that has lost its configuration or its address; its rows are already flagged."""
         self._states[id(buffer)].falls_ill(at_ns, kind, message)
         buffer.recover(at_ns, look=False)
 
     # Now and then ---------------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int) -> None:
-        """Look for frozen sensors and wrong starts."""
+        """Look for frozen sensors and wrong start-up states."""
         for buffer in self._buffers:
             state = self._states[id(buffer)]
             if buffer.recovery is None:
@@ -242,7 +243,7 @@ class SensorHealth:
                 buffer.recover(now_ns, look=False)
 
     def finish(self, now_ns: int) -> None:
-        """Judge what is left at the end of the log."""
+        """Judge the remaining rows at the end of the log."""
         for buffer in self._buffers:
             buffer.flag_what_is_frozen_still()
             if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
@@ -254,8 +255,8 @@ class SensorHealth:
     # Writing --------------------------------------------------------------------------------------------------------
 
     def trusted_rows(self, buffer: SampleBuffer, now_ns: int) -> int:
-        """Return how many of the waiting rows can be written: later checks found the chip as configured, and later
-        readings that it doesn't stand still.
+        """Return how many of the waiting rows can be written: later checks confirmed the configuration, and later
+        readings showed that the sensor is not frozen.
         """
         if self._start_up is not None and self._start_up.holds(buffer):
             return 0
@@ -285,7 +286,9 @@ class SensorHealth:
 
 
 def _lost_setting(driver: Driver) -> str:
-    """A clause that names the first register that is not as configured; empty if all are, or nobody answers."""
+    """Return a clause that names the first register that is not as configured; empty if all are, or if the chip does
+    not answer.
+    """
     with suppress(OSError):
         for setting in driver.watched:
             value = driver.registers.read_back(setting.register)

@@ -25,12 +25,12 @@ from imuarray.log.preamble import header_of
 
 
 def _nobody_asks() -> None:
-    """Do nothing, for a bus that can't tell who owns an address."""
+    """Do nothing, for a bus that does not know the owners of addresses."""
 
 
 @dataclass(frozen=True)
 class SensorRoute:
-    """One sensor, its driver, and the segment of the bus on which it sits (channels of one mux exclude each other)."""
+    """One sensor, its driver, and its segment of the bus (channels of one multiplexer exclude each other)."""
 
     sensor: SensorConfig
     driver: Driver
@@ -40,13 +40,13 @@ class SensorRoute:
 
     @property
     def header(self) -> SensorHeader:
-        """The header of the sensor in a log; once it is configured."""
+        """Return the header of the sensor in a log, once it is configured."""
         header = header_of(self.sensor, self.driver.header(), is_estimated=self.sensor.estimates_times)
         return self.driver.described(header) if isinstance(self.driver, IioSensor) else header
 
 
 class Witness(NamedTuple):
-    """One register of one chip, and what it would read on the other channels: nothing where the chip has no twin."""
+    """One register of one chip, and its values on the other channels; empty if the chip has no twin."""
 
     route: SensorRoute
     setting: Setting
@@ -54,7 +54,7 @@ class Witness(NamedTuple):
 
 
 def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
-    """Make a route to every sensor of `array`; nothing is sent yet."""
+    """Create a route to every sensor of `array`; nothing is sent yet."""
     mux = Pca9544a(bus, array.mux.address) if array.mux else None
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     routes = []
@@ -83,7 +83,7 @@ def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
 
 
 def _chip_select(bus: OpenBus, sensor: SensorConfig) -> Bus:
-    """The chip select of a sensor on SPI; BusUrlError names the sensor that wants it."""
+    """Return the chip select of a sensor on SPI; BusUrlError names the sensor if the bus has none."""
     rules = sensor.spi_rules
     try:
         return SpiChip(bus.spi_port(str(sensor.bus), rules.mode, rules.clock_hz), rules)
@@ -92,7 +92,7 @@ def _chip_select(bus: OpenBus, sensor: SensorConfig) -> Bus:
 
 
 def _device(bus: OpenBus, sensor: SensorConfig) -> IioDevice:
-    """The device of the kernel that serves a sensor; BusUrlError for a bus that has none."""
+    """Return the kernel device that serves a sensor; BusUrlError for a bus that has none."""
     if not isinstance(bus, IioBus):
         raise BusUrlError(
             f"{sensor.name}: {sensor.bus} is served by the kernel, which --bus iio: reads; it cannot write a transcript"
@@ -101,7 +101,7 @@ def _device(bus: OpenBus, sensor: SensorConfig) -> IioDevice:
 
 
 def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
-    """The bus at `path`; BusUrlError names the sensor that wants it."""
+    """Return the bus at `path`; BusUrlError names the sensor that requires it."""
     try:
         return bus.channel_bus(path)
     except OSError as error:
@@ -109,8 +109,8 @@ def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
 
 
 def connect(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
-    """Identify and configure every sensor; SensorError names the first that belongs to somebody else, is missing, wrong
-    or refuses its configuration, or has lost it by the time that the last one is configured.
+    """Identify and configure every sensor. SensorError names the first sensor that is owned by a kernel driver,
+    missing, wrong, refuses its configuration, or has lost it by the time that the last one is configured.
     """
     routes = routes_of(array, bus)
     _claim_mux(array, bus)
@@ -154,12 +154,12 @@ def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None
 
 
 def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute]], list[list[SensorRoute]]]:
-    """The visiting order of even and of odd frames, segment by segment, forth and back: a frame ends where the next
-    begins.
+    """Return the visiting order of even and of odd frames, segment by segment, in alternating direction: a frame begins
+    where the previous one ended.
 
-    With k segments behind a mux a frame then needs k - 1 switches, the fewest there are. Inside a segment the order of
-    the configuration is kept in both directions; the spacing of a sensor's readings alternates by the time that the
-    other segments take, and each reading has its own time.
+    With k segments behind a multiplexer, a frame then needs k - 1 switches, the fewest possible. Within a segment the
+    order of the configuration is kept in both directions. The spacing of a sensor's readings alternates by the time
+    that the other segments take, and each reading has its own time.
     """
     segments: dict[int | str | None, list[SensorRoute]] = {}
     for route in routes:
@@ -169,7 +169,7 @@ def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute
 
 
 def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
-    """The routes at the same address of other channels."""
+    """Return the routes at the same address of other channels."""
     if not isinstance(route.driver.registers.bus, MuxChannel):
         return []
     return [
@@ -182,7 +182,9 @@ def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[Sens
 
 
 def mark_twins(routes: Sequence[SensorRoute]) -> None:
-    """Make twins that are configured alike differ in a register on which nothing depends; before they are set up."""
+    """Give twins with equal configurations different values in a register that has no effect, before they are
+    configured.
+    """
     ambiguous: dict[int, SensorRoute] = {}
     for route in routes:
         twins = twins_of(route, routes)
@@ -193,8 +195,8 @@ def mark_twins(routes: Sequence[SensorRoute]) -> None:
 
 
 def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[Witness]:
-    """The watched registers in which this chip differs from all its twins, also after one of them was reset; all of
-    them if it has none.
+    """Return the registers in which this chip differs from all its twins, even after one of them was reset; all its
+    registers if it has no twin.
     """
     twins = twins_of(route, everywhere)
     witnesses = []

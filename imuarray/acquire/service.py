@@ -36,8 +36,8 @@ class Service:
         self._ready = False
 
     def stored(self, rows: int) -> None:
-        """Note the number of stored rows, all sensors together: the first ones send READY=1, more of them WATCHDOG=1 as
-        often as needed.
+        """Note the number of stored rows of all sensors: the first rows send READY=1, later ones WATCHDOG=1 as often as
+        needed.
         """
         if self._address is None or rows <= self._rows:
             return
@@ -55,8 +55,8 @@ class Service:
         self._send(words)
 
     def stopping(self, status: str = "finishing the log") -> None:
-        """Note that the recording has ended and its log is being finished: TimeoutStopSec= counts from now on, no
-        watchdog.
+        """Note that the recording has ended and its log is being finished: TimeoutStopSec= counts from now on, and the
+        watchdog no longer applies.
         """
         self._send(["STOPPING=1", f"STATUS={' '.join(status.split())}"])
 
@@ -73,8 +73,8 @@ class Service:
 
 
 def _address(name: str) -> str | bytes | None:
-    """The address of a socket by its path, or of an abstract one ("@..."); None for none, and for sockets that aren't
-    local.
+    """Return the address of a socket from its path, or of an abstract one ("@..."); None for an empty address and for
+    sockets that aren't local.
     """
     if name.startswith("@") and len(name) > 1:
         return b"\0" + os.fsencode(name[1:])
@@ -82,7 +82,7 @@ def _address(name: str) -> str | bytes | None:
 
 
 def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
-    """The time without a message after which this process is killed; None without a watchdog."""
+    """Return the time without a message after which this process is killed; None without a watchdog."""
     allowed, whose = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(process))
     if not (allowed.isascii() and allowed.isdigit() and int(allowed)) or whose != str(process):
         return None

@@ -1,7 +1,8 @@
-"""Start-up states of sensors: the first seconds are held back until a `Judge` who knows the states has given a verdict.
+"""Start-up states of sensors: the rows of the first seconds wait until a `Judge` that knows the states has given a
+verdict.
 
-Some chips start with another bias than last time (the paper's Gyro3 has two), or in another range, and do not report
-it. The states of a sensor are in its calibration, which this package does not read: the judge does.
+Some chips start with a different bias each time (the paper's Gyro3 has two), or in another range, and do not report it.
+The states of a sensor are in its calibration, which this package does not read; the judge does.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ judged.
 
 
 class StartUpCheck:
-    """The sensors that are still to be judged."""
+    """The sensors whose start-up state is not judged yet."""
 
     def __init__(self, buffers: Sequence[SampleBuffer], judge: Judge, now_ns: int) -> None:
         self._judge = judge
@@ -59,7 +60,7 @@ class StartUpCheck:
         return id(buffer) in self._since_ns
 
     def again(self, buffer: SampleBuffer, now_ns: int) -> None:
-        """Judge a sensor again that was configured again because it had started wrong."""
+        """Judge a sensor again after it was configured again because of a wrong start-up state."""
         if id(buffer) in self._attempts:
             self._since_ns[id(buffer)] = now_ns
 
@@ -87,5 +88,5 @@ class StartUpCheck:
         return judged
 
     def hopeless(self, buffer: SampleBuffer) -> bool:
-        """Return whether all attempts to configure it are used up."""
+        """Return whether all attempts to configure the sensor are used up."""
         return self._attempts.get(id(buffer), 0) >= ATTEMPTS

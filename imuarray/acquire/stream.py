@@ -1,9 +1,9 @@
 """Records an array on a microcontroller, which polls the sensors and sends what it reads.
 
-The host tells it once what to read in which frame (`stream_plan`), receives the data in bulk, and decodes it with the
-drivers that configured the chips (`stream_rows`). A row is written once every register of its chip was read back right
-after it (`stream_health`). To set a chip up again the stream is stopped for a moment, which costs the others a few
-readings; the same is done when the microcontroller falls silent or its port disappears.
+The host sends the plan of what to read in which frame once (`stream_plan`), receives the data in bulk, and decodes them
+with the drivers that configured the chips. A row is written once every register of its chip was read back after it
+(`stream_health`). To configure a chip again, the stream is stopped for a moment, which costs the others a few readings;
+the same is done when the microcontroller stops sending or its port disappears.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ PAUSE_NS = 3_000_000_000
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
-    """Return whether `Streaming` records these routes: on a microcontroller that can drain every queue among them
-    without knowing the chip. Otherwise all of them are polled through the link.
+    """Return whether `Streaming` records these routes: they are on a microcontroller that can drain every queue among
+    them by itself. Otherwise all of them are polled through the link.
     """
     if not isinstance(bus, SerialBus):
         return False
@@ -56,7 +56,7 @@ def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
 
 
 class Streaming:
-    """One recording of `routes` on `bus` into `log`: `run` it, then read its `summary`. Arguments as of `Poll`."""
+    """One recording of `routes` on `bus` into `log`: call `run`, then read `summary`. Arguments as of `Poll`."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class Streaming:
         self._heard_ns = self._bus.clock.now_ns()
 
     def _step(self) -> None:
-        """Receive once; configure failed sensors and write, when it is time to."""
+        """Receive once; if they are due, configure failed sensors and write rows."""
         try:
             if not self._bus.streaming:
                 raise LinkError("it does not answer")
@@ -148,7 +148,7 @@ class Streaming:
             self._write()
 
     def _longest_pause_s(self) -> float:
-        """The time between two frames in which the microcontroller sends something."""
+        """Return the longest time between two frames in which the microcontroller sends something."""
         return min(asked.every for asked in self._plan.lists) / self._period_rate_hz
 
     def _count_frames(self) -> None:
@@ -168,7 +168,7 @@ class Streaming:
         return samples
 
     def _take(self, samples_by_list: Mapping[int, Samples]) -> None:
-        """Distribute the samples to the sensors; frames after the last requested one are left out."""
+        """Distribute the samples to the sensors; frames after the last requested one are ignored."""
         if not samples_by_list:
             return
         self._heard_ns = self._bus.clock.now_ns()
@@ -189,7 +189,7 @@ class Streaming:
         self._health.look(samples_by_list, self._bus.fit.rate)
 
     def _lost(self, rows: Rows, count: int, why: str) -> None:
-        """Readings of one sensor are missing: `count` that are now known to be, or more and more."""
+        """Note that `count` readings of one sensor are known to be missing, and report it."""
         self._count_lost(rows, count)
         lost = self._faults.of(rows.buffer.route.sensor.name, "lost")
         lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
@@ -201,7 +201,7 @@ class Streaming:
         self._repair()
 
     def _find_link(self, why: str) -> None:
-        """Look for the microcontroller, and set everything up: its supply may have been the chips'."""
+        """Look for the microcontroller, and configure everything, since it may have supplied the chips."""
         self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {why}")
         try:
             self._bus.reconnect(patience_s=PAUSE_NS * 1e-9)
@@ -211,7 +211,7 @@ class Streaming:
             self._bus.clock.sleep_until(self._bus.clock.now_ns() + PAUSE_NS // 10)
 
     def _repair(self) -> None:
-        """Stop the stream, configure the sensors at fault, count the readings that were lost meanwhile, and start
+        """Stop the stream, configure the failed sensors, count the readings that were lost meanwhile, and start
         again.
         """
         self._tried_ns = self._bus.clock.now_ns()
@@ -238,7 +238,7 @@ class Streaming:
         self.summary.lost[rows.buffer.route.sensor.name] += count
 
     def _forget_channels(self) -> None:
-        """The microcontroller has switched the multiplexer since a driver last did."""
+        """Make the drivers select channels again, because the microcontroller has switched the multiplexer."""
         for rows in self._rows:
             bus = rows.buffer.driver.registers.bus
             if isinstance(bus, MuxChannel):
@@ -264,8 +264,8 @@ class Streaming:
         self.summary.silent = [rows.buffer.route.sensor.name for rows in self._rows if rows.buffer.silent(now_ns)]
 
     def _count_silence(self, lost: bool) -> None:
-        """Frames that should have come since something was last heard are lost too, if the link is (`lost`, or so long
-        silent that it must be).
+        """Count the frames that were due since the last data as lost, if the link is lost (`lost`, or silent for so
+        long that it must be).
         """
         silent_s = (self._bus.clock.now_ns() - self._heard_ns) * 1e-9
         if not lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
@@ -303,6 +303,6 @@ class Streaming:
 
 
 def _until(samples: Samples, number: int) -> Samples:
-    """The samples of frames before `number`."""
+    """Return the samples of frames before `number`."""
     count = int((samples.numbers < number).sum())
     return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.sent_us[:count], samples.payload[:count])

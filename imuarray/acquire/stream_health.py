@@ -1,6 +1,6 @@
 """The health of the chips of a streamed array: registers read back in turn, frozen readings, start-up states.
 
-The microcontroller reads the registers among its lists; two wrong reads in a row count. A chip that is `ill` is set up
+The microcontroller reads the registers in its lists; two wrong reads in a row count. A chip that is `ill` is configured
 again while the stream is stopped.
 """
 
@@ -72,20 +72,20 @@ class StreamHealth:
             self._note(rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}")
 
     def doubt_queue(self, rows: Rows) -> None:
-        """Set the chip up again, whose queue gave bytes that are not a sequence of samples."""
+        """Have the chip configured again, because the bytes from its queue are not a sequence of samples."""
         if id(rows) not in self.ill:
             self.ill[id(rows)] = rows
             self._note(rows, "configuration", rows.doubt)
 
     def note_idle(self, rows: Rows) -> None:
-        """Set the chip up again, whose queue does not fill."""
+        """Have the chip configured again, because its queue does not fill."""
         if id(rows) not in self.ill:
             self.ill[id(rows)] = rows
             rows.buffer.distrust(self._vouched(rows))
             self._note(rows, "frozen", f"nothing in its queue for {rows.idle_ns * 1e-9:.1f} s")
 
     def tick(self, now_ns: int) -> None:
-        """Look for frozen sensors and wrong starts."""
+        """Look for frozen sensors and wrong start-up states."""
         for rows in self._rows:
             row = rows.buffer.frozen_since()
             if row is not None and id(rows) not in self.ill:
@@ -129,13 +129,17 @@ class StreamHealth:
                 self._start_up.again(rows.buffer, now_ns)
 
     def doubt_everything(self) -> None:
-        """The chips may have lost their supply: all of them are ill, since they were last seen to be well."""
+        """Mark all chips as ill, and their rows since the last verification as suspect, because they may have lost
+        their supply.
+        """
         for rows in self._rows:
             rows.buffer.distrust(self._vouched(rows))
             self.ill[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
-        """Return how many of the waiting rows can be written: as suspect if nothing verified them within `HELD_S`."""
+        """Return how many of the waiting rows can be written; rows that nothing verified within `HELD_S` are written as
+        suspect.
+        """
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer
@@ -150,17 +154,17 @@ class StreamHealth:
         return max(0, min(self._vouched(rows), waiting - held))
 
     def _vouched(self, rows: Rows) -> int:
-        """The rows that were followed by a successful check of every register."""
+        """Return the number of rows that were followed by a successful check of every register."""
         return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
 
     def written(self, rows: Rows, count: int) -> None:
-        """Forget the oldest `count` rows, which were written."""
+        """Note that the oldest `count` rows were written."""
         for check in self._checks[id(rows)]:
             check.good_rows = max(check.good_rows - count, 0)
 
     def finish(self, now_ns: int) -> None:
-        """End of the log, after the stream was stopped: read every register back twice, and flag the rows that remain
-        unverified.
+        """At the end of the log, after the stream was stopped, read every register back twice, and flag the rows that
+        remain unverified.
         """
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=True)

@@ -1,8 +1,9 @@
-"""The plan of what a microcontroller reads in which frame, and the conversion of its answers into rows of the sensors.
+"""The plan of what a microcontroller reads in which frame, and the conversion of its answers into rows of the
+sensors.
 
 Sensors that are read in the same frames share a list; a chip slower than the frames is read as often as it has a new
-value. Every list selects its own channels: a lost switch command spoils one list only. Registers are read back in turn,
-each twice in `SWEEP_S`, so that two wrong reads in a row are at most a second apart.
+value. Every list selects its own channels, so that a lost switch command spoils one list only. Registers are read back
+in turn, each twice in `SWEEP_S`, so that two wrong reads in a row are at most a second apart.
 
 A chip that converts on demand is visited several times for one reading. Where frames are so rare that a result would be
 too old by the next one, the microcontroller is given shorter periods, several to a frame (`StreamPlan.split`): the
@@ -43,7 +44,7 @@ _SLACK_NS = 500_000
 
 @dataclass(frozen=True)
 class VisitPlace:
-    """One visit in the answers of list `number`: there in frames `offset`, `offset` + `every`, ...
+    """The place of one visit in the answers of list `number`, in frames `offset`, `offset` + `every`, ...
 
     Positions of bytes: `ages` of the requests that must have been answered, `age` of the one that times the reading,
     and `start` to `stop`, its part of the burst (of a drain, to the end of its last answer); `busy` are bits that may
@@ -63,7 +64,7 @@ class VisitPlace:
 
 @dataclass(frozen=True)
 class ReadbackPlace:
-    """The place where one register of one sensor is read back."""
+    """The place at which one register of one sensor is read back."""
 
     route: SensorRoute
     setting: Setting
@@ -72,7 +73,8 @@ class ReadbackPlace:
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """Lists for the microcontroller, and where to look: the visits of each route, in order, and the registers.
+    """Lists for the microcontroller, and where their answers belong: the visits of each route, in order, and the
+    registers.
 
     `split` periods of the microcontroller are one frame; its frame numbers count periods.
     """
@@ -90,7 +92,7 @@ _MUX_BYTES = 2
 
 
 class _Lists:
-    """Lists that grow, by (every, offset)."""
+    """Lists under construction, by (every, offset)."""
 
     def __init__(self) -> None:
         self._asked: dict[_Key, list[Request]] = {}
@@ -101,7 +103,7 @@ class _Lists:
         self._parts: dict[tuple[int, int], int] = {}
 
     def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> VisitPlace:
-        """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
+        """Add a visit at the end of its list, after a switch to its channel if another one is selected there."""
         requests = [_on_the_bus(route, request) for request in visit.requests]
         key = self._with_room(every, offset, requests)
         number = self._numbers.setdefault(key, len(self._numbers))
@@ -116,7 +118,7 @@ class _Lists:
         )
 
     def _with_room(self, every: int, offset: int, requests: Sequence[Request]) -> _Key:
-        """The list of these frames, or another one if a frame of the link can't carry its answer then."""
+        """Return the list of these frames, or a new one if a frame of the link could not carry its answer."""
         key = every, offset, self._parts.setdefault((every, offset), 0)
         size = _MUX_BYTES + sum(2 + request.read for request in requests)
         is_repeated = len(requests) == 1 and self._newest.get(key, (None, 0))[0] == requests[0]
@@ -138,8 +140,8 @@ class _Lists:
         return age
 
     def _ask(self, key: _Key, request: Request) -> int:
-        """Position of the age of this request. The two halves of a six-axis chip, one after the other, want the same
-        bytes: they are read once.
+        """Return the position of the age of this request. The two halves of a six-axis chip, read one after the other,
+        need the same bytes, which are read once.
         """
         newest, position = self._newest.get(key, (None, 0))
         if newest == request and request.read:
@@ -151,7 +153,7 @@ class _Lists:
         return position
 
     def finished(self) -> tuple[PollList, ...]:
-        """All of them, by number."""
+        """Return all lists, by number."""
         return tuple(PollList(*key[:2], tuple(self._asked[key])) for key in self._numbers)
 
 
@@ -164,7 +166,9 @@ def _on_the_bus(route: SensorRoute, request: Request) -> Request:
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
-    """The plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host drains."""
+    """Return the plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host can
+    drain.
+    """
     split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
@@ -264,7 +268,7 @@ class Readings(NamedTuple):
 
 
 def readings_at(place: VisitPlace, samples: Samples, rate: float) -> Readings:
-    """Return the readings at `place`; `rate` is that of the host's clock over the microcontroller's."""
+    """Return the readings at `place`; `rate` is that of the host's clock relative to the microcontroller's."""
     payload = samples.payload
     ages = np.stack([ages_at(payload, position) for position in place.ages], axis=1)
     worst = ages.max(axis=1)
@@ -279,7 +283,7 @@ def readings_at(place: VisitPlace, samples: Samples, rate: float) -> Readings:
 
 
 def ages_at(payload: npt.NDArray[np.uint8], position: int) -> Integers:
-    """The ages (n,) in microseconds, or what failed, at a position of the answers (n, size) of a list."""
+    """Return the ages (n,) in microseconds at a position of the answers (n, size) of a list, or what failed."""
     return payload[:, position].astype(np.int64) | payload[:, position + 1].astype(np.int64) << 8
 
 
@@ -293,24 +297,24 @@ class Rows:
 
     @property
     def doubt(self) -> str:
-        """Why what was read last can't be trusted, in the words of an event; empty if it can."""
+        """Return why the last readings can't be trusted, in the words of an event; empty if they can."""
         return ""
 
     @property
     def idle_ns(self) -> int:
-        """For how long a queue has been read and has been empty, if that is so long that the chip must have stopped; 0
-        otherwise.
+        """Return for how long a queue has been empty although it was read, if that is so long that the chip must have
+        stopped; otherwise 0.
         """
         return 0
 
     def begin(self) -> None:
-        """The recording begins; OSError as the bus gives it."""
+        """Prepare for the start of the recording; OSError from the bus."""
 
     def resume(self) -> None:
-        """The stream is about to be started again; OSError as the bus gives it."""
+        """Prepare for a restart of the stream; OSError from the bus."""
 
     def restart(self) -> None:
-        """Frames are counted from 0 again; readings were lost meanwhile."""
+        """Note that frames are counted from 0 again, and that readings were lost meanwhile."""
         self.buffer.mark_lost()
         self._forget()
 
@@ -319,12 +323,12 @@ class Rows:
         self._parts: dict[int, npt.NDArray[np.uint8]] = {}
 
     def missing(self, number: int) -> int:
-        """Readings that should have come by frame `number` and have not."""
+        """Return the number of readings that were due by frame `number` and have not arrived."""
         last = self.places[-1]
         return max(0, (number - last.offset) // last.every - (self._last - last.offset) // last.every)
 
     def interrupted(self, number: int) -> int:
-        """Readings that are lost because the stream was stopped after frame `number`."""
+        """Return the number of readings that are lost because the stream was stopped after frame `number`."""
         return self.missing(number)
 
     def left_out(self, periods: int) -> int:
@@ -332,11 +336,15 @@ class Rows:
         return periods // self.places[-1].every
 
     def unread(self, number: int, now_ns: int) -> int:
-        """Readings that have not come although the recording is over, after frame `number` at `now_ns`."""
+        """Return the number of readings that have not arrived although the recording is over, after frame `number` at
+        `now_ns`.
+        """
         return self.missing(number)
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the readings among what came; how many are missing before the last of them, and why the last of those."""
+        """Add the readings among the samples; return how many are missing before the last of them, and why the last of
+        those is missing.
+        """
         readings = self._whole(samples_by_list, rate)
         count = len(readings.numbers)
         if count == 0:
@@ -348,7 +356,7 @@ class Rows:
         return int(gaps.sum()), readings.failure
 
     def _whole(self, samples_by_list: Mapping[int, Samples], rate: float) -> Readings:
-        """Readings all of whose visits arrived; one that takes several is timed by its last."""
+        """Return the readings all of whose visits arrived; a reading of several visits has the time of the last."""
         last = self.places[-1]
         failure = ""
         for place in self.places[:-1]:

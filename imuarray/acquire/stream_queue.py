@@ -36,7 +36,9 @@ RAN_OVER = "the chip's queue ran over"
 
 
 def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> list[Rows]:
-    """The rows of each route; those of both halves of a die with a queue are filled by the half that comes first."""
+    """Return the rows of each route; those of both halves of a chip with a queue are filled by the half that comes
+    first.
+    """
     leaders: dict[int, QueueRows] = {}
     rows: list[Rows] = []
     for route, places in zip(routes, plan.visits, strict=True):
@@ -51,7 +53,9 @@ def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> 
 
 
 class QueueRows(Rows):
-    """Fills the rows of one half of a die. Its `leader`, which may be itself, takes the bursts for both halves."""
+    """Fills the rows of one half of a six-axis chip. Its `leader`, which may be itself, takes the bursts for both
+    halves.
+    """
 
     def __init__(
         self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: UnattendedQueue, leader: QueueRows | None
@@ -78,19 +82,19 @@ class QueueRows(Rows):
         self._failure = ""
 
     def begin(self) -> None:
-        """See `Rows.begin`; the queue ran over while other chips were set up."""
+        """Implement `Rows.begin`; the queue overflowed while other chips were configured."""
         if self._leader is self:
             self._die_queue.empty()
 
     def resume(self) -> None:
-        """See `Rows.resume`: meanwhile the queue may have run over."""
+        """Implement `Rows.resume`; meanwhile the queue may have overflowed."""
         if self._leader is self and not self._queue.survives_overrun:
             self._die_queue.distrust()
             with suppress(OSError):
                 self._die_queue.empty()
 
     def restart(self) -> None:
-        """See `Rows.restart`. The chip went on: its samples tell whether some are missing."""
+        """Implement `Rows.restart`. The chip continued sampling; its samples show whether some are missing."""
         self._forget()
         self._empty_ns = self._pause_ns = 0
         self._filled_ns = self._visited_ns = None
@@ -102,11 +106,11 @@ class QueueRows(Rows):
         return self._empty_ns if is_idle else 0
 
     def interrupted(self, number: int) -> int:
-        """See `Rows.interrupted`: counted when the next samples tell."""
+        """Implement `Rows.interrupted`: lost readings are counted when the next samples show them."""
         return 0
 
     def left_out(self, periods: int) -> int:
-        """See `Rows.left_out`: counted when the next samples tell."""
+        """Implement `Rows.left_out`: lost readings are counted when the next samples show them."""
         return 0
 
     def unread(self, number: int, now_ns: int) -> int:
@@ -123,7 +127,7 @@ class QueueRows(Rows):
         return "its queue ran over" if self._queue.ran_over else "its queue gave no valid samples"
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the samples of the bursts that arrived; how many are missing before the last of them, and why."""
+        """Add the samples of the bursts that arrived; return how many are missing before the last of them, and why."""
         if self._leader is self:
             self._failure = ""
             samples = samples_by_list.get(self.places[0].number)
@@ -133,7 +137,7 @@ class QueueRows(Rows):
         return lost, self._leader._failure
 
     def _drain(self, samples: Samples, rate: float) -> None:
-        """Take all bursts, in order, for all halves."""
+        """Decode all bursts, in order, for all halves."""
         for index, start_us, end_us in self._visits(samples):
             number = int(samples.numbers[index])
             for half in self._halves:
@@ -149,8 +153,8 @@ class QueueRows(Rows):
                 half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate)
 
     def _visits(self, samples: Samples) -> Iterator[tuple[int, int, int]]:
-        """Yield the row in `samples` of each visit that succeeded, and between which times on the microcontroller's
-        counter (us) it took place.
+        """Yield the row in `samples` of each visit that succeeded, and the interval on the microcontroller's counter
+        (us) in which it took place.
         """
         place, payload = self.places[0], samples.payload
         ages = [ages_at(payload, position) for position in place.ages]
@@ -172,7 +176,9 @@ class QueueRows(Rows):
             yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(after[index])
 
     def _add(self, sent_host_ns: int, sent_ns: int, rate: float) -> None:
-        """Add what waits for this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the host's."""
+        """Add the waiting samples of this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the
+        host's.
+        """
         bursts = self._reader.take()
         if bursts or self._filled_ns is None:
             self._filled_ns = sent_host_ns

@@ -1,1 +1,3 @@
-"""Findings: causes with probabilities, closure, verdict, what is not observable, and what to record next."""
+"""The findings of a diagnosis: causes with probabilities, closure, verdict, what is not observable, and what to record
+next.
+"""

@@ -1,5 +1,5 @@
-"""Causes with their parameters: the effects that the search took, their probabilities, and the effects confusable with
-them.
+"""Causes with their parameters: the effects that the search accepted, their probabilities, and the effects with which
+they can be confused.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _METADATA = frozenset({"axis_error", "channel_swap", "clock_error"})
 
 
 def probabilities(round_: Round, present: Collection[str] = ()) -> list[float]:
-    """Probability of each confirmed trial of a round; the rest is the probability of none of them. Effects already
-    `present` are no rivals and have probability 0.
+    """Return the probability of each confirmed trial of a round; the rest is the probability of none of them. Effects
+    that are already `present` are no rivals and have probability 0.
     """
     odds = TEMPER * np.array([*round_.log_odds, 0.0])
     rivals = np.array([*(trial.trial.name not in present for trial in round_.confirmed), True])
@@ -58,7 +58,7 @@ def probabilities(round_: Round, present: Collection[str] = ()) -> list[float]:
 
 
 def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
-    """All causes, the most probable first; the same cause in several sensors of a chip is listed once."""
+    """Return all causes, the most probable first; the same cause in several sensors of a chip is listed once."""
     single = [cause for unit, unit_rounds in rounds.items() for cause in _of_unit(bench, unit, unit_rounds, seed)]
     merged = [
         replace(joint, probability=calibrated_probability(joint.share, joint.all_closed))
@@ -68,10 +68,11 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
 
 
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """The causes, the most probable first.
+    """Return the causes, the most probable first.
 
-    A cause that was detected with another cause of the same sensor in the model is no more probable than that one,
-    without which it would explain something else, and comes after it. Rivals of one round are alike in this.
+    A cause that was detected with another cause of the same sensor in the model is no more probable than that one, and
+    is listed after it, because without it the cause would explain something else. This applies to all rivals of one
+    round.
     """
     limited: list[Cause] = []
     for cause in sorted(causes, key=lambda cause: cause.preceding):
@@ -84,7 +85,7 @@ def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluation, ...]:
-    """All confirmed candidates, and the placebos."""
+    """Return all confirmed candidates, and the placebos."""
     evaluations = []
     for unit, unit_rounds in rounds.items():
         for round_ in unit_rounds:
@@ -100,7 +101,7 @@ def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluati
 
 
 def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> Iterator[Cause]:
-    """The causes that the rounds took and that remain, each with its likely alternatives."""
+    """Return the causes that the rounds accepted and did not remove later, each with its probable alternatives."""
     first = rounds[0].before
     all_closed = _all_closed(bench, first, rounds, seed)
     selected_names = {round_.selection.trial.name for round_ in rounds if round_.selection is not None}
@@ -126,7 +127,7 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
 
 
 def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: int) -> float | None:
-    """Share of a unit's gap that all its causes together close."""
+    """Return the share of a unit's gap that all its causes together close."""
     selections = [round_.selection for round_ in rounds if round_.selection is not None]
     last = selections[-1].standing if selections else first
     in_either = bool(selections) and all(evaluation.trial.needs_both for evaluation in selections)
@@ -187,13 +188,13 @@ def _cause(
 
 
 def _changes(state: UnitState) -> int:
-    """The most changes that a sensor's model has in a state of the search."""
+    """Return the largest number of changes of a sensor's model in a state of the search."""
     return max((len(model.added) + len(model.removed) for model in state.models.values()), default=0)
 
 
 def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
-    """A `thermal_bias` with the slope that is fitted to every sensor included, since the addition alone means nothing
-    to a user.
+    """Return a `thermal_bias` including the slope that is fitted to every sensor, since the added slope alone means
+    nothing to a user.
     """
     if model is None or not isinstance(effect, ThermalBias) or effect.reference_degc != REFERENCE_DEGC:
         return effect
@@ -202,7 +203,9 @@ def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
 
 
 def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool) -> DeviatingStatistics:
-    """Statistics of a unit that deviated at first, with their scores then; of both parts if one may not show them."""
+    """Return the statistics of a unit that deviated at first, with their scores then; of both parts for a cause that
+    one part may not show.
+    """
     pairs = bench.pairs(bench.own(first.unit))
     if in_either:
         return deviating_in_either(pairs, first.scores, then.scores)
@@ -210,7 +213,7 @@ def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool)
 
 
 def _axes(effect: Effect | None) -> tuple[str, ...]:
-    """The axes on which an effect acts; none if on all, or if it has no axes."""
+    """Return the axes on which an effect acts; empty for all, and for an effect without axes."""
     if effect is None:
         return ()
     active = effect.active_axes()
@@ -228,7 +231,7 @@ def _origin(trial: Hypothesis) -> Origin:
 
 
 def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
-    """Causes that are the same in several sensors of a chip, joined."""
+    """Merge causes that are the same in several sensors of a chip."""
     merged: list[Cause] = []
     for cause in causes:
         twin = next((at for at, other in enumerate(merged) if _is_same(bench.base.headers, other, cause)), None)
@@ -274,7 +277,7 @@ def _agree(first_table: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def _joined(first: Cause, other: Cause) -> Cause:
-    """Two equal causes joined: odds are multiplied, closed shares averaged."""
+    """Merge two equal causes: odds are multiplied, closed shares averaged."""
     odds = [cause.share / max(1 - cause.share, 1e-9) for cause in (first, other)]
     both = odds[0] * odds[1]
     return replace(

@@ -1,8 +1,9 @@
-"""Closure: the reduction of the excess of squared scores on held-out data by the causes.
+"""The closure: how far the causes reduce the excess of squared scores on held-out data.
 
 The statistics that count are those that deviate on the training part; their scores on the held-out part, before and
-after the causes are in the model, give the closure. Domains have equal weights, whatever their number of statistics,
-and no score counts for more than `LARGEST`. Without a gap the mean square of scores is 1, which is subtracted.
+after the causes are added to the model, give the closure. Domains have equal weights, whatever their number of
+statistics, and no score counts for more than `LARGEST`. Without a gap the mean square of scores is 1, which is
+subtracted.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _LEAST_EXCESS = 1.0
 
 
 class ClosureEstimate(NamedTuple):
-    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; None where
+    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; None if
     there is too little to close.
     """
 
@@ -49,7 +50,7 @@ class ClosureEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviatingStatistics:
-    """Statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,), on
+    """The statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,), on
     held-out data, or on both parts for what one part alone shows.
     """
 
@@ -60,8 +61,8 @@ class DeviatingStatistics:
     after: Floats
 
     def closure(self, seed: int) -> ClosureEstimate:
-        """Closure over all statistics; the interval by bootstrap of blocks (one sensor, phase and domain), each draw
-        with the chance of the recording added once more.
+        """Return the closure over all statistics, with an interval by bootstrap of blocks (one sensor, phase and
+        domain); each draw adds the chance of the recording once more.
         """
         if len(self.keys) == 0:
             return ClosureEstimate(1.0, 1.0, None, None)
@@ -73,7 +74,7 @@ class DeviatingStatistics:
         return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
 
     def of(self, chosen: Booleans) -> DeviatingStatistics:
-        """Some of the statistics, with equal weights for domains."""
+        """Return some of the statistics, with equal weights for domains."""
         keys = tuple(key for key, is_chosen in zip(self.keys, chosen, strict=True) if is_chosen)
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
@@ -82,10 +83,10 @@ class DeviatingStatistics:
         return tuple(dict.fromkeys(key.domain for key in self.keys))
 
     def _interval(self, seed: int) -> Interval | None:
-        """Interval over the draws that have a gap.
+        """Return the interval over the draws that have a gap.
 
-        Chance adds 1 to a squared score each time that it is drawn. Without it, few blocks would have too narrow an
-        interval and a single block one of width 0.
+        Chance adds 1 to a squared score in each draw. Without it, the interval of few blocks would be too narrow, and
+        that of a single block would have width 0.
         """
         stream = np.random.default_rng(seed)
         blocks = list(_blocks(self.keys).values())
@@ -105,11 +106,12 @@ class DeviatingStatistics:
 
 
 def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> DeviatingStatistics:
-    """Statistics that deviate on the training part, from scores (n,) of all statistics.
+    """Return the statistics that deviate on the training part, from scores (n,) of all statistics.
 
-    A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), such
-    as the level of another run, is chosen by itself and has to deviate further; any other one that deviates on the
-    held-out part alone, further still: the first half of a heating may hardly show the bend that the second one does.
+    A statistic that the training part lacks, or that the fit makes zero there (`silent` (n,)), such as the level of
+    another run, is selected by its score on the held-out part, with a higher threshold. Any other statistic that
+    deviates on the held-out part alone needs a still higher one: the first half of a heating may hardly show the bend
+    that the second half shows.
     """
     train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
     alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
@@ -124,7 +126,7 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
 
 
 def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
-    """Statistics that deviate in one part alone, for events that occur in one part only."""
+    """Return the statistics that deviate in one part alone, for events that occur in one part only."""
     parts = ((pairs.train, pairs.keys), (pairs.held_out, pairs.keys))
     candidates = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
     chosen = [(key, at) for key, at in candidates if abs(np.nan_to_num(before[at])) > BY_ITSELF]
@@ -132,7 +134,7 @@ def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> Deviatin
 
 
 def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
-    """The gap overall, and by domain."""
+    """Return the gap overall, and by domain."""
     whole = counted.closure(seed)
     domains = {}
     for domain in counted.domains():
@@ -143,7 +145,7 @@ def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
 
 
 def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Floats) -> float:
-    """Root mean square score of the same statistics without a gap: the median of replicates."""
+    """Return the root mean square score of the same statistics without a gap: the median of replicates."""
     if len(counted.places) == 0:
         return 1.0
     squares = np.nan_to_num(before.likelihood.scores(replicates)[:, counted.places]) ** 2
@@ -157,7 +159,7 @@ def _of(keys: tuple[Key, ...], places: Indices, before: Floats, after: Floats) -
 
 
 def _weights(keys: Sequence[Key]) -> Floats:
-    """Weights (k,): one over the number of statistics of the same domain."""
+    """Return the weights (k,): one over the number of statistics of the same domain."""
     domains = [key.domain for key in keys]
     return np.array([1 / domains.count(domain) for domain in domains])
 

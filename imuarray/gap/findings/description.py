@@ -1,5 +1,5 @@
-"""Notes on the recordings and the remainder after the causes: single statistics beyond chance, probes with a constant
-sign of their residual, unexplained lines, aliases, and bias changes that all units share.
+"""Notes on the recordings, and the remainder after the causes: single statistics beyond chance, probes whose residual
+has a constant sign, unexplained lines, aliases, and bias changes that all units share.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ times that size.
 class Remainder:
     """The remainder with all causes in the model.
 
-    `places` of pairs of the statistics beyond chance, the worst first; `one_sided`, probes whose residual has one sign
-    in all phases; both as report entries (`where`); `sizes` by sensor of the remainder that matters and that the form
-    of the causes does not excuse, in units of the least that counts (above 1).
+    `places` are those of the statistics beyond chance, the worst first; `one_sided` are probes whose residual has one
+    sign in all phases; `where` holds both as report entries. `sizes` gives, by sensor, the remainder that matters and
+    that an inexact form of the causes does not explain, in units of the smallest that counts (above 1).
     """
 
     places: tuple[int, ...]
@@ -77,7 +77,7 @@ class Remainder:
 
     @property
     def unlikely(self) -> frozenset[str]:
-        """Sensors whose recordings no combination of known effects makes likely."""
+        """The sensors whose recordings no combination of known effects makes likely."""
         return frozenset(name for name, size in self.sizes.items() if size > UNLIKELY)
 
     @property
@@ -93,7 +93,7 @@ NO_REMAINDER = Remainder((), (), (), {})
 def remainder_of(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
-    """The remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
+    """Return the remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
     normal, scores = (np.nan_to_num(np.abs(values)) for values in (after.normal, after.scores))
     places = tuple(int(at) for at in np.argsort(-scores) if normal[at] > after.limit)
     single = tuple(report.where(at, after, after.p) for at in places)
@@ -110,8 +110,8 @@ def remainder_of(
 def _material(
     comparison: Comparison, after: Assessment, repaired: Floats, places: Sequence[int], single: Sequence[Where]
 ) -> Iterator[tuple[str, float]]:
-    """Sensors and sizes of the remainder that matters and that the form of the causes does not excuse, in units of
-    clearly more than any replicate has (one in thirty is extreme for rare events).
+    """Return the sensors with a remainder that matters and that an inexact form of the causes does not explain, and its
+    size in units of what clearly no replicate reaches (one in thirty is extreme for rare events).
     """
     scores = beyond_form(comparison.pairs, comparison.assessment, after, comparison.real.values, repaired)
     sizes = np.nan_to_num(np.abs(scores))[list(places)] / (MORE * after.furthest)
@@ -121,7 +121,8 @@ def _material(
 
 
 def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Floats, replicates: Floats) -> Floats:
-    """Normal scores (m,) of the recording under the model with its causes, with an allowance for their form.
+    """Return normal scores (m,) of the recording under the model with its causes, with an allowance for an inexact form
+    of the causes.
 
     The scale is widened by the relative error of form times the shift from `before` to `after`; `replicates` are those
     of `after`.
@@ -135,7 +136,7 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
 def _one_sided(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause]
 ) -> tuple[GroupResidual, ...]:
-    """Probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
+    """Return probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
     groups = group_residuals(comparison.bench.keys, comparison.assessment.likelihood, after.likelihood, real, repaired)
@@ -147,7 +148,7 @@ def _one_sided(
 def _worst_places(
     comparison: Comparison, after: Assessment, one_sided: Sequence[GroupResidual], known: Sequence[int]
 ) -> list[int]:
-    """The place of pairs at which each one-sided probe of a sensor is worst, without those `known` already."""
+    """Return the place at which each one-sided probe of a sensor is worst, without those that are already `known`."""
     sizes, keys = np.nan_to_num(np.abs(after.normal)), comparison.pairs.keys
     worst: dict[tuple[str, str], int] = {}
     for group in one_sided:
@@ -158,7 +159,7 @@ def _worst_places(
 
 
 def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each axis with an unexplained line, the worst first, log by log; `names` are the logs'."""
+    """Return a sentence for each axis with an unexplained line, the worst first, log by log; `names` are the logs'."""
     axes = dict.fromkeys(
         (entry.sensor, entry.axis) for entry in unexplained if entry.statistic == "line" and entry.axis
     )
@@ -170,8 +171,8 @@ def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: S
 
 
 def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause]) -> tuple[str, ...]:
-    """A sentence for each sensor with a deviating line or a line as cause: the frequencies of the lines of its mean
-    spectrum at rest, the highest first, explained or not, with aliases of the mains marked.
+    """Return a sentence for each sensor with a deviating line or a line as cause: the frequencies of the lines of its
+    mean spectrum at rest, the highest first, explained or not, with aliases of the mains marked.
     """
     tone_sensors = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
     names = dict.fromkeys([*tone_sensors, *(entry.sensor for entry in odd if entry.statistic == "line")])
@@ -199,7 +200,7 @@ def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
 
 
 def _mains(hertz: float) -> str:
-    """A frequency in words, with the multiple of the mains' frequency that it is."""
+    """Return a frequency in words, with the multiple of the mains frequency that it is."""
     for mains_hz in MAINS_HZ:
         if (number := round(hertz / mains_hz)) * mains_hz == hertz:
             multiple = "the mains" if number == 1 else f"harmonic {number} of the mains at {mains_hz:g} Hz"
@@ -208,7 +209,7 @@ def _mains(hertz: float) -> str:
 
 
 def _rows_per_s(campaign: Campaign, sensor: str) -> float | None:
-    """Rows per second by the usual interval; None if the sensor was never at rest."""
+    """Return the rows per second from the usual interval; None if the sensor was never at rest."""
     summaries = (summary for log in campaign.logs for summary in log.still(sensor))
     intervals = [summary.intervals.mean_s for summary in summaries if summary.intervals.count]
     return float(1 / np.median(intervals)) if intervals else None
@@ -217,8 +218,9 @@ def _rows_per_s(campaign: Campaign, sensor: str) -> float | None:
 def shared_changes(
     keys: Sequence[Key], values: Floats, held_out: Sequence[bool], headers: Mapping[str, SensorHeader]
 ) -> tuple[str, ...]:
-    """A sentence for each axis on which the level of a held-out log differs from the training part equally in all units
-    of a chip, along their own axes, as an error of their design does. `values` (n,) are residual statistics.
+    """Return a sentence for each axis on which the level of a held-out log differs from the training part by the same
+    amount in all units of a chip, along their own axes, as an error of their design does. `values` (n,) are residual
+    statistics.
     """
     groups: dict[tuple[str, str, int, str], list[float]] = {}
     for key, value, out in zip(keys, values.tolist(), held_out, strict=True):
@@ -233,7 +235,7 @@ def shared_changes(
 
 
 def _is_shared(changes: Floats) -> bool:
-    """True if all changes have the same sign and about the same size."""
+    """Return whether all changes have the same sign and about the same size."""
     same = bool((np.sign(changes) == np.sign(changes[0])).all())
     return len(changes) >= _LEAST_UNITS and same and float(changes.std(ddof=1)) < _SPREAD * abs(float(changes.mean()))
 
@@ -250,7 +252,7 @@ def _shared_change_text(chip: str, unit: str, log: int, axis: str, changes: Floa
 
 
 def line_hz(summary: Summary, axis: int) -> float | None:
-    """Apparent frequency of the highest peak of one axis; None if it is no line."""
+    """Return the apparent frequency of the highest peak of one axis; None if it is no line."""
     spectrum = summary.spectrum
     if spectrum.segments == 0 or not LINE.statistic(summary)[axis] > _SCORE or not summary.intervals.count:
         return None

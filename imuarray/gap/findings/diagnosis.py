@@ -1,4 +1,4 @@
-"""The result of a diagnosis: the verdict, where the gap is, its causes, and how far they close it."""
+"""The result of a diagnosis: the verdict, where the gap is, its causes, and how much of it they close."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class Where:
 class Cause:
     """One cause with the probability that it is present.
 
-    The probability is its `share` among the effects that explain as much, times the rate at which causes are right
-    whose sensors' gap is closed as far by all causes together (`all_closed`).
+    The probability is its `share` among the effects that explain as much, multiplied by the rate at which causes are
+    right when all causes together close that much of their sensors' gap (`all_closed`).
 
-    `sensors` and `axes` concerned (no axes: all); `parameters` by their names with units, of the first sensor where
-    they differ (`each` has all); `closed` is the share of these sensors' gap that it closes on data to which it was not
-    fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training part alone doesn't show
-    it, so that it was detected, and its closed share measured, on both parts together. `preceding`: the number of
-    changes of the sensors' models, earlier causes, in whose presence it was detected.
+    `sensors` and `axes` are those concerned (no axes: all); `parameters` have their names and units, of the first
+    sensor where they differ (`each` has all); `closed` is the share of these sensors' gap that the cause closes on data
+    to which it was not fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training
+    part alone does not show the cause, so that it was detected, and its closed share measured, on both parts together.
+    `preceding` is the number of earlier causes (changes of the sensors' models) in whose presence it was detected.
     """
 
     effect: str
@@ -86,14 +86,16 @@ class Cause:
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:
-    """True if no cause is shown by one part of the campaign alone, such that the other part could judge it."""
+    """Return whether both parts together were needed to show every cause, so that no part can judge a cause
+    independently; False without causes.
+    """
     return bool(causes) and all(cause.needs_both for cause in causes)
 
 
 @dataclass(frozen=True)
 class CandidateEvaluation:
     """A candidate that was evaluated for some sensors, whether or not it became a cause; placebos have `effect` "".
-    `fits` and `gain`: log-likelihood ratios in nats on the training and the held-out part.
+    `fits` and `gain` are log-likelihood ratios in nats on the training and the held-out part.
     """
 
     effect: str
@@ -106,7 +108,7 @@ class CandidateEvaluation:
 
 @dataclass(frozen=True)
 class Gap:
-    """Root mean square score of the statistics that differ, on held-out data: `before` and `after` the causes were
+    """The root mean square score of the statistics that differ, on held-out data: `before` and `after` the causes were
     added, and without a gap (`floor`); `closed` is the closed share of the squared excess (None without a gap).
     """
 
@@ -140,7 +142,7 @@ class Overlay:
 @dataclass(frozen=True)
 class Unobservable:
     """An effect that the recordings cannot show, or a statistic that is too uncertain, for these sensors, and what to
-    `record`.
+    `record` to show it.
     """
 
     effect: str
@@ -288,7 +290,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """A value in JSON's types."""
+    """Convert a value to JSON's types."""
     if is_dataclass(value):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
