@@ -17,7 +17,7 @@ from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
@@ -95,8 +95,8 @@ class WrongLabel:
     @property
     def closed_ci95(self) -> Interval:
         """95 % interval of `1 - remainder`, by two normal errors of each agreeing accelerometer."""
-        free = 2 * len(self.agree)
-        low, high = (1 - self.remainder * free / float(chi2.ppf(share, free)) for share in (0.025, 0.975))
+        count = len(self.agree)
+        low, high = (1 - self.remainder * count / float(gammaincinv(count, share)) for share in (0.025, 0.975))
         return low, high
 
     def _rms_from_g(self, up: str) -> float:

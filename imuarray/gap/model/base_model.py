@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.special import ndtr  # the normal distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
 from imuarray.gap.model.element_temperature import HeatedRest, fit_lag, with_element_temperatures
@@ -598,7 +598,9 @@ def _readings_a_row(repeated: float, jitter: float) -> float:
         return 1 - repeated
 
     def excess(error: float) -> float:
-        return jitter * float(norm.pdf(error / jitter)) - error * float(norm.sf(error / jitter)) - repeated
+        ratio = error / jitter
+        density = float(np.exp(-(ratio * ratio) / 2)) / math.sqrt(2 * math.pi)
+        return jitter * density - error * float(ndtr(-ratio)) - repeated
 
     most = _MOST_FAST * jitter
     return 1 + float(brentq(excess, -repeated - most, most)) if excess(most) < 0 else 1 + most

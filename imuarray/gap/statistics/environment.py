@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.fft import dct
-from scipy.stats import beta, chi2, norm
+from scipy.special import betaincc, chdtrc, ndtr  # distributions without the weight of scipy.stats
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
@@ -135,7 +135,7 @@ def wander_test(means: Floats) -> tuple[float, float]:
     if not chosen.any():
         return 0.0, 1.0
     chances = [_alignment_test(wave[None])[1] for wave in waves[chosen]]
-    p = chi2.sf(-2 * np.log(np.maximum(chances, _TINY)).sum(), 2 * len(chances))
+    p = chdtrc(2 * len(chances), -2 * np.log(np.maximum(chances, _TINY)).sum())
     return _alignment_test(waves[chosen])[0], float(p)
 
 
@@ -146,7 +146,7 @@ def _alignment_test(vectors: Floats) -> tuple[float, float]:
     groups = vectors.shape[1]
     power = float((vectors**2).sum())
     share = float((vectors.sum(axis=1) ** 2).sum()) / (groups * power) if power > 0 else 1 / groups
-    return (groups * share - 1) / (groups - 1), float(beta.sf(share, 0.5, (groups - 1) / 2))
+    return (groups * share - 1) / (groups - 1), float(betaincc(0.5, (groups - 1) / 2, min(share, 1.0)))
 
 
 def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
@@ -166,7 +166,7 @@ def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
     without_duplicates = np.abs(pairs - mean) > (AMPLITUDE_RATIO - 1) * AMPLITUDE_RATIO * mean + 3 * scale / np.sqrt(
         weight
     )
-    return float(correlation.mean()), 1.0 if mean <= 0 or without_duplicates.any() else float(norm.sf(z))
+    return float(correlation.mean()), 1.0 if mean <= 0 or without_duplicates.any() else float(ndtr(-z))
 
 
 def _in_phase(log: int, part: PhaseSummary, cross: Cross) -> Iterator[tuple[SharedSignal, bool]]:

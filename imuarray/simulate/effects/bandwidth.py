@@ -159,13 +159,21 @@ def correlation(decay: float, poles: float, band: float = math.inf) -> float:
 @lru_cache(maxsize=4096)
 def _band_limited(decay: float, poles: float, band: float) -> float:
     """The cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
-    from scipy.integrate import simpson  # its weight is for those who filter anything
-
     radians = decay * math.sqrt(poles)  # at the cutoff
     steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
     over_cutoff = np.linspace(0.0, band, steps + 1)
     power = 1 / (1 + over_cutoff ** (2 * poles))
-    return float(simpson(power * np.cos(radians * over_cutoff), x=over_cutoff) / simpson(power, x=over_cutoff))
+    weighted = _simpson_weights(steps) * power
+    return float(weighted @ np.cos(radians * over_cutoff) / weighted.sum())
+
+
+@lru_cache(maxsize=256)
+def _simpson_weights(steps: int) -> Reals:
+    """Weights (steps + 1,) of Simpson's rule, 1 4 2 4 ... 2 4 1, for an even number of steps; read-only."""
+    weights = np.tile([2.0, 4.0], steps // 2 + 1)[: steps + 1]
+    weights[[0, -1]] = 1.0
+    weights.flags.writeable = False
+    return weights
 
 
 @lru_cache(maxsize=256)

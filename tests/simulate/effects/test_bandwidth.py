@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import integrate, signal
 from scipy.linalg import toeplitz
 
 from imuarray.log.format import STALE
-from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.signal import Analog
 from imuarray.simulate.simulation import Plan, Simulation
@@ -144,6 +144,17 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
         Bandwidth(0.0)
     with pytest.raises(ValueError, match=r"share: 2(\.0)?; allowed is 0 to 1"):
         Bandwidth(5.0, 2.0)
+
+
+@pytest.mark.parametrize("poles", [1.0, 2.0])
+@pytest.mark.parametrize(("decay", "band"), [(0.05, 2.0), (0.7, 1.0), (3.0, 5.0), (20.0, 0.4)])
+def test_the_correlation_of_a_band_is_a_cosine_transform(decay: float, poles: float, band: float) -> None:
+    """Against adaptive quadrature: integral of cos(r u) / (1 + u^(2 poles)) from 0 to the band, over that for r = 0."""
+    power, cosine = (
+        integrate.quad(lambda u: np.cos(r * u) / (1 + u ** (2 * poles)), 0.0, band, epsabs=1e-13, limit=500)[0]  # noqa: B023
+        for r in (0.0, decay * np.sqrt(poles))
+    )
+    assert correlation(decay, poles, band) == pytest.approx(cosine / power, abs=1e-8)
 
 
 @pytest.mark.parametrize(("poles", "cutoff_hz"), [(1.0, 25.0), (2.0, 25.0), (1.0, 60.0)])

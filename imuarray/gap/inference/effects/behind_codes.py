@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
-from scipy.signal import correlate
 from scipy.special import ndtr
 
 from imuarray.arrays import Floats, Integers
@@ -188,6 +187,8 @@ def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Mom
 
 def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
     """Moments of readings with that noise (standard deviation, in counts) about each place of a period."""
+    from scipy.signal import correlate  # its weight is for those who ask
+
     fine = _FINE if period <= 1024 / _FINE else 1
     reach = int(np.ceil(_REACH * sigma)) + 1
     counts = np.arange(-reach, period + reach)

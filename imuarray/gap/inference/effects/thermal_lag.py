@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
@@ -112,6 +111,8 @@ def _best(table: Levels) -> float:
 
 def lagged(table: Levels, time_constant_s: float) -> Floats:
     """(n,) temperature of an element behind the reference, in equilibrium when its log begins."""
+    from scipy.signal import lfilter  # its weight is for those who ask
+
     degc = np.empty_like(table.degc)
     for log in np.unique(table.log):
         at = np.flatnonzero(table.log == log)

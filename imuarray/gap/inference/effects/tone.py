@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import theilslopes
 
 from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
@@ -139,6 +138,8 @@ def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]
         centred[:, is_of_log] = [value[is_of_log] - np.median(value[is_of_log]) for value in (time_s, hertz)]
     if np.ptp(centred[0]) == 0:
         return
+    from scipy.stats import theilslopes  # its weight is for those who ask
+
     slope = float(theilslopes(centred[1], centred[0]).slope)
     length_s = np.ptp(time_s)
     moved_hz = float(abs(slope) * length_s)
