@@ -122,7 +122,7 @@ def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
 
 
 def _print(summary: dict[str, Any]) -> None:
-    """The same for a person."""
+    """Print the summary as text."""
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
     _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
     if summary["begins"]:
@@ -135,7 +135,7 @@ def _print(summary: dict[str, Any]) -> None:
         _say(f"  {loss}")
     if summary["frame_rate_hz"]:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
-        _say(f"  {summary['frame_rate_hz']:g} frames a second were asked for{missed}")
+        _say(f"  {summary['frame_rate_hz']:g} frames per second requested{missed}")
     names, chips = (
         max([least, *(len(sensor[key]) for sensor in summary["sensors"])])
         for key, least in (("name", 12), ("chip", 10))

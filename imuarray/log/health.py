@@ -131,7 +131,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
 
 
-_SLOWER = "ask for fewer frames a second, or for fewer sensors"
+_SLOWER = "lower the frame rate, or record fewer sensors"
 _STALLS = "compare readings by their times, not by their row numbers"
 _EVENTS = "read the events, which say why"
 _ROOM = "free space, or log to another disk"

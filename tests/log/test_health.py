@@ -40,7 +40,7 @@ def test_the_worst_decides_and_is_named_first(seen: Observations, health: Health
 
 
 def test_what_to_do_is_about_the_first_reason() -> None:
-    assert health_of(Observations(4, 90, missed=10)).advice == "ask for fewer frames a second, or for fewer sensors"
+    assert health_of(Observations(4, 90, missed=10)).advice == "lower the frame rate, or record fewer sensors"
     seen = Observations(4, 90, silent={"A": 9.0}, missed=10)
     assert health_of(seen).advice == "check cable, power and address"
 

@@ -1,4 +1,4 @@
-"""The next experiment: from a menu, the one that best separates two causes which explain the recordings equally.
+"""The next experiment: the one of a menu that best separates two causes which explain the recordings equally.
 
 Both models of one sensor are simulated in every experiment. The criterion is the expected log-likelihood ratio in nats
 of a recording under its own model and the other (Kullback and Leibler 1951), per hour of work.
@@ -216,7 +216,7 @@ def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
 
 
 def _pair(cause: Cause, round_: Round) -> tuple[Evaluation, Evaluation] | None:
-    """The best trials of the cause and of an effect that is confusable with it."""
+    """Return the best trials of the cause and of an effect that is confusable with it."""
     evaluation = next((trial for trial in round_.confirmed if _is(trial, cause)), None)
     rival = next((trial for trial in round_.confirmed if trial.trial.name in cause.confusable_with), None)
     return None if evaluation is None or rival is None else (evaluation, rival)

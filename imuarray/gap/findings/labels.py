@@ -1,10 +1,10 @@
-"""Wrong labels: phases that were noted with another axis up than the one that was.
+"""Wrong labels: phases for which another axis was noted as up than the true one.
 
 All accelerometers feel the same direction up, whatever their biases. If most of them contradict the label in the same
-way, the label is wrong and not the sensors. A single one that contradicts it has exchanged axes (`axis_error`), and so
-have several that are turned in every phase if another agrees with the labels. Two that are read in each other's place
-for a part of the time (`channel_swap`) contradict all labels of that time. Every phase is tested by itself, so that two
-exchanged faces are both detected.
+way, the label is wrong and not the sensors. A single sensor that contradicts it has exchanged axes (`axis_error`), and
+so have several that are rotated in every phase if another agrees with the labels. Two sensors that are read in each
+other's place for part of the time (`channel_swap`) contradict all labels of that time. Every phase is tested by itself,
+so that two exchanged faces are both detected.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class WrongLabel:
 
 
 def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[WrongLabel, ...]:
-    """The phases at rest whose noted face is wrong. `campaign` has the recordings' summaries, one log for each, of
-    whole phases or of parts of them.
+    """Return the phases at rest whose noted face is wrong. `campaign` has the recordings' summaries, one log for each,
+    of whole phases or of parts of them.
 
     A face is wrong if the median of the accelerometers' means by nominal axes and sensitivity is along another face,
     and more than half of at least two accelerometers feel that face themselves. A single accelerometer is believed
@@ -138,7 +138,7 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Wr
 
 
 def face_of(force: Floats) -> str:
-    """The box axis ("+X") along which a force (3,) lies within 26 degrees, "" for none."""
+    """Return the box axis ("+X") along which a force (3,) lies within 26 degrees, "" for none."""
     length = float(np.linalg.norm(force))
     cosines = _UPS @ force / length if length > 0 else np.zeros(len(_UPS))
     best = int(np.argmax(cosines))
@@ -158,7 +158,8 @@ def corrected(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> t
 
 
 def cause_of(label: WrongLabel, sensors: Sequence[str] = ()) -> Cause:
-    """A wrong label as a cause, `face_error`; of `sensors`, or of the accelerometers that were read in the phase.
+    """Return a wrong label as a cause, `face_error`; of `sensors`, or of the accelerometers that were read in the
+    phase.
 
     `closed` is the share of the accelerometers' squared distance from the face that the right label removes.
     """
@@ -178,7 +179,7 @@ def cause_of(label: WrongLabel, sensors: Sequence[str] = ()) -> Cause:
 
 
 def note_of(label: WrongLabel) -> str:
-    """A wrong label in a sentence."""
+    """Return a sentence about a wrong label."""
     return (
         f"{label.name}: phase {label.phase.name!r} is noted with {label.phase.up} up, but {len(label.agree)} of "
         f"{len(label.readings_g)} accelerometers measure {label.up} up: {label.noted_g:.2g} g from the noted face, "

@@ -1,4 +1,4 @@
-"""Effects that a campaign cannot show: effects that no recorded experiment shows, and statistics with more scatter than
+"""Effects that a campaign cannot show: those that no recorded experiment shows, and statistics with more scatter than
 the differences that matter.
 """
 
@@ -141,7 +141,7 @@ class Facts:
 
 
 def facts_of(campaign: Campaign) -> Facts:
-    """The facts of a campaign, by its phases."""
+    """Return the facts of a campaign, by its phases."""
     phases = [phase for log in campaign.logs for phase in log.phases]
     still = [phase for phase in phases if phase.is_still]
     moving = [sensor for phase in phases if not phase.is_still for sensor in phase.sensors.values()]
@@ -164,7 +164,8 @@ def facts_of(campaign: Campaign) -> Facts:
 def unobservable_effects(
     kinds: Collection[str], facts: Facts, candidates: Mapping[str, Candidate], sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Candidate effects that no recorded kind of experiment shows, each with all the triads that it may concern.
+    """Return candidate effects that no recorded kind of experiment shows, each with all the triads that it may
+    concern.
 
     A kind counts if it has enough content: a tumble at least 2 faces, a heating 5 degC, 4 runs, a minute's rest. Faces,
     heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
@@ -179,7 +180,7 @@ def unobservable_effects(
 def uncertain_domains(
     scales: Floats, margins: Floats, keys: Sequence[Key], seconds: Floats | float, sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Domains and chips in which differences that matter can't be excluded.
+    """Return domains and chips in which differences that matter can't be excluded.
 
     These are statistics whose 95 % interval, 1.96 of their `scales` (n,) of chance to either side, is wider than their
     `margins` (n,); nan is left out. `seconds` (n,), or one number: length of each one's log.
@@ -220,7 +221,9 @@ def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tup
 
 
 def with_unobservable_rivals(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:
-    """The causes, also confusable with `hidden` effects that no recording shows, of at least one of their sensors."""
+    """Return the causes, with `hidden` effects that no recording shows of at least one of their sensors as further
+    rivals.
+    """
     twins = {_SAME_AS[effect.effect]: effect for effect in hidden if effect.effect in _SAME_AS}
 
     def with_rival(cause: Cause) -> Cause:
@@ -298,8 +301,8 @@ def _words(candidate: Candidate, need: Need) -> str:
 
 
 def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
-    """The median length that would resolve the differences, from seconds, scales and margins, or what gives more than
-    that.
+    """Return the median length that would resolve the differences, from seconds, scales and margins, or what is more
+    useful than a longer log.
     """
     wanted_s = float(np.median([needed(*item) for item in known]))
     if domain == "run_to_run":

@@ -1,4 +1,6 @@
-"""Causes in the environment: signals that all sensors measure along the box's axes, and that are no sensor faults."""
+"""Causes in the environment: signals that all sensors measure along the box axes, and that are therefore no sensor
+faults.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,11 @@ _LEAST_SENSORS = 3
 def with_origins(
     causes: Sequence[Cause], headers: Mapping[str, SensorHeader], shared: Sequence[SharedSignal] = ()
 ) -> tuple[Cause, ...]:
-    """The causes, with the origin "environment" for those in the box's environment.
+    """Return the causes, with the origin "environment" for those in the environment of the box.
 
-    A `tone` is, if the same line (`lines_of`) is in each of its sensors. A wander is, if its sensors share a stimulus
-    of `environment_of` that explains at least half of it, along the axes on which it mostly is.
+    A `tone` belongs to the environment if the same line (`lines_of`) is in each of its sensors. A wander does if its
+    sensors share a stimulus of `environment_of` that explains at least half of it, along the axes in which most of it
+    lies.
     """
     lines = lines_of(causes, headers)
 
@@ -64,12 +67,12 @@ class Line:
 
 
 def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tuple[Line, ...]:
-    """The lines that are no fault of a sensor, from the added causes `tone`.
+    """Return the lines that are no sensor faults, from the added causes `tone`.
 
-    Frequencies agree within 1 %, and amplitudes in the box within a factor of 1.5 between two chips that measure the
-    same quantity; between accelerometers and gyroscopes, the frequency alone. Half of the array's sensors of each
-    quantity show it. For a single chip all must, at least three, and not equally along their own axes: its design may
-    have the line.
+    Frequencies must agree within 1 %, and amplitudes in the box within a factor of 1.5 between two chips that measure
+    the same quantity; between accelerometers and gyroscopes only the frequency counts. Half of the array's sensors of
+    each quantity must show the line. If there is only one type of chip, all its units must show it, at least three, and
+    not equally along their own axes, since its design may cause the line.
     """
     tones = [_Tone.of(cause, headers[name]) for cause in causes if _is_tone(cause) for name in cause.sensors]
     lines = []
@@ -86,7 +89,7 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
 
 
 def notes_of(lines: Sequence[Line], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
-    """Sentences on what the box felt."""
+    """Return sentences on what the box felt."""
     sentences = [
         f"{_listed(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
         f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration of the box, not a fault of the "
@@ -131,7 +134,7 @@ def _is_one_line(first: _Tone, other: _Tone) -> bool:
 
 
 def _agree(first: Floats, other: Floats) -> bool:
-    """True if large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
+    """Return whether large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
     much = np.maximum(first, other) > max(first.max(), other.max()) / 3
     return bool((np.maximum(first, other)[much] <= AMPLITUDE_RATIO * np.minimum(first, other)[much]).all())
 
@@ -149,7 +152,7 @@ def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> boo
 
 
 def _is_whole(cause: Cause, tones: Sequence[_Tone]) -> bool:
-    """True if these are the cause's tones in each of its sensors."""
+    """Return whether these are the cause's tones in each of its sensors."""
     return {tone.header.name for tone in tones if tone.cause is cause} == {*cause.sensors}
 
 
@@ -158,7 +161,7 @@ def _strongest(tone: _Tone) -> str:
 
 
 def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedSignal]) -> bool:
-    """True if half of the sensor's squared wander is along axes of the box with a stimulus."""
+    """Return whether half of the sensor's squared wander is along axes of the box with a stimulus."""
     axes = {
         signal.axis
         for signal in shared
@@ -174,7 +177,7 @@ def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedS
 
 
 def _sizes(table: Mapping[str, Any], *names: str) -> Floats:
-    """The first of these parameters that there is (3,); zeros without."""
+    """Return the first of these parameters that exists (3,); zeros without any."""
     value = next((table[name] for name in names if name in table), 0.0)
     return np.asarray(np.broadcast_to(np.asarray(value, float), (3,)))
 

@@ -85,7 +85,7 @@ class CurveShape(NamedTuple):
 
 @dataclass(frozen=True)
 class _CurveRequest:
-    """Input of a job: curves with the recorded summaries that lay them out."""
+    """The input of a job: curves with the recorded summaries that determine their x positions."""
 
     models: Models = field(repr=False)
     numbers: Sequence[int]
@@ -133,7 +133,7 @@ def overlays_of(
 def curves_of(
     bench: Bench, campaign: Campaign, where: Sequence[Where], most: int, names: Sequence[str] = ()
 ) -> tuple[Curve, ...]:
-    """The curves to draw for the statistics `where`, worst first."""
+    """Return the curves to draw for the statistics `where`, worst first."""
     curves: dict[tuple[str, str, int], Curve] = {}
     many: Counter[str] = Counter()
     for entry in where:
@@ -154,12 +154,12 @@ def curves_of(
 
 
 def summaries_of(campaign: Campaign, curve: Curve) -> tuple[Summary, ...]:
-    """Summaries of the curve's phases, in a campaign summarised in all phases of its split."""
+    """Return summaries of the curve's phases, in a campaign summarised in all phases of its split."""
     return tuple(campaign.logs[curve.log].phases[at].sensors[curve.sensor] for at in curve.phases)
 
 
 def drawn(curve: Curve, recorded: Sequence[Summary]) -> CurveShape:
-    """The shape of a curve by the recorded summaries; simulations have the same x positions."""
+    """Return the shape of a curve from the recorded summaries; simulations have the same x positions."""
     return _DRAWN[curve.kind](curve.axis, recorded)
 
 
@@ -192,7 +192,7 @@ def _overlay(bench: Bench, curve: Curve, recorded: Sequence[Summary], before: Fl
 
 
 def _caption(bench: Bench, curve: Curve, recorded: Sequence[Summary]) -> str:
-    """The phase and that it was held out."""
+    """Return the name of the phase, marked as held out."""
     share = bench.split.shares[curve.log]
     names = dict.fromkeys(summary.phase.name for summary in recorded)
     whole = ", ".join(names) if len(names) <= _NAMED else f"{bench.kinds[curve.log]}, {len(recorded)} phases"
@@ -202,7 +202,9 @@ def _caption(bench: Bench, curve: Curve, recorded: Sequence[Summary]) -> str:
 def _phase(
     bench: Bench, campaign: Campaign, entry: Where, kind: Kind, names: Sequence[str]
 ) -> tuple[int, tuple[int, ...]] | None:
-    """The held-out phase of a statistic, or the longest one at rest. A moving box has no spectrum of its noise."""
+    """Return the held-out phase of a statistic, or the longest one at rest, because the spectrum of a moving box is not
+    that of its noise.
+    """
     own_log = _held_out_log(bench, campaign, entry, names)
     known = [
         (log, at)
@@ -275,8 +277,8 @@ def _allan(axis: int, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Shares of the codes about the median. A simulation is shifted there by whole steps of both sides' codes, since
-    its level is shown elsewhere and the set of codes must not change.
+    """Return shares of the codes about the median. A simulation is shifted there by whole steps of both sides' codes,
+    since its level is shown elsewhere and the set of codes must not change.
     """
     real = recorded[0].codes[axis]
     middle, low, high = (_quantile(real, share) for share in (0.5, _RARE, 1 - _RARE))
@@ -297,7 +299,9 @@ def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def _temperature(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Means of readings at similar recorded temperatures, less that of the whole log: shape, not level."""
+    """Return means of readings at similar recorded temperatures, minus that of the whole log: the shape, not the
+    level.
+    """
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
     degc, rows = (
         np.concatenate([np.asarray(getattr(summary.segments, name), float) for summary in recorded])
@@ -340,7 +344,7 @@ def _readable(summary: Summary) -> tuple[float, str]:
 
 
 def _quantile(histogram: Histogram, share: float) -> int:
-    """The code at or below which this share of the readings lies; 0 without readings."""
+    """Return the code at or below which this share of the readings lies; 0 without readings."""
     if not len(histogram.codes):
         return 0
     cumulative = np.cumsum(histogram.counts)
@@ -348,6 +352,6 @@ def _quantile(histogram: Histogram, share: float) -> int:
 
 
 def _step(histogram: Histogram) -> int:
-    """The greatest common divisor of the distances of the usual codes; 1 without codes."""
+    """Return the greatest common divisor of the distances of the usual codes; 1 without codes."""
     usual = histogram.codes[histogram.counts > _RARE * histogram.counts.sum()]
     return max(int(np.gcd.reduce(np.diff(usual))), 1) if len(usual) > 1 else 1

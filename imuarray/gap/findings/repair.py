@@ -31,9 +31,9 @@ _HARMLESS: Recipe = {}
 def repaired(
     bench: Bench, models: Models, model: Model | None, name: str, *, about: str = "", logs: Sequence[str] = ()
 ) -> Model:
-    """The repaired model called `name` of the bench's sensors: `models` over the designs of `model`, on which the
-    diagnosis was based (None: the data sheets' scale and misalignment). Known units of `model` that were not recorded
-    stay as they are.
+    """Return the repaired model called `name` for the bench's sensors: `models` on top of the designs of `model`, on
+    which the diagnosis was based (None: the data sheets' scale and misalignment). Known units of `model` that were not
+    recorded keep their parameters.
 
     An effect that was detected as missing replaces the one of the design with its harmless values. `about` is the
     description in the file; by default, what was diagnosed from which kinds of `logs`, or from these.
@@ -46,7 +46,7 @@ def repaired(
 
 
 def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
-    """One sensor; effects that it shares with its designs are left to them."""
+    """Return the model of one sensor; effects that it shares with its designs are left to them."""
     parts = model.parts(header)
     added: dict[str, list[Recipe]] = {}
     for effect in (*own_model.fitted.effects(), *own_model.added):
@@ -66,7 +66,7 @@ def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
 
 
 def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
-    """The part of a model's effect that is not fitted: all, nothing, or the curve of a bias over temperature."""
+    """Return the part of a model's effect that is not fitted: all, nothing, or the curve of a bias over temperature."""
     if kind not in ORDINARY:
         yield from recipes
     elif kind == ThermalBias.name:

@@ -30,8 +30,8 @@ def sentence_of(
     pulls: Sequence[Pull] = (),
     against: Sequence[str] = (),
 ) -> str:
-    """States what differs, why, how far it is closed, and which parts are out of specification; `against` names the
-    earlier recordings of a comparison.
+    """Return a paragraph that states what differs, why, how much of it is closed, and which parts are out of
+    specification; `against` names the earlier recordings of a comparison.
     """
     verdict, gap, causes, _ = judgement
     outside = [f"{_out_of_specification(pull, causes)}." for pull in pulls if pull.is_out_of_specification]

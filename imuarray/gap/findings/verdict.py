@@ -1,9 +1,9 @@
 """The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent.
 
-A share among rivals says which effect the data prefer. It is too confident: simulated effects do not have exactly the
-form of real ones, and the true effect need not be in the library. It is therefore tempered by rates measured on cases
-of other generators, whose effects have forms of their own (`imuarray.validation.calibration`), and a gate comes first:
-if no combination of known effects makes a recording likely, no known effect is probable.
+A share among rivals states which effect the data prefer. It is too confident: simulated effects do not have exactly the
+form of real ones, and the true effect may not be in the library. It is therefore tempered by rates measured on cases
+from other generators, whose effects have forms of their own (`imuarray.validation.calibration`), after a first test: if
+no combination of known effects makes a recording likely, no known effect is probable.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _SURE = 1e-4
 
 
 class Rates(NamedTuple):
-    """Rates of causes being right: `least` for causes without a rival that together close nothing of their sensors'
-    gap, `most` if they close all of it; in between the power `steep` of the closed share. Odds against rivals count
-    with the power `rivals`.
+    """The rates at which causes are right: `least` for causes without a rival that together close nothing of their
+    sensors' gap, `most` if they close all of it; in between the rate depends on the power `steep` of the closed share.
+    Odds against rivals count with the power `rivals`.
     """
 
     least: float
@@ -76,7 +76,7 @@ def judge(
     unlikely: Collection[str] = (),
     has_remainder: bool = False,
 ) -> Judgement:
-    """The verdict, and the probabilities and the closure that agree with it.
+    """Return the verdict, and the probabilities and the closure that agree with it.
 
     `causes` have their calibrated probabilities, `unknown` is the estimate of `unknown_probability`. `unlikely` names
     the sensors whose recordings no combination of known effects makes likely: what is left of them with all causes in
@@ -114,7 +114,7 @@ def judge(
 
 
 def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str]) -> Verdict:
-    """The verdict on a gap, by the rules of `judge`."""
+    """Return the verdict on a gap, by the rules of `judge`."""
     most = max((cause.probability for cause in causes), default=0.0)
     most_sound = max((cause.probability for cause in causes if _is_sound(cause, unlikely)), default=0.0)
     closes = most >= EVEN if closed is None else closed >= PARTLY
@@ -125,20 +125,22 @@ def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unli
 
 
 def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
-    """The greatest probability that a cause may have."""
+    """Return the greatest probability that a cause may have."""
     return 1 - unknown if _is_sound(cause, unlikely) else min(1 - unknown, EVEN)
 
 
 def _is_sound(cause: Cause, unlikely: Collection[str]) -> bool:
-    """True if the recordings of all sensors concerned (no names: of all) are likely with the causes in the model."""
+    """Return whether the recordings of all sensors concerned (no names: of all) are likely with the causes in the
+    model.
+    """
     return not set(unlikely) & set(cause.sensors) if cause.sensors else not unlikely
 
 
 def unknown_probability(closed: float | None, after: Assessment, one_sided: float = 0.0) -> float:
-    """Probability that something outside the library is present.
+    """Return the probability that something outside the library is present.
 
-    By the share of the gap that the causes leave open, and by how far the remainder exceeds chance in one place or with
-    one sign (`one_sided`, `imuarray.gap.inference.residuals`), in units of the largest chance value.
+    It follows from the share of the gap that the causes leave open, and from how far the remainder exceeds chance in
+    one place or with one sign (`one_sided`, `imuarray.gap.inference.residuals`), in units of the largest chance value.
     """
     share = closed if closed is not None else (1.0 if after.p > DOUBT else 0.0)
     largest = float(largest_of(after.normal))
@@ -147,8 +149,8 @@ def unknown_probability(closed: float | None, after: Assessment, one_sided: floa
 
 
 def calibrated_probability(share: float, all_closed: float | None, rates: Rates = RATES) -> float:
-    """Probability of a cause with such a `share` among its rivals, by the share of its sensors' gap that all causes
-    close (None: there was nothing to close), before the remainder is considered (`judge`).
+    """Return the probability of a cause with such a `share` among its rivals, given the share of their sensors' gap
+    that all causes close (None: there was nothing to close), before the remainder is considered (`judge`).
     """
     closed = min(max(all_closed or 0.0, 0.0), 1.0)
     right = rates.least + (rates.most - rates.least) * math.pow(closed, rates.steep)
@@ -156,6 +158,6 @@ def calibrated_probability(share: float, all_closed: float | None, rates: Rates 
 
 
 def _tempered(share: float, power: float) -> float:
-    """A probability with its odds raised to that power."""
+    """Return a probability whose odds are raised to that power."""
     share = min(max(share, _SURE), 1 - _SURE)
     return 1 / (1 + math.exp(-power * math.log(share / (1 - share))))
