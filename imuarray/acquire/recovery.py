@@ -42,7 +42,7 @@ class SensorRecovery:
 
     @property
     def goes_on_ns(self) -> int | None:
-        """The time of the next step of a configuration in progress; None if there is none."""
+        """The time of the next step of a configuration in progress; None if none is in progress."""
         return None if self._way is None or self.done else self._next_ns
 
     def go_on(self, now_ns: int) -> None:

@@ -81,8 +81,8 @@ def level(per: float = 1.0) -> Rule:
 
 
 def response(setting: Setting) -> float:
-    """Margin of a response to motion, or of a delay in s, that raises the rms of E by 5 % where the box makes a quarter
-    turn in a second (feels 1 g for one second).
+    """Return the margin of a response to motion, or of a delay in s, that raises the rms of E by 5 % when the box makes
+    a quarter turn in a second (or feels 1 g for one second).
     """
     return setting.level * COASTING_S / _STIMULUS.get(setting.header.quantity, 1.0)
 
@@ -217,7 +217,7 @@ within the 60 s, responses to force for the turn from a level axis to an upright
 
 
 def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, seconds: float) -> float:
-    """The least difference of a statistic that matters, in its own unit.
+    """Return the least difference of a statistic that matters, in its own unit.
 
     `noise` (3,) of single readings in the sensor's unit, `rows_per_s` and `seconds` of the log. KeyError for a probe
     without a rule.
@@ -227,7 +227,7 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
 
 
 def sized(shift: float, scale: float, margin: float) -> Size:
-    """Judges a difference `shift` with standard error `scale` by two one-sided tests.
+    """Judge a difference `shift` with standard error `scale` by two one-sided tests.
 
     "material" if the 95 % interval of its size is beyond the margin, "harmless" if it is within (however significant),
     otherwise "can't tell", also for nan.
@@ -236,7 +236,7 @@ def sized(shift: float, scale: float, margin: float) -> Size:
 
 
 def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
-    """`sized` for arrays (n,)."""
+    """Apply `sized` to arrays (n,)."""
     size, reach = np.abs(shift), TWO_SIDED_95 * np.asarray(scale)
     names: tuple[Size, ...] = ("can't tell", "harmless", "material")
     with np.errstate(invalid="ignore"):
@@ -245,14 +245,14 @@ def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
 
 
 def needed(seconds: float, scale: float, margin: float) -> float:
-    """Seconds of a log that would resolve a difference of `margin`, if one of `seconds` has the standard error `scale`,
-    which falls with the root of the length; inf for a margin of 0.
+    """Return the seconds of a log that would resolve a difference of `margin`, if one of `seconds` has the standard
+    error `scale`, which falls with the root of the length; inf for a margin of 0.
     """
     return seconds * (TWO_SIDED_95 * scale / margin) ** 2 if margin > 0 else math.inf
 
 
 def length_words(seconds: float) -> str:
-    """The length to record in words with two digits, rounded up: "25 minutes"."""
+    """Return the length to record in words with two digits, rounded up: "25 minutes"."""
     if not math.isfinite(seconds):
         return "no log is long enough"
     unit, size = next((name, size) for name, size, limit in _UNITS if seconds <= limit)
@@ -265,12 +265,14 @@ def length_words(seconds: float) -> str:
 def where_of(
     report: StatisticReport, assessment: Assessment, places: Iterable[int], p: Mapping[int, float]
 ) -> tuple[Where, ...]:
-    """Report entries of the statistics at these places of the pairs, by one model; `p` of those that have their own."""
+    """Return report entries of the statistics at these places of the pairs, by one model; `p` of those that have their
+    own.
+    """
     return tuple(report.where(at, assessment, p.get(at, assessment.p)) for at in places)
 
 
 def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:
-    """The largest normal scores by sensor and domain."""
+    """Return the largest normal scores by sensor and domain."""
     domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
     tables = []
     for assessment in (before, after):

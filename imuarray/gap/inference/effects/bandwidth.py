@@ -128,5 +128,5 @@ def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
 BANDWIDTH = Candidate(
     Bandwidth.name,
     guesses,
-    {"static": "still for 2 minutes, read as fast as the sensor's data rate"},
+    {"static": "still for 2 minutes, read at the sensor's data rate"},
 )

@@ -150,5 +150,5 @@ def _gain(means: Floats, errors: Floats, at: int) -> float:
 
 
 BIAS = Candidate(
-    Bias.name, guesses, {"turn-on": "a dozen boots of 1 minute before what may have happened, and as many after it"}
+    Bias.name, guesses, {"turn-on": "a dozen boots of 1 minute before the suspected change, and as many after it"}
 )

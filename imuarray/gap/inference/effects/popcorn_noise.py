@@ -104,5 +104,5 @@ def _between(mean: Floats, error: float) -> tuple[float, int]:
 
 
 POPCORN_NOISE = Candidate(
-    PopcornNoise.name, guesses, {"static": "still for as long as 20 jumps take, an hour at least"}
+    PopcornNoise.name, guesses, {"static": "still until 20 jumps have occurred, an hour at least"}
 )
