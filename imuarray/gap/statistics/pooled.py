@@ -28,6 +28,12 @@ BEYOND = 2.0
 up to 7 for correlations, Allan deviations and lost rows, and what exceeds 2 in 3 of 48 for all statistics together.
 """
 
+DISCOUNT = 0.8
+"""Normal score by which pooled statistics count less than single ones: what the model lacks of a part without a fault
+is small in each place and alike in many. In 208 random worlds without a mechanism they add 2 gaps to the 16 of single
+ones with it, and 8 without; of 47 mechanisms they show one more in both cases.
+"""
+
 FEWEST_PLACES = 3
 """Places from which a statistic is pooled: two say little more than the larger of them."""
 
@@ -48,8 +54,7 @@ class PooledScores(NamedTuple):
     deviates most in the first campaign.
 
     They are comparable with the normal scores of single statistics: the largest of a campaign has the same median and
-    the same 90 % quantile. A campaign is then as likely to be the most extreme by a pooled statistic as by a single
-    one, and neither hides the other.
+    the same 90 % quantile, less `DISCOUNT`. Neither hides the other.
     """
 
     scores: Floats
@@ -97,10 +102,11 @@ def _standardised_by_others(values: Floats) -> Floats:
 
 def _with_largest_of(scores: Floats, singles: Floats) -> Floats:
     """The scores (b, k), stretched and shifted so that their largest in each campaign is distributed as the largest of
-    `singles` (b, m) is.
+    `singles` (b, m) is, less `DISCOUNT`.
     """
     largest = np.abs(scores).max(axis=1)
     middle, high = np.quantile(largest, _QUANTILES)
     single_middle, single_high = np.quantile(singles.max(axis=1), _QUANTILES)
     stretch = (single_high - single_middle) / max(high - middle, _LEAST_STRETCH)
-    return np.asarray(np.copysign(np.maximum(single_middle + stretch * (np.abs(scores) - middle), 0.0), scores))
+    sizes = single_middle + stretch * (np.abs(scores) - middle) - DISCOUNT
+    return np.asarray(np.copysign(np.maximum(sizes, 0.0), scores))
