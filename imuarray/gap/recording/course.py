@@ -48,7 +48,10 @@ gains 7 by chance.
 _FINER = 4
 """Frequencies in each bin of the spectrum at which a line is looked for: between bins it would not add up."""
 
-_BESIDE = 32
+_MOST_LINE_ROWS = 1 << 20
+"""Rows of a phase beyond which its windows are long enough to show a faint line themselves."""
+
+_LINE_NEIGHBOURS = 32
 """Bins on either side of a line by which the noise beside it is estimated."""
 
 _MOST_STRETCHES = 8
@@ -120,34 +123,37 @@ def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None
     their mean, turned back by the phase of the line, and p the power of the noise beside it per row, a stretch of n
     rows with the line gains |sum z_k|^2 / (n p) nats (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974).
     """
+    if source.rows(phase.start_ns, phase.end_ns) > _MOST_LINE_ROWS:
+        return None
     blocks = list(source.blocks(phase.start_ns, phase.end_ns))
     if not blocks:
         return None
     time_s = np.concatenate([block.time for block in blocks]) * 1e-9
-    windows = len(time_s) // _WINDOW_ROWS
+    window_rows = max(_WINDOW_ROWS, -(-len(time_s) // _WINDOWS))
+    windows = len(time_s) // window_rows
     if windows < _FEWEST_WINDOWS:
         return None
-    rows = windows * _WINDOW_ROWS
+    rows = windows * window_rows
     counts = np.concatenate([block.counts for block in blocks])[:rows].astype(float)
     counts -= counts.mean(axis=0)
     power = np.abs(np.fft.rfft(counts, _FINER * rows, axis=0)) ** 2
     lowest = 2 * _FINER * windows  # lines of less than two periods in a window are told by the windows
     power[:lowest] = 0.0
     line, axis = (int(at) for at in np.unravel_index(int(power.argmax()), power.shape))
-    beside = power[max(line - _FINER * _BESIDE, lowest) : line + _FINER * _BESIDE + 1, axis]
-    floor = float(np.median(beside)) / np.log(2) / rows
+    neighbours = power[max(line - _FINER * _LINE_NEIGHBOURS, lowest) : line + _FINER * _LINE_NEIGHBOURS + 1, axis]
+    floor = float(np.median(neighbours)) / np.log(2) / rows
     if floor <= 0:
         return None
     turned = counts[:, axis] * np.exp(-2j * np.pi * line / (_FINER * rows) * np.arange(rows))
-    upto = np.concatenate([[0.0], np.cumsum(turned.reshape(windows, _WINDOW_ROWS).sum(axis=1))])
+    upto = np.concatenate([[0.0], np.cumsum(turned.reshape(windows, window_rows).sum(axis=1))])
     begin, end = np.triu_indices(windows + 1, _FEWEST_STRETCH_WINDOWS)
-    gains = np.abs(upto[end] - upto[begin]) ** 2 / ((end - begin) * _WINDOW_ROWS * floor)
+    gains = np.abs(upto[end] - upto[begin]) ** 2 / ((end - begin) * window_rows * floor)
     best, best_at_end = int(gains.argmax()), int(np.where((begin == 0) | (end == windows), gains, 0.0).argmax())
     if gains[best] - gains[best_at_end] < _EACH_NATS:  # a moment that nothing shows is none
         best = best_at_end
     if gains[best] < _TOTAL_NATS or gains[best] - abs(upto[-1]) ** 2 / (rows * floor) < _PARTLY_NATS:
         return None
-    first, last = int(begin[best]) * _WINDOW_ROWS, int(end[best]) * _WINDOW_ROWS
+    first, last = int(begin[best]) * window_rows, int(end[best]) * window_rows
     begin_s = 0.0 if first == 0 else float(time_s[first])
     return begin_s, np.inf if last >= rows else float(time_s[last])
 
