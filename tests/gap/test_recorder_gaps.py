@@ -145,7 +145,7 @@ def test_a_row_in_the_middle_of_a_stall_is_not_compared(tmp_path: Path) -> None:
         log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
         log.event(Event(int(time[302]), "", "late", "39 frames missed: the frame before ended too late"))
     recording = recording_of(open_log(path))
-    assert {name: times.tolist() for name, times in recording.experiment.untimed_ns.items()} == {
+    assert {name: times.tolist() for name, times in recording.experiment.uncertain_ns.items()} == {
         name: time[301:303].tolist() for name in ("Acc", "Gyro")
     }
     for source in sources_of(recording).values():

@@ -166,7 +166,7 @@ class Stage:
             else {}
         )
         return {
-            name: experiment.timed(name, array[name])
+            name: experiment.comparable_rows(name, array[name])
             if name in swapped
             else (self._source if name in models else self._cached_source)(log, name, effects[name], number, alone)
             for name in names
@@ -204,7 +204,7 @@ class Stage:
             seed=replicate_seed(self.base.seed, number),
             boot=self.first_boot + log,
         )
-        return experiment.timed(name, simulated_sources(simulation, alone=alone)[name])
+        return experiment.comparable_rows(name, simulated_sources(simulation, alone=alone)[name])
 
     @cached_property
     def _drawn_effects(self) -> Callable[[int], Effects]:

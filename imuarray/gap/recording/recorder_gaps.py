@@ -69,14 +69,14 @@ class RecorderGaps:
     """Timelines without the recorder's gaps.
 
     `lines`: the timelines of sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times (k,)
-    of the first rows after them; `note` on the gaps, "" where there are none. `untimed_ns`: by sensor the times (u,) of
-    rows that were read in a gap, at an unknown moment, and of the rows after these.
+    of the first rows after them; `note` on the gaps, "" where there are none. `uncertain_ns`: by sensor the times (u,)
+    of rows that were read in a gap, at an unknown moment, and of the rows after these.
     """
 
     lines: Mapping[str, Timeline]
     ends_ns: Mapping[str, Integers]
     note: str = ""
-    untimed_ns: Mapping[str, Integers] = field(default_factory=dict)
+    uncertain_ns: Mapping[str, Integers] = field(default_factory=dict)
 
 
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
@@ -84,7 +84,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
     delays = [_delay(event, frame_ns) for event in log.events if event.kind == "late" and not event.sensor]
-    timelines, ends_ns, untimed_ns = dict(lines), {}, {}
+    timelines, ends_ns, uncertain_ns = dict(lines), {}, {}
     most: list[_Gap] = []
     for name, line in lines.items():
         if not isinstance(line, GapFilledTimes):
@@ -108,14 +108,14 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
         timelines[name] = lost if is_own.any() else line.recorded
         ends_ns[name] = np.array([gap.end_ns for gap in of_recorder], np.int64)
-        untimed = _untimed(log[name], usual_ns[name], of_recorder)
-        if len(untimed):
-            untimed_ns[name] = untimed
+        uncertain = _uncertain_times(log[name], usual_ns[name], of_recorder)
+        if len(uncertain):
+            uncertain_ns[name] = uncertain
         most = max(most, of_recorder, key=len)
-    return RecorderGaps(timelines, ends_ns, _sentence(most), untimed_ns)
+    return RecorderGaps(timelines, ends_ns, _sentence(most), uncertain_ns)
 
 
-def _untimed(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
+def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
     """The times of rows before a gap that follow the row before late as well, and of the rows after the gap."""
     times = []
     for gap in gaps:

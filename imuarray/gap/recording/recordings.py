@@ -30,7 +30,7 @@ from imuarray.gap.recording.phases import (
 )
 from imuarray.gap.recording.recorder_gaps import EARLY, RecorderGaps, recorder_gaps, usual_interval_ns
 from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
-from imuarray.gap.recording.source import Source, TimedSource, recorded_source
+from imuarray.gap.recording.source import RowFilter, Source, recorded_source
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
@@ -77,20 +77,20 @@ class Reference(NamedTuple):
 class Experiment(NamedTuple):
     """The plan of one log (which sensors were read when) and the motion of the box.
 
-    `untimed_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
+    `uncertain_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
     (`imuarray.gap.recording.recorder_gaps`). `has_temperature`: whether the log has a reference temperature; without
     one, the box may have been heated all the same (`is_heated`).
     """
 
     plan: Plan
     motion: Motion
-    untimed_ns: Mapping[str, Times] = {}
+    uncertain_ns: Mapping[str, Times] = {}
     has_temperature: bool = True
     is_heated: bool = False
 
-    def timed(self, name: str, source: Source) -> Source:
+    def comparable_rows(self, name: str, source: Source) -> Source:
         """The rows of a sensor, recorded or simulated, without these."""
-        return TimedSource(source, self.untimed_ns[name]) if name in self.untimed_ns else source
+        return RowFilter(source, self.uncertain_ns[name]) if name in self.uncertain_ns else source
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
     posed = PoseSequence(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     has_temperature = motion.temperature_source not in UNREFERENCED
-    experiment = Experiment(replace(plan, sensors=sensors), posed, gaps.untimed_ns, has_temperature)
+    experiment = Experiment(replace(plan, sensors=sensors), posed, gaps.uncertain_ns, has_temperature)
     return Recording(
         log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
     )
@@ -293,7 +293,7 @@ def sources_of(recording: Recording) -> dict[str, Source]:
         if strange or len(gap_ends_ns) or len(loss_ends_ns):
             early_ns = EARLY * usual_interval_ns(recording.log[name])
             source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns, early_ns)
-        sources[name] = recording.experiment.timed(name, source)
+        sources[name] = recording.experiment.comparable_rows(name, source)
     return sources
 
 

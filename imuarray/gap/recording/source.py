@@ -143,13 +143,13 @@ class SimulatedSource:
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
 
 
-class TimedSource:
-    """A source without its rows at the times `untimed_ns` (u,), whose readings were taken at an unknown moment."""
+class RowFilter:
+    """A source without its rows at the times `uncertain_ns` (u,), whose readings were taken at an unknown moment."""
 
-    def __init__(self, source: Source, untimed_ns: Times) -> None:
+    def __init__(self, source: Source, uncertain_ns: Times) -> None:
         self.header = source.header
         self.cache: dict[Hashable, Any] = {}
-        self._source, self._untimed_ns = source, untimed_ns
+        self._source, self._uncertain_ns = source, uncertain_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """The number of rows that were due, these among them."""
@@ -158,12 +158,12 @@ class TimedSource:
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """The blocks of the source without these rows."""
         for block in self._source.blocks(start_ns, end_ns):
-            is_timed = ~np.isin(block.time, self._untimed_ns)
-            if is_timed.all():
+            is_certain = ~np.isin(block.time, self._uncertain_ns)
+            if is_certain.all():
                 yield block
-            elif is_timed.any():
-                temperature = None if block.temperature_counts is None else block.temperature_counts[is_timed]
-                yield Block(block.time[is_timed], block.counts[is_timed], block.status[is_timed], temperature)
+            elif is_certain.any():
+                temperature = None if block.temperature_counts is None else block.temperature_counts[is_certain]
+                yield Block(block.time[is_certain], block.counts[is_certain], block.status[is_certain], temperature)
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
