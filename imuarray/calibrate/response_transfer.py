@@ -159,12 +159,7 @@ def _turned(
     change = (fit.response - known.response_lsb_per_unit).ravel()
     if _is_impossible(change, _covariance(known)):
         return None
-    return replace(
-        known,
-        response_lsb_per_unit=fit.response,
-        response_sem_lsb_per_unit=fit.sem.max(axis=1),
-        response_covariance_lsb2_per_unit2=fit.covariance,
-    )
+    return fit.complete(known)
 
 
 def _is_impossible(change: Floats, prior: Floats) -> bool:

@@ -181,7 +181,7 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
         turned = fit_turns(sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, felt)
         if turned is not None:
             turns[sensor.name] = turned
-            known[sensor.name] = _with_turns(known[sensor.name], turned)
+            known[sensor.name] = turned.complete(known[sensor.name])
         progress("gyroscopes", done, len(gyroscopes))
     temperature = _temperature(first, reference.poses)
     calibrated = {name: replace(calibration, temperature_degc=temperature) for name, calibration in known.items()}
@@ -304,16 +304,6 @@ def _at_rest(
         return fit_g_sensitivity(sensor, reference.poses, reference.up_box)
     known, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
     return known, face_fit(sensor, faces.fitted), drift
-
-
-def _with_turns(known: SensorCalibration, turned: TurnFit) -> SensorCalibration:
-    """The response from turns, and from the data sheet's tolerance where they tell less than that."""
-    return replace(
-        known,
-        response_lsb_per_unit=turned.response,
-        response_sem_lsb_per_unit=turned.sem.max(axis=1),
-        response_covariance_lsb2_per_unit2=turned.covariance,
-    )
 
 
 def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:

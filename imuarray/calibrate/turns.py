@@ -17,7 +17,7 @@ turns about too few axes leave open are known as well as the data sheet promises
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -73,6 +73,15 @@ class TurnFit:
     chi_squared: float
     freedom: float
     left_out: tuple[Exclusion, ...]
+
+    def complete(self, known: SensorCalibration) -> SensorCalibration:
+        """Return a gyroscope's calibration with this response."""
+        return replace(
+            known,
+            response_lsb_per_unit=self.response,
+            response_sem_lsb_per_unit=self.sem.max(axis=1),
+            response_covariance_lsb2_per_unit2=self.covariance,
+        )
 
 
 @dataclass(frozen=True)
