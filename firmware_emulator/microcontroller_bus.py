@@ -1,8 +1,20 @@
-"""The buses of a microcontroller on the emulated array: I2C, and chip selects of SPI under addresses from 0x80 on."""
+"""The buses of a microcontroller on the emulated array: I2C, and chip selects of SPI under addresses from 0x80 on.
+
+`serve_bus` serves them on a socket to the host build of the firmware (`firmware/host/main.c`), one request and one
+answer at a time, little-endian::
+
+    request   'I' address u8, bytes to write u16, bytes to read u16, data to write     I2C transaction
+              'S' select u8, bytes to write u16, bytes to read u16, data to write      SPI transaction
+              'C' select u8, mode u16, 0 u16, clock u32                                mode and clock of a chip select
+    answer    result u8 (0 done, 1 no acknowledge, 2 bus held, 3 refused), and after 0 the bytes read
+"""
 
 from __future__ import annotations
 
 import errno
+import socket
+import struct
+from contextlib import suppress
 from typing import Any, Protocol
 
 FIRST_SELECT = 0x80
@@ -87,3 +99,33 @@ def result_of(error: OSError | ValueError) -> int:
     if isinstance(error, OSError):
         return HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NOBODY
     return REFUSED
+
+
+_REQUEST = struct.Struct("<cBHH")
+_CLOCK = struct.Struct("<I")
+
+
+def serve_bus(bus: Transfers, connection: socket.socket) -> None:
+    """Answer the requests of one program until it closes `connection` or ends; TypeError for an unknown request."""
+    with connection, connection.makefile("rb") as stream, suppress(ConnectionError):
+        while len(head := stream.read(_REQUEST.size)) == _REQUEST.size:
+            kind, address, first, second = _REQUEST.unpack(head)
+            connection.sendall(_answer(bus, kind, address, first, second, stream.read))
+
+
+class _Read(Protocol):
+    def __call__(self, size: int, /) -> bytes: ...
+
+
+# The four fields of a request follow each other on the socket.
+def _answer(bus: Transfers, kind: bytes, address: int, first: int, second: int, read: _Read) -> bytes:
+    try:
+        if kind == b"C":
+            bus.set_select(address, first, *_CLOCK.unpack(read(_CLOCK.size)))
+            return b"\0"
+        if kind not in (b"I", b"S"):
+            raise TypeError(f"a request of kind {kind!r} on the bus socket; allowed are I, S and C")
+        write = read(first)
+        return b"\0" + bus.transfer(address + (FIRST_SELECT if kind == b"S" else 0), write, second)
+    except (OSError, ValueError) as error:
+        return bytes([result_of(error)])

@@ -1,7 +1,7 @@
 """AK8963 magnetometer behind its registers: AKM data sheet MS1356-E-02 (2013); AKM-01 ... AKM-16, DEC-230 to -233.
 
 Not modelled: the external trigger, the I2C disable register. Whether it can be reached is for the bypass of the
-MPU-9250 around it to say (`firmware_emulator.bypass`).
+MPU-9250 around it to say (`firmware_emulator.array`).
 """
 
 from __future__ import annotations

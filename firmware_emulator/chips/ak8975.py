@@ -1,7 +1,7 @@
 """AK8975 magnetometer behind its registers, as it is in the MPU-9150; AKM-21 ... AKM-28, DEC-231 to -235.
 
 It measures once on command and powers down afterwards. Whether it can be reached is for the bypass of the
-MPU-9150 around it to say (`firmware_emulator.bypass`).
+MPU-9150 around it to say (`firmware_emulator.array`).
 """
 
 from __future__ import annotations

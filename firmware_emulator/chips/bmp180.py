@@ -5,20 +5,21 @@ until the new one is finished (BMP-48). Conversions take the typical time (BMP-4
 
 Choices: commands in the 10 ms after power-on or reset (BMP-50) are acknowledged and lost; a command during a
 conversion takes its place; an unknown measurement starts nothing, and sco reads 0 at once.
+
+Raw words follow from temperature and pressure by inverting the compensation (facts BMP-60 ... BMP-66): the formulas, in
+floor arithmetic, are searched by bisection for the words that give the wanted values; both rise with their word.
 """
 
 from __future__ import annotations
 
-import random
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any, ClassVar, Literal, NamedTuple
 
-from firmware_emulator.chip import Chip, Element
-from firmware_emulator.chips.bmp180_inverse import Words, up_of, ut_of
+from firmware_emulator.chips.bosch_barometer import FAR_NS, SOFT_RESET, BoschBarometer, nearest
 from imuarray.facts import bmp180 as facts
 
-FAR_NS = 1 << 62
 START_UP_NS = 10_000_000  # BMP-50
-SOFT_RESET = 0xB6  # BMP-12
 TEMPERATURE, PRESSURE = 0x0E, 0x14  # the measurement field: BMP-45
 TEMPERATURE_NS = 3_000_000  # typical: BMP-40
 PRESSURE_NS = (3_000_000, 5_000_000, 9_000_000, 17_000_000)  # typical, by oss: BMP-41 ... BMP-44
@@ -26,40 +27,78 @@ NOISE_PA = (6.0, 5.0, 4.0, 3.0)  # rms, typical, by oss
 
 _CONTROL, _OUT, _RESET = facts.CTRL_MEAS.address, facts.OUT_MSB.address, facts.SOFT_RESET.address
 
+STEPS_PER_DEGC = 160  # B5 is the temperature in sixteenths of 0.1 degC: BMP-60
 
-class Bmp180(Chip):
-    """The chip.
 
-    calibration: words by name that differ from the data sheet's worked example.
-    generator: where the pressure noise is drawn from; without one there is none. Temperature noise is unknown (BMP-77).
-    start_up_ns: how long after power-on or reset commands are lost.
-    """
+class Words(NamedTuple):
+    """Calibration words of one part, signed as BMP-20 ... BMP-30 say; defaults: the data sheet's example."""
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        calibration: Mapping[str, int] | None = None,
-        generator: random.Random | None = None,
-        start_up_ns: int = START_UP_NS,
-    ) -> None:
-        self.words = Words()._replace(**(calibration or {}))
-        self._generator = generator
-        self._start_up_ns = start_up_ns
-        self._ut_at: tuple[float, int] = (float("nan"), 0)
-        self._up_at: tuple[tuple[int, int, float], int] = ((0, -1, 0.0), 0)
-        super().__init__(address, facts, element, powered_on_ns)
+    AC1: int = 408
+    AC2: int = -72
+    AC3: int = -14383
+    AC4: int = 32741
+    AC5: int = 32757
+    AC6: int = 23153
+    B1: int = 6190
+    B2: int = 4
+    MB: int = -32768
+    MC: int = -8711
+    MD: int = 2868
+
+
+def b5_of(words: Words, ut: int) -> int:
+    """BMP-60; ZeroDivisionError for a word far outside the sensor's range (BMP-66)."""
+    x1 = (ut - words.AC6) * words.AC5 >> 15
+    return x1 + words.MC * 2048 // (x1 + words.MD)
+
+
+def pressure_function(words: Words, b5: int, oss: int) -> tuple[int, Callable[[int], int]]:
+    """The lowest word that makes sense, and the function from a word to Pa (BMP-61 ... BMP-63)."""
+    b6 = b5 - 4000
+    square = b6 * b6 >> 12
+    x3 = (words.B2 * square >> 11) + (words.AC2 * b6 >> 11)
+    b3 = ((words.AC1 * 4 + x3 << oss) + 2) // 4
+    x3 = (words.AC3 * b6 >> 13) + (words.B1 * square >> 16) + 2 >> 2
+    b4 = words.AC4 * (x3 + 32768) >> 15
+    factor = 50000 >> oss
+
+    def pressure(up: int) -> int:
+        b7 = (up - b3) * factor
+        p = b7 * 2 // b4 if b7 < 0x80000000 else b7 // b4 * 2
+        return p + ((p >> 8) * (p >> 8) * 3038 // 65536 + (-7357 * p >> 16) + 3791 >> 4)
+
+    return max(0, b3), pressure
+
+
+def ut_of(words: Words, degc: float) -> int:
+    """UT at a temperature; 16 bits."""
+    coldest = words.AC6 - words.MD * 32768 // words.AC5 + 2  # below, X1 + MD is no longer positive
+    return nearest(lambda ut: b5_of(words, ut), max(0, coldest), 0xFFFF, degc * STEPS_PER_DEGC)
+
+
+def up_of(words: Words, ut: int, oss: int, pascal: float) -> int:
+    """UP at a pressure, for a part that is as warm as `ut` says; 16 + oss bits."""
+    lowest, pressure = pressure_function(words, b5_of(words, ut), oss)
+    return nearest(pressure, lowest, (1 << 16 + oss) - 1, pascal)
+
+
+class Bmp180(BoschBarometer):
+    """The chip."""
+
+    facts: ClassVar[ModuleType] = facts
+    words = Words()
+    word_bytes: ClassVar[Sequence[int]] = (2,) * 11
+    byte_order: ClassVar[Literal["little", "big"]] = "big"
+
+    def __init__(self, *arguments: Any, start_up_ns: int = START_UP_NS, **switches: Any) -> None:
+        """Arguments of `BoschBarometer`, and how long after power-on or reset commands are lost."""
+        self.start_up_ns = start_up_ns
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, this part's calibration words, no conversion."""
+        """Start up without a conversion."""
         super().power_on(at_ns)
-        for index, word in enumerate(self.words):
-            first = facts.CALIBRATION.address + 2 * index
-            self.page[first : first + 2] = (word & 0xFFFF).to_bytes(2, "big")
-        self._ready_ns = at_ns + self._start_up_ns
-        self._end_ns = FAR_NS
+        self._up_at: tuple[tuple[int, int, float], int] = ((0, -1, 0.0), 0)
 
     def load(self, address: int, at_ns: int) -> int:
         """A register's byte, after a conversion that has ended by `at_ns` has left its result."""
@@ -94,23 +133,19 @@ class Bmp180(Chip):
         """The result into the shared registers, sco to 0 (BMP-46)."""
         at_ns, self._end_ns = self._end_ns, FAR_NS
         self.page[_CONTROL] &= ~facts.CONVERTING.mask
-        ut = self._ut(at_ns)
+        ut = self.ut(at_ns)
         result = ut << 8
         if facts.MEASUREMENT.of(self.page[_CONTROL]) == PRESSURE:
             oss = facts.OVERSAMPLING.of(self.page[_CONTROL])
             result = self._up(ut, oss, at_ns) << 8 - oss  # BMP-47
         self.page[_OUT : _OUT + 3] = result.to_bytes(3, "big")
 
-    def _ut(self, at_ns: int) -> int:
-        degc = self.element.temperature(at_ns)
-        if degc != self._ut_at[0]:
-            self._ut_at = degc, ut_of(self.words, degc)
-        return self._ut_at[1]
+    def ut_of(self, degc: float) -> int:
+        """The inverse of the data sheet's formula."""
+        return ut_of(self.words, degc)
 
     def _up(self, ut: int, oss: int, at_ns: int) -> int:
-        pascal = self.element.pressure(at_ns)
-        if self._generator is not None:
-            pascal += self._generator.gauss(0.0, NOISE_PA[oss])
+        pascal = self.pressure_pa(at_ns, NOISE_PA[oss])
         if (ut, oss, pascal) != self._up_at[0]:
             self._up_at = (ut, oss, pascal), up_of(self.words, ut, oss, pascal)
         return self._up_at[1]

@@ -5,17 +5,68 @@ between (BMP-107). A measurement takes the typical time (BMP-109).
 
 Choices (DEC-90, DEC-91): writes in the first 2 ms after power-on or reset are acknowledged and lost, and the bit that
 says that calibration words are being copied is set meanwhile; a write to ctrl_meas breaks a measurement off.
+
+Raw words follow from temperature and pressure by inverting the compensation (facts BMP-103, BMP-121): the data sheet's
+formulas in real numbers (its section 8.1), which its integer formulas approximate, are searched for the words that give
+the wanted temperature and pressure. The temperature rises with its word, the pressure falls.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from types import ModuleType
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chips.bmp280_inverse import BITS, Words, up_of, ut_of
-from firmware_emulator.chips.bosch_barometer import SOFT_RESET, BoschBarometer
+from firmware_emulator.chips.bosch_barometer import SOFT_RESET, CyclicBarometer, nearest
 from imuarray.facts import bmp280 as facts
+
+BITS = 20
+
+
+class Words(NamedTuple):
+    """Calibration words of one part, signed as BMP-103 says; defaults: the data sheet's example."""
+
+    T1: int = 27504
+    T2: int = 26435
+    T3: int = -1000
+    P1: int = 36477
+    P2: int = -10685
+    P3: int = 3024
+    P4: int = 2855
+    P5: int = 140
+    P6: int = -7
+    P7: int = 15500
+    P8: int = -14600
+    P9: int = 6000
+
+
+def fine_of(words: Words, adc: float) -> float:
+    """The temperature in 5120ths of a degC."""
+    away = adc / 16384 - words.T1 / 1024
+    return away * words.T2 + (away / 8) ** 2 * words.T3
+
+
+def pascal_of(words: Words, fine: float, adc: float) -> float:
+    """The pressure in Pa; inf for words far outside the sensor's range."""
+    warm = fine / 2 - 64000
+    offset = (warm * warm * words.P6 / 32768 + warm * words.P5 * 2) / 4 + words.P4 * 65536
+    scale = (1 + (words.P3 * warm * warm / 524288 + words.P2 * warm) / 524288 / 32768) * words.P1
+    if scale == 0:
+        return float("inf")
+    p = (1048576 - adc - offset / 4096) * 6250 / scale
+    return p + (words.P9 * p * p / 2147483648 + p * words.P8 / 32768 + words.P7) / 16
+
+
+def ut_of(words: Words, degc: float) -> int:
+    """UT at a temperature; 20 bits."""
+    return nearest(lambda adc: fine_of(words, adc), 0, (1 << BITS) - 1, degc * 5120)
+
+
+def up_of(words: Words, ut: int, pascal: float) -> int:
+    """UP at a pressure, for a part that is as warm as `ut` says; 20 bits."""
+    fine = fine_of(words, ut)
+    return nearest(lambda adc: -pascal_of(words, fine, adc), 0, (1 << BITS) - 1, -pascal)
+
 
 OVERSAMPLING = (0, 1, 2, 4, 8, 16, 16, 16)  # by code: BMP-106
 STANDBY_NS = (500_000, 62_500_000, 125_000_000, 250_000_000, 500_000_000, 10**9, 2 * 10**9, 4 * 10**9)  # BMP-108
@@ -27,19 +78,13 @@ _RESET, _STATUS = facts.SOFT_RESET.address, facts.STATUS.address
 _CONTROL, _CONFIG, _DATA = facts.CTRL_MEAS.address, facts.CONFIG.address, facts.PRESS_MSB.address
 
 
-class Bmp280(BoschBarometer):
+class Bmp280(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts
+    words = Words()
+    word_bytes: ClassVar[Sequence[int]] = (2,) * 12
     control = _CONTROL
-
-    def take_words(self, calibration: Mapping[str, int]) -> None:
-        """See `BoschBarometer`."""
-        self.words = Words()._replace(**calibration)
-
-    def calibration_bytes(self) -> bytes:
-        """Twelve words of two bytes."""
-        return b"".join((word & 0xFFFF).to_bytes(2, "little") for word in self.words)
 
     @property
     def duration_ns(self) -> int:
@@ -68,7 +113,7 @@ class Bmp280(BoschBarometer):
         control = self.page[_CONTROL]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(control), facts.PRESSURE_OVERSAMPLING.of(control)
         ut = self.ut(at_ns)
-        pascal = self.element.pressure(at_ns) + self.noise_pa(NOISE_PA[codes[1]])
+        pascal = self.pressure_pa(at_ns, NOISE_PA[codes[1]])
         values = self.filtered(ut, up_of(self.words, ut, pascal))
         ut_shown, up_shown = (self._rounded(value, code) for value, code in zip(values, codes, strict=True))
         data = (up_shown << 4).to_bytes(3, "big") + (ut_shown << 4).to_bytes(3, "big")

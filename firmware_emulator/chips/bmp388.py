@@ -5,17 +5,69 @@ A measurement takes the typical time (BMP-209).
 
 Choices (DEC-220 to -222): writes in the first 2 ms after power-on or reset are acknowledged and lost; noise without
 filter is the BMP280's. The queue, interrupts and the sensor's clock are left out.
+
+Raw words follow from temperature and pressure by inverting the compensation (facts BMP-203, BMP-221): the data sheet's
+formulas in real numbers (its chapter 9), which its integer formulas approximate, are searched for the words that give
+the wanted temperature and pressure. The temperature rises with its word, the pressure falls.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from types import ModuleType
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chips.bmp388_inverse import BITS, Words, up_of, ut_of
-from firmware_emulator.chips.bosch_barometer import NORMAL, SLEEP, SOFT_RESET, BoschBarometer
+from firmware_emulator.chips.bosch_barometer import NORMAL, SLEEP, SOFT_RESET, CyclicBarometer, nearest
 from imuarray.facts import bmp388 as facts
+
+BITS = 24
+
+
+class Words(NamedTuple):
+    """Calibration words of one part, signed as BMP-203 says; defaults: the example of BMP-220."""
+
+    T1: int = 27427
+    T2: int = 18776
+    T3: int = -10
+    P1: int = -164
+    P2: int = -2866
+    P3: int = 35
+    P4: int = 0
+    P5: int = 25578
+    P6: int = 31086
+    P7: int = -13
+    P8: int = -10
+    P9: int = 17322
+    P10: int = 18
+    P11: int = -60
+
+
+def degc_of(words: Words, raw: float) -> float:
+    """The temperature in degC."""
+    away = raw - words.T1 * 2.0**8
+    return away * words.T2 / 2.0**30 + away * away * words.T3 / 2.0**48
+
+
+def pascal_of(words: Words, degc: float, raw: float) -> float:
+    """The pressure in Pa."""
+    offset = words.P5 * 2.0**3 + (words.P6 / 2.0**6 + (words.P7 / 2.0**8 + words.P8 / 2.0**15 * degc) * degc) * degc
+    slope = (words.P1 - 2.0**14) / 2.0**20 + (
+        (words.P2 - 2.0**14) / 2.0**29 + (words.P3 / 2.0**32 + words.P4 / 2.0**37 * degc) * degc
+    ) * degc
+    curve = words.P9 / 2.0**48 + words.P10 / 2.0**48 * degc
+    return offset + (slope + (curve + words.P11 / 2.0**65 * raw) * raw) * raw
+
+
+def ut_of(words: Words, degc: float) -> int:
+    """UT at a temperature; 24 bits."""
+    return nearest(lambda raw: degc_of(words, raw), 0, (1 << BITS) - 1, degc)
+
+
+def up_of(words: Words, ut: int, pascal: float) -> int:
+    """UP at a pressure, for a part that is as warm as `ut` says; 24 bits."""
+    degc = degc_of(words, ut)
+    return nearest(lambda raw: -pascal_of(words, degc, raw), 0, (1 << BITS) - 1, -pascal)
+
 
 NOISE_PA = (3.3, 2.6, 2.1, 1.6, 1.3, 1.1, 1.1, 1.1)  # by code of the oversampling: DEC-221
 WORD_BYTES = (2, 2, 1, 2, 2, 1, 1, 2, 2, 1, 1, 2, 1, 1)  # BMP-203
@@ -25,27 +77,18 @@ _STATUS, _ERROR, _DATA = facts.STATUS.address, facts.ERR_REG.address, facts.DATA
 _POWER, _CONFIG, _COMMAND = facts.PWR_CTRL.address, facts.CONFIG.address, facts.CMD.address
 
 
-class Bmp388(BoschBarometer):
+class Bmp388(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts
+    words = Words()
+    word_bytes: ClassVar[Sequence[int]] = WORD_BYTES
     control = _POWER
 
-    def take_words(self, calibration: Mapping[str, int]) -> None:
-        """See `BoschBarometer`."""
-        self.words = Words()._replace(**calibration)
-
     def power_on(self, at_ns: int) -> None:
-        """Power on as every such chip does, ready for commands."""
+        """Start up ready for commands."""
         super().power_on(at_ns)
         self.page[_STATUS] = facts.COMMAND_READY.mask
-
-    def calibration_bytes(self) -> bytes:
-        """Fourteen words of one or two bytes."""
-        return b"".join(
-            (word & (1 << 8 * count) - 1).to_bytes(count, "little")
-            for word, count in zip(self.words, WORD_BYTES, strict=True)
-        )
 
     @property
     def duration_ns(self) -> int:
@@ -75,7 +118,7 @@ class Bmp388(BoschBarometer):
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
         on = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
         ut = self.ut(at_ns)
-        pascal = self.element.pressure(at_ns) + self.noise_pa(NOISE_PA[codes[1]])
+        pascal = self.pressure_pa(at_ns, NOISE_PA[codes[1]])
         shown = []
         for value, code, is_on in zip(self.filtered(ut, up_of(self.words, ut, pascal)), codes, on, strict=True):
             unused_bits = max(0, BITS - 16 - code) if self.filter_divisor == 1 else 0

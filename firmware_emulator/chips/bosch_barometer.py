@@ -1,34 +1,35 @@
-"""The measurements of a Bosch barometer that sleeps, measures once in forced mode, or measures periodically.
-
-BMP280 and BMP388 differ in registers, times and formulas; the times of their measurements and the memory of their
-filters are the same. Of measurements that were not read, only the last 64 pass through the filter (DEC-91, DEC-222).
-"""
+"""Bosch barometers: calibration words, pressure noise, and the measurements of those with forced and normal mode."""
 
 from __future__ import annotations
 
 import random
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 from firmware_emulator.chip import Chip, Element
 
 FAR_NS = 1 << 62
 START_UP_NS = 2_000_000  # BMP-113, BMP-212
-SOFT_RESET = 0xB6  # BMP-104, BMP-204
+SOFT_RESET = 0xB6  # BMP-12, BMP-104, BMP-204
 SLEEP, FORCED, FORCED_TOO, NORMAL = range(4)  # BMP-107, BMP-207
 FILTERED = 64
 
 
 class BoschBarometer(Chip):
-    """A barometer whose measurements end at the times of its mode.
+    """A barometer with calibration words in its registers; its next conversion ends at `_end_ns`.
 
-    `facts` are the registers of the chip, `control` is the address of the one with the mode.
+    `facts` are the registers of the chip. `words` are the calibration words, at first those of the data sheet's
+    example, with `word_bytes` bytes each in the registers. Commands in the first `start_up_ns` after power-on or reset
+    are lost.
     """
 
     facts: ClassVar[ModuleType]
-    control: int
+    words: Any
+    word_bytes: ClassVar[Sequence[int]]
+    byte_order: ClassVar[Literal["little", "big"]] = "little"
+    start_up_ns = START_UP_NS
 
     def __init__(
         self,
@@ -41,35 +42,59 @@ class BoschBarometer(Chip):
         identity: int | None = None,
     ) -> None:
         """`calibration` holds the words by name that differ from the data sheet's example, `generator` draws the
-        pressure noise (without one there is none; temperature noise is left out), `identity` is the content of the
-        identity register (None: as the data sheet prints).
+        pressure noise (without one there is none; temperature noise is left out: BMP-77), `identity` is the content of
+        the identity register (None: as the data sheet prints).
         """
         self._generator, self._identity = generator, identity
         self._ut_at: tuple[float, int] = (float("nan"), 0)
-        self.take_words(calibration or {})
+        self.words = self.words._replace(**(calibration or {}))
         super().__init__(address, self.facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, this part's identity and calibration words, asleep."""
+        """Reset values, this part's identity and calibration words, no conversion."""
         super().power_on(at_ns)
         identity = self.facts.CHIP_ID
         self.page[identity.address] = identity.reset if self._identity is None else self._identity
-        calibration = self.calibration_bytes()
+        calibration = b"".join(
+            (word & (1 << 8 * count) - 1).to_bytes(count, self.byte_order)
+            for word, count in zip(self.words, self.word_bytes, strict=True)
+        )
         first = self.facts.CALIBRATION.address
         self.page[first : first + len(calibration)] = calibration
-        self._ready_ns = at_ns + START_UP_NS
+        self._ready_ns = at_ns + self.start_up_ns
         self._end_ns = FAR_NS
+
+    @abstractmethod
+    def ut_of(self, degc: float) -> int:
+        """The raw word of a temperature."""
+
+    def ut(self, at_ns: int) -> int:
+        """The raw word of the temperature at that time, computed once for each temperature."""
+        degc = self.element.temperature(at_ns)
+        if degc != self._ut_at[0]:
+            self._ut_at = degc, self.ut_of(degc)
+        return self._ut_at[1]
+
+    def pressure_pa(self, at_ns: int, noise_pa: float) -> float:
+        """The pressure at that time, with noise of that rms."""
+        noise = 0.0 if self._generator is None else self._generator.gauss(0.0, noise_pa)
+        return self.element.pressure(at_ns) + noise
+
+
+class CyclicBarometer(BoschBarometer):
+    """A barometer that sleeps, measures once in forced mode, or measures periodically.
+
+    `control` is the address of the register with the mode. BMP280 and BMP388 differ in registers, times and formulas;
+    the sequence of their measurements and the memory of their filters are the same. Of measurements that were not read,
+    only the last 64 pass through the filter (DEC-91, DEC-222).
+    """
+
+    control: int
+
+    def power_on(self, at_ns: int) -> None:
+        """Start up asleep, the filter without memory."""
+        super().power_on(at_ns)
         self._memory: tuple[float, float] | None = None
-
-    # What the chips differ in -----------------------------------------------------------------------------------------
-
-    @abstractmethod
-    def take_words(self, calibration: Mapping[str, int]) -> None:
-        """Set the calibration words, of which `calibration` holds those that differ from the data sheet's example."""
-
-    @abstractmethod
-    def calibration_bytes(self) -> bytes:
-        """The calibration words as they stand in the registers."""
 
     @property
     @abstractmethod
@@ -89,12 +114,6 @@ class BoschBarometer(Chip):
     @abstractmethod
     def show(self, at_ns: int) -> None:
         """Measure, and write the result into the data registers."""
-
-    @abstractmethod
-    def ut_of(self, degc: float) -> int:
-        """The word of a temperature."""
-
-    # What they have in common -----------------------------------------------------------------------------------------
 
     def begin(self, mode: int, at_ns: int) -> None:
         """Take up a mode: measurements end from now on."""
@@ -122,17 +141,20 @@ class BoschBarometer(Chip):
         self._memory = old[0] + (new[0] - old[0]) / divisor, old[1] + (new[1] - old[1]) / divisor
         return self._memory
 
-    def noise_pa(self, rms: float) -> float:
-        """Noise of the next reading of pressure."""
-        return 0.0 if self._generator is None else self._generator.gauss(0.0, rms)
-
-    def ut(self, at_ns: int) -> int:
-        """The word of the temperature at that time, computed once for each temperature."""
-        degc = self.element.temperature(at_ns)
-        if degc != self._ut_at[0]:
-            self._ut_at = degc, self.ut_of(degc)
-        return self._ut_at[1]
-
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """A burst shows the registers as they are when it begins (BMP-112, BMP-211)."""
         return super().read(count, at_ns, 0)
+
+
+def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
+    """The argument in low ... high at which a rising function comes closest to `target`, the lower of two equals."""
+    bottom, top = low, high
+    while bottom < top:
+        middle = bottom + top >> 1
+        if function(middle) < target:
+            bottom = middle + 1
+        else:
+            top = middle
+    if bottom > low and target - function(bottom - 1) <= function(bottom) - target:
+        return bottom - 1
+    return bottom

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.array import open_array
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.wire import Wire
 from imuarray.acquire import Detection, detect, explore
 from imuarray.acquire.sensor_routes import connect

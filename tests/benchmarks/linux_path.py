@@ -14,9 +14,8 @@ from typing import Any
 import smbus2.smbus2
 from smbus2 import SMBus, i2c_msg
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.wire import Wire
 from imuarray.bus.linux import LinuxBus
 

@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from firmware_emulator.adapter import Adapter, Message
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, Message, device_files
 from firmware_emulator.wire import Wire
 
 

@@ -16,8 +16,7 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.adapter import Adapter
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import Bus, open_bus
 from imuarray.bus.linux import LinuxBus

@@ -14,9 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_emulator.adapter import Adapter, Message
 from firmware_emulator.array import EmulatedBus, open_array
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, Message, device_files
 from imuarray.acquire.record import record
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, parse_array

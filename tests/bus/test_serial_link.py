@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from firmware_emulator import serial_link as firmware
+from firmware_emulator import serial_firmware as firmware
 from imuarray.bus import serial_link as link
 from imuarray.bus.serial_link import Deframer, Frame, LinkError, PollList, Request, framed
 

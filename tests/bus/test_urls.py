@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import pytest
 import smbus2.smbus2
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.wire import Wire
 from imuarray.array import parse_array
 from imuarray.bus import open_bus

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from firmware_emulator.chips import CHIPS
-from firmware_emulator.chips.bmp280_inverse import Words, fine_of, pascal_of
-from firmware_emulator.chips.bmp388_inverse import Words as Words388
-from firmware_emulator.chips.bmp388_inverse import degc_of
-from firmware_emulator.chips.bmp388_inverse import pascal_of as pascal_388
+from firmware_emulator.chips.bmp280 import Words, fine_of, pascal_of
+from firmware_emulator.chips.bmp388 import Words as Words388
+from firmware_emulator.chips.bmp388 import degc_of
+from firmware_emulator.chips.bmp388 import pascal_of as pascal_388
 from imuarray.array import SensorConfig
 from imuarray.barometer import (
     BAROMETERS,

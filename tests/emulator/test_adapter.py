@@ -22,11 +22,10 @@ from typing import Any
 import pytest
 from smbus2 import I2cFunc, SMBus, i2c_msg
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.array import open_array
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.element import IDENTITY, SensingElement, Unit
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import Still

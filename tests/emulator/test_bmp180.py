@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_emulator.chips.bmp180 import Bmp180
-from firmware_emulator.chips.bmp180_inverse import Words, b5_of, pressure_function, up_of, ut_of
+from firmware_emulator.chips.bmp180 import Bmp180, Words, b5_of, pressure_function, up_of, ut_of
 
 MS = 1_000_000
 BYTE_NS = 22_500

@@ -7,8 +7,7 @@ import statistics
 
 import pytest
 
-from firmware_emulator.chips.bmp280 import Bmp280
-from firmware_emulator.chips.bmp280_inverse import Words, fine_of, pascal_of, up_of, ut_of
+from firmware_emulator.chips.bmp280 import Bmp280, Words, fine_of, pascal_of, up_of, ut_of
 
 MS = 1_000_000
 

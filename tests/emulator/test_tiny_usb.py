@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.mux import Pca9544a
-from firmware_emulator.tiny_usb import TinyUsb
+from firmware_emulator.serve import TinyUsb
 from firmware_emulator.usbip import Setup
 from firmware_emulator.wire import Wire
 

@@ -12,8 +12,7 @@ import pytest
 from firmware_emulator.chips.adxl345 import Adxl345
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.element import IDENTITY, ZERO, Matrix, SensingElement, Unit
-from firmware_emulator.martin2013 import TABLES
-from firmware_emulator.units import TOLERANCES, unit_of
+from firmware_emulator.units import TABLES, TOLERANCES, unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import Still, Stimulus
 

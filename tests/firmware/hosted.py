@@ -13,8 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from firmware_emulator.bus_socket import serve_bus
-from firmware_emulator.microcontroller_bus import MicrocontrollerBus
+from firmware_emulator.microcontroller_bus import MicrocontrollerBus, serve_bus
 from imuarray.bus.serial_port import usual_port
 
 ADXL345 = 0x53

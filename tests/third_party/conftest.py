@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import pytest
 import smbus2
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import RealClock, VirtualClock
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.element import IDENTITY, SensingElement, Unit
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import Stimulus

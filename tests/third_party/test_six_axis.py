@@ -16,11 +16,10 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.adapter import Adapter
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.board import Board
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.device_file import device_files
+from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.element import IDENTITY, SensingElement, Unit
 from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
 from imuarray.array import parse_array
