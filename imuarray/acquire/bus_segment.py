@@ -204,6 +204,8 @@ class Adapter:
         self.removed = False
         self.silent_until_ns = -(1 << 62)
         self.time_outs = 0
+        """Time-outs in a row, without an answer in between."""
+        self.all_time_outs = 0
         self.clock_ns = 1e9
         self._pause_ns = FIRST_PAUSE_NS
 
@@ -227,6 +229,7 @@ class Adapter:
     def timed_out(self, now_ns: int) -> bool:
         """Note that a transaction ended with one of `HUNG`; return whether the bus began to hang just now."""
         self.time_outs += 1
+        self.all_time_outs += 1
         if self.time_outs < 2:
             return False
         began = not self.hangs

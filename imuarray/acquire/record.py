@@ -30,7 +30,7 @@ from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase, SensorHeader
-from imuarray.log.missed_frames import duration_s, frames_in
+from imuarray.log.missed_frames import BUS_WAS_LATE, duration_s, frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import LogWriter, Stimulus
 from imuarray.printable import counted
@@ -83,6 +83,8 @@ class Poll:
         read = clocks_beside(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
         self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
         self.missed = self.faults.of("", "late")
+        self._adapters = list({id(segment.adapter): segment.adapter for segment in forth}.values())
+        self._earlier_time_outs = 0
         self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
         self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
@@ -128,6 +130,7 @@ class Poll:
                     buffer.driver.fetch()
         try:
             while (end_ns is None or due_ns < end_ns) and not stopped():
+                self._earlier_time_outs = self._time_outs()
                 self.frame()
                 due_ns += period_ns
                 behind_ns = self.clock.now_ns() - due_ns
@@ -140,11 +143,19 @@ class Poll:
         finally:  # whatever ended it: what was read is vouched for or flagged, and written
             self.finish()
 
+    def _time_outs(self) -> int:
+        """Return how many transactions have timed out since the recording began."""
+        return sum(adapter.all_time_outs for adapter in self._adapters)
+
     def skip(self, frames: int) -> int:
-        """Count `frames` missed frames: polled sensors lose readings, sensors with a queue do not."""
+        """Count `frames` missed frames: polled sensors lose readings, sensors with a queue do not. Frames that were
+        missed because a transaction timed out are those of the bus, all others those of the machine.
+        """
         if frames:
+            by_bus = self._time_outs() > self._earlier_time_outs
             self.summary.missed += frames
-            text = f"{counted(frames, 'frame')} missed: the frame before ended too late"
+            self.summary.missed_by_bus += frames if by_bus else 0
+            text = f"{counted(frames, 'frame')} missed: {BUS_WAS_LATE if by_bus else 'the frame before ended too late'}"
             now_ns = self.clock.now_ns()
             if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
                 part = self.log.part_at(now_ns - self.epoch_ns)

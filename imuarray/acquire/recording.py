@@ -22,6 +22,8 @@ class Summary:
     """Frames that began after their time."""
     missed: int = 0
     """Frames that were skipped because the frame before ended after their time, up to the requested end."""
+    missed_by_bus: int = 0
+    """Those of the missed frames before which a transaction on the bus timed out."""
     uncertain: int = 0
     """Readings whose time is uncertain by a millisecond or more, because the machine was busy."""
     lost: dict[str, int] = field(default_factory=dict)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imuarray.commands.options import print_json
+from imuarray.log.missed_frames import BUS_WAS_LATE
 from imuarray.printable import counted
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def print_summary(
                 "frames": summary.frames,
                 "late": summary.late,
                 "missed": summary.missed,
+                "missed_by_bus": summary.missed_by_bus,
                 "uncertain": summary.uncertain,
                 "refused": summary.refused,
                 "lost": lost,
@@ -51,8 +53,7 @@ def print_summary(
         named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
         click.echo(f"  {named}: {counted(fusion.frames, 'frame')} fused while recording")
     if summary.missed:
-        missed = counted(summary.missed, "frame")
-        click.echo(f"  {missed} missed: the array can't be read this fast, or this machine was busy")
+        click.echo(f"  {counted(summary.missed, 'frame')} missed: {_why_missed(summary)}")
     if summary.uncertain:
         click.echo(f"  {counted(summary.uncertain, 'reading')} with a time that is uncertain by a millisecond or more")
     if summary.refused:
@@ -64,6 +65,16 @@ def print_summary(
         more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
         more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
         click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
+
+
+def _why_missed(summary: Summary) -> str:
+    """The cause of the missed frames: the bus, this machine, or both."""
+    busy = "the array can't be read this fast, or this machine was busy"
+    if not summary.missed_by_bus:
+        return busy
+    if summary.missed_by_bus == summary.missed:
+        return f"{BUS_WAS_LATE}; check its wires and pull-up resistors"
+    return f"{summary.missed_by_bus} because {BUS_WAS_LATE}, {summary.missed - summary.missed_by_bus} because {busy}"
 
 
 def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:

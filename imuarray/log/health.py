@@ -48,7 +48,8 @@ def is_trouble(event: Event) -> bool:
 
 @dataclass(frozen=True)
 class Observations:
-    """The observations of a recording: its number of sensors and frames, `missed` frames; by name the seconds for which
+    """The observations of a recording: its number of sensors and frames, `missed` frames, and whether the
+    bus was at fault at times (`bus_failed`: it hung or did not answer in time); by name the seconds for which
     sensors are `silent`, the readings that they `lost`, their `gaps` of unknown length and `clipped` readings; `faults`
     by sensor ("": the array) and kind of event; `stopped`: why it does not go on ("" it does, or ended as it should);
     `room_s` until the disk is full (None: not known). `stalled`: by name the share of the time without readings,
@@ -58,6 +59,7 @@ class Observations:
     sensors: int
     frames: int
     missed: int = 0
+    bus_failed: bool = False
     silent: Mapping[str, float] = field(default_factory=dict)
     lost: Mapping[str, int] = field(default_factory=dict)
     gaps: Mapping[str, int] = field(default_factory=dict)
@@ -102,14 +104,14 @@ def _urgent(seen: Observations) -> Iterator[_Reason]:
         longest = max(seen.silent.values())
         yield _Reason(f"{_names(seen.silent)} silent for {_duration(longest)}", "check cable, power and address")
     if _share(seen) >= MANY_MISSED:
-        yield _Reason(f"{percent(_share(seen))} of the frames missed", _SLOWER)
+        yield _missed(seen, f"{percent(_share(seen))} of the frames missed")
     if seen.room_s is not None and seen.room_s < NO_ROOM_S:
         yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
 
 
 def _minor(seen: Observations) -> Iterator[_Reason]:
     if 0 < _share(seen) < MANY_MISSED:
-        yield _Reason(f"{counted(seen.missed, 'frame')} missed", _SLOWER)
+        yield _missed(seen, f"{counted(seen.missed, 'frame')} missed")
     if lost := {name: count for name, count in seen.lost.items() if count}:
         yield _Reason(f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost", _EVENTS)
     if seen.stalled:
@@ -131,6 +133,11 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
 
 
+def _missed(seen: Observations, text: str) -> _Reason:
+    return _Reason(f"{text}, the bus did not always answer", _WIRING) if seen.bus_failed else _Reason(text, _SLOWER)
+
+
+_WIRING = "check the wires and pull-up resistors of the bus"
 _SLOWER = "lower the frame rate, or record fewer sensors"
 _STALLS = "compare readings by their times, not by their row numbers"
 _EVENTS = "read the events, which say why"

@@ -34,6 +34,9 @@ _OWN_PACE = 1.25
 MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 """The message of an event of the kind "late": how many frames were missed when a delay began, or in the whole of it."""
 
+BUS_WAS_LATE = "the bus did not answer in time"
+"""The reason in such a message if a transaction timed out in the frame before; the machine was late otherwise."""
+
 
 class FrameTiming(NamedTuple):
     """Missed frames (None: not known) and duration of a log in seconds."""
@@ -66,6 +69,11 @@ def missed_by_events(events: Iterable[Event]) -> int | None:
         missed += int(match[2]) - (first or 0 if match[1] else 0)
         first = None if match[1] else int(match[2])
     return missed
+
+
+def is_fault_of_bus(event: Event) -> bool:
+    """Return whether an event says that the bus hung, or that frames were missed because it did not answer."""
+    return not event.sensor and (event.kind == "bus" or (event.kind == "late" and BUS_WAS_LATE in event.message))
 
 
 def frame_period_ns(source: str, frame_rate_hz: float) -> int:

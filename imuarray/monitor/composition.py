@@ -290,6 +290,7 @@ def _observations(
         sensors=len(views),
         frames=max((view.rows for view in views if view.framed), default=0),
         missed=missed,
+        bus_failed=source.read_rows.events.bus_failed,
         silent={view.name: view.silent_s for view in views if view.silent_s is not None},
         lost={view.name: max(0, view.missed - missed) for view in heard if view.framed},
         faults=source.read_rows.events.faults,

@@ -15,7 +15,7 @@ from imuarray.errors import LogError
 from imuarray.log.format import Event
 from imuarray.log.health import is_trouble
 from imuarray.log.layout import Notes
-from imuarray.log.missed_frames import MISSED
+from imuarray.log.missed_frames import MISSED, is_fault_of_bus
 
 KEPT = 50
 """Events that are kept to be shown."""
@@ -49,6 +49,8 @@ class EventCounts:
         rows don't show: the rows are evenly spaced, only too far apart.
         """
         self._missed_first = 0
+        self.bus_failed = False
+        """True if an event says that the bus hung or did not answer in time."""
         self.complete = True
         """True if all notes of the log were counted; False if there were too many before."""
 
@@ -82,6 +84,7 @@ class EventCounts:
             self._add_to_group(event)
             if is_trouble(event):
                 self._faults[event.sensor, event.kind] += 1
+            self.bus_failed |= is_fault_of_bus(event)
             if event.kind == "late" and not event.sensor and (match := MISSED.match(event.message)):
                 frames = int(match[2])  # "in all" includes the number of the first event
                 self.missed += frames - (self._missed_first if match[1] else 0)

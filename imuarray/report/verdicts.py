@@ -16,7 +16,7 @@ from imuarray.fuse import Comparison, FusedHead, Score
 from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log
 from imuarray.log.health import Observations, health_of, is_trouble
-from imuarray.log.missed_frames import frame_timing
+from imuarray.log.missed_frames import frame_timing, is_fault_of_bus
 from imuarray.printable import counted
 from imuarray.report.page import Level, Verdict
 from imuarray.report.recording import silent_s
@@ -44,6 +44,7 @@ def recording_verdict(log: Log) -> Verdict:
         sensors=len(sensors),
         frames=max((len(sensor) for sensor in sensors.values()), default=0),
         missed=missed,
+        bus_failed=any(map(is_fault_of_bus, log.events)),
         silent=_silent(log, (first_ns, last_ns)),
         gaps={name: counts.get("lost_before", 0) for name, counts in flags.items()},
         clipped={name: counts.get("saturated", 0) for name, counts in flags.items()},

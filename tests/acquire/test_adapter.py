@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from imuarray.acquire import record
 from imuarray.acquire.bus_segment import Adapter
 from imuarray.log import open_log
+from imuarray.report.verdicts import recording_verdict
 
 MS = 1_000_000
 
@@ -95,3 +97,35 @@ def test_interrupted_readings_are_counted_and_their_times_are_within_half(
         assert np.count_nonzero(error_ns) == 20
         assert np.abs(error_ns).max() == pytest.approx(4 * MS, rel=0.05)
         assert (np.diff(np.asarray(log["A"].time)) == 20 * MS).all()
+
+
+class Held(Dawdling):
+    """An open bus whose clock wire is held low from 1 s to 1.13 s: each transaction then ends with a time-out after 30 ms.
+    At 2 s the program is not run for 55 ms.
+    """
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        now_ns = self.clock.now_ns()
+        self.starts.append(now_ns)
+        if now_ns - self.starts[0] > 2000 * MS and self.address:
+            self.address = 0
+            self.clock.sleep_until(now_ns + 55 * MS)
+        if 1000 * MS <= now_ns - self.starts[0] < 1130 * MS:
+            self.clock.sleep_until(now_ns + 30 * MS)
+            raise OSError(errno.ETIMEDOUT, "Connection timed out")
+        answer: bytes = self.bus.transfer(address, write, read)
+        return answer
+
+
+def test_frames_that_a_hung_bus_costs_are_told_from_those_of_a_busy_machine(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Two time-outs of 30 ms in one frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""
+    array = an_array(A=0, G=0)
+    bus = Held(tapped(array).bus, 1)
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=3)  # type: ignore[arg-type]
+    assert (done.missed_by_bus, done.missed - done.missed_by_bus) == (7, 4)
+    with open_log(tmp_path / "r.h5") as log:
+        late = [event.message for event in log.events if event.kind == "late"]
+        assert "missed: the bus did not answer in time" in late[0]
+        assert "check the wires and pull-up resistors of the bus" in recording_verdict(log).sentence

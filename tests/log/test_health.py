@@ -41,6 +41,8 @@ def test_the_worst_decides_and_is_named_first(seen: Observations, health: Health
 
 def test_what_to_do_is_about_the_first_reason() -> None:
     assert health_of(Observations(4, 90, missed=10)).advice == "lower the frame rate, or record fewer sensors"
+    advice = health_of(Observations(4, 90, missed=10, bus_failed=True)).advice
+    assert advice == "check the wires and pull-up resistors of the bus"
     seen = Observations(4, 90, silent={"A": 9.0}, missed=10)
     assert health_of(seen).advice == "check cable, power and address"
 
