@@ -22,6 +22,7 @@ from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.rails import find_rails
+from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.stalls import find_stalls
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
@@ -117,6 +118,7 @@ def _sensor(
     """One sensor: what it is, its times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
     pattern = row_timing(sensor)
+    paces = find_rate_changes(sensor) if pattern.kind == "steady" else ()
     timing = find_timing(sensor, rows, counted=pattern.kind == "bursts", left_out=stretch.left_out)
     statistics = noise_statistics(sensor, rows, stretch.left_out)
     run = _run(sensor, timing)
@@ -143,7 +145,11 @@ def _sensor(
         | {"rows": pooled, "runs": len(runs), "longest_run_rows": run["rows"], "left_out_share": 1 - pooled / count},
         "allan_estimator": surveyed and surveyed.estimator,
         "timing": surveyed
-        and timing_of(surveyed, 1 / run["interval_s"]) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
+        and timing_of(surveyed, 1 / run["interval_s"])
+        | {
+            "pattern": asdict(pattern) | {"sentence": pattern.sentence or rate_change_sentence(paces)},
+            "rates": [asdict(pace) for pace in paces],
+        },
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
         "stalls": stalls and asdict(stalls) | {"adaptive_range": stalls.is_adaptive},

@@ -27,6 +27,7 @@ from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.findings import SURE, shares_times
+from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.log import Log, SensorLog
@@ -140,8 +141,8 @@ LOST_ROW = 1.5
 OFF_GRID = 0.25
 """Greatest distance of three intervals in a row from a whole number of usual intervals, in these."""
 
-RATE_CHANGED = 0.1
-"""Share of the intervals that are gaps from which on these are no exception, but another rate."""
+MOST_GAPS = 0.1
+"""Share of the intervals that are gaps from which on these are no exception, but the rule."""
 
 STEADY_SHARE = 0.9
 """Share of the rows that are on the grid from which on the rows of a sensor count as steady."""
@@ -230,8 +231,8 @@ def report_of(log: Log) -> Report:
         elif timing.sentence:
             hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
-        elif missing := _missing_rows(sensor, timing):
-            quirks.add(sensor.name, missing)
+        elif text := rate_change_sentence(find_rate_changes(sensor)) or _missing_rows(sensor, timing):
+            quirks.add(sensor.name, text)
         for text in _rate(timing):
             doubts.add(sensor.name, text)
         codes = _Codes(sensor)
@@ -376,11 +377,11 @@ def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
     gaps = _find_gaps(sensor, timing)
     if not len(gaps):
         return ""
-    if len(gaps) > RATE_CHANGED * timing.rows:
+    if len(gaps) > MOST_GAPS * timing.rows:
         share, longer, usual = len(gaps) / timing.rows, float(np.median(gaps)) * timing.usual_s, timing.usual_s
         return (
-            f"rows are {1e3 * usual:.3g} ms apart, but {1e3 * longer:.3g} ms in {percent(share)} of the intervals: the"
-            " rate changed, or rows are missing regularly"
+            f"rows are {1e3 * usual:.3g} ms apart, but {1e3 * longer:.3g} ms in {percent(share)} of the intervals: rows"
+            " are missing regularly"
         )
     missing = int(np.sum(np.maximum(np.rint(gaps) - 1, 1)))
     gap_s = float(np.median(gaps)) * timing.usual_s

@@ -100,7 +100,7 @@ def test_interrupted_readings_are_counted_and_their_times_are_within_half(
 
 
 class Held(Dawdling):
-    """An open bus whose clock wire is held low from 1 s to 1.13 s: each transaction then ends with a time-out after 30 ms.
+    """An open bus whose clock wire is held low from 1 s to 1.13 s: each transaction then times out after 30 ms.
     At 2 s the program is not run for 55 ms.
     """
 
@@ -120,7 +120,7 @@ class Held(Dawdling):
 def test_frames_that_a_hung_bus_costs_are_told_from_those_of_a_busy_machine(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """Two time-outs of 30 ms in one frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""
+    """Two time-outs of 30 ms in a frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""
     array = an_array(A=0, G=0)
     bus = Held(tapped(array).bus, 1)
     done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=3)  # type: ignore[arg-type]

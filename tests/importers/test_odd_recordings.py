@@ -114,6 +114,12 @@ def stalls() -> bytes:
     return joined([HEAD, *lines_of(stamps, counts_of(recording), "{:d}")])
 
 
+def changing_rate(later_s: float, row: int) -> bytes:
+    """100 rows a second until `row`, then a row every `later_s`."""
+    times_s = np.cumsum(np.where(np.arange(ROWS) <= row, 0.01, later_s)) - 0.01
+    return joined([HEAD, *lines_of(times_s, counts_of(walk(still=True)), "{:d}")])
+
+
 def with_counter(span: int) -> bytes:
     recording = walk()
     ticks = (np.rint(recording.time_s * 1e6).astype(np.int64) + span - 5_000_000) % span
@@ -338,15 +344,28 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         ["~ Acc, Gyro: 3 gaps between rows, 20 ms in the median: 3 rows may be missing"],
     ),
     "a rate that changes half way": (
-        joined(
-            [
-                HEAD,
-                *lines_of(np.cumsum(np.where(np.arange(ROWS) < 1200, 0.01, 0.02)), counts_of(walk(still=True)), "{:d}"),
-            ]
-        ),
+        changing_rate(0.02, 1200),
         MAP,
         0,
-        ["~ Acc, Gyro: rows are 10 ms apart, but 20 ms in 40 % of the intervals: the rate changed"],
+        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 50 from 12 s on"],
+    ),
+    "a rate that changes early": (
+        changing_rate(0.03, 300),
+        MAP,
+        0,
+        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 33.33 from 3 s on"],
+    ),
+    "a rate that rises": (
+        changing_rate(0.004, 1500),
+        MAP,
+        0,
+        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 250 from 15"],
+    ),
+    "every other row is missing for some time": (
+        edited(lambda rows: [row for at, row in enumerate(rows) if at < 400 or at > 1600 or at % 4]),
+        MAP,
+        0,
+        ["20 ms in 18 % of the intervals: rows are missing regularly"],
     ),
     "values that never change": (
         joined([HEAD, *lines_of(walk().time_s, np.tile([0.0, 0.0, 1.0, 0.3, 0.3, 0.3], (ROWS, 1)))]),
