@@ -372,7 +372,7 @@ class SampleBuffer:
         self.doubtful_rows = np.zeros(count, bool)
         self.doubtful_rows[[row for row in self._doubtful if row < count]] = True
         further = dict(decoded.compensated)
-        if self.route.sensor.estimates_times:
+        if self._uncertainties_ns:
             further[TIME_UNCERTAINTY] = 1e-9 * np.array(self._uncertainties_ns[:count])
         self._count_run(count)
         self._forget(count)

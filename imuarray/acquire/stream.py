@@ -305,4 +305,9 @@ class Streaming:
 def _until(samples: Samples, number: int) -> Samples:
     """Return the samples of frames before `number`."""
     count = int((samples.numbers < number).sum())
-    return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.sent_us[:count], samples.payload[:count])
+    return samples._replace(
+        numbers=samples.numbers[:count],
+        sent_ns=samples.sent_ns[:count],
+        sent_us=samples.sent_us[:count],
+        payload=samples.payload[:count],
+    )

@@ -150,7 +150,7 @@ class QueueRows(Rows):
                 self._failure = str(error.strerror)
                 continue
             for half in self._halves:
-                half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate)
+                half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate, samples.link_ns)
 
     def _visits(self, samples: Samples) -> Iterator[tuple[int, int, int]]:
         """Yield the row in `samples` of each visit that succeeded, and the interval on the microcontroller's counter
@@ -175,9 +175,9 @@ class QueueRows(Rows):
             age_us = int(own[index])
             yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(after[index])
 
-    def _add(self, sent_host_ns: int, sent_ns: int, rate: float) -> None:
+    def _add(self, sent_host_ns: int, sent_ns: int, rate: float, link_ns: float) -> None:
         """Add the waiting samples of this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the
-        host's.
+        host's, which may be off by `link_ns`.
         """
         bursts = self._reader.take()
         if bursts or self._filled_ns is None:
@@ -201,6 +201,8 @@ class QueueRows(Rows):
             bursts,
             [0] if has_gap and not overrun else [],
             overrun=overrun,
-            uncertainties_ns=[_COUNTER_NS + uncertainty_ns for uncertainty_ns in self._reader.uncertainties_ns],
+            uncertainties_ns=[
+                _COUNTER_NS + link_ns + uncertainty_ns for uncertainty_ns in self._reader.uncertainties_ns
+            ],
         )
         self._newest_ns = times_ns[-1]

@@ -41,12 +41,14 @@ BUSY_BYTES = 8192
 class Samples(NamedTuple):
     """The frames of one list that arrived: numbers of the frames (n,), when each was sent (n,) in ns on the host's
     clock and in us of the microcontroller's counter, and what was sent (n, size), the list's number left out.
+    `link_ns` is the largest error of the conversion between the two clocks.
     """
 
     numbers: Integers
     sent_ns: Times
     sent_us: Times
     payload: npt.NDArray[np.uint8]
+    link_ns: float = 0.0
 
 
 class SerialBus:
@@ -216,7 +218,8 @@ class SerialBus:
         for number, where in sorted(rows.items()):
             together = b"".join([data.frames[row].payload for row in where])
             matrix = np.frombuffer(together, np.uint8).reshape(len(where), -1)
-            samples[number] = Samples(data.numbers[where], sent_ns[where], data.sent_us[where], matrix[:, 1:])
+            times = sent_ns[where], data.sent_us[where]
+            samples[number] = Samples(data.numbers[where], *times, matrix[:, 1:], self.fit.uncertainty_ns)
         return samples
 
     def __enter__(self) -> Self:

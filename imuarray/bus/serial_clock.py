@@ -64,6 +64,7 @@ class ClockFit:
         self._line = (0, 0.0)  # a time there, and the time here
         self._slew: tuple[int, float] = (0, 0.0)  # from which time there on how much is made up for
         self._given_ns: int | None = None
+        self._above_ns = 0.0  # how far the earliest arrivals of the blocks are above the line, in the median
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
         """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of ours."""
@@ -90,6 +91,18 @@ class ClockFit:
             (sent + round((arrived_ns - arrived) / self.rate) for sent, arrived in islice(recent, RECENT_BLOCKS)),
             default=None,
         )
+
+    @property
+    def uncertainty_ns(self) -> float:
+        """Largest error of the newest converted times if the quickest deliveries of the window take between nothing and
+        twice `latency_ns`, give or take twice the usual scatter of the quickest of a block.
+
+        The sum of this latency, of that scatter, of the part of an earlier fit that is still made up for, and, while
+        the rate is not known (the first `MIN_SPAN_NS`), of the largest drift over the window.
+        """
+        span_ns = self._sent_ns[-1] - self._sent_ns[0] if self._sent_ns else 0
+        drift_ns = MAX_DRIFT * span_ns if span_ns < MIN_SPAN_NS else 0.0
+        return self.latency_ns + 2 * self._above_ns + abs(self._slew[1]) + drift_ns
 
     def host_ns(self, sent_ns: Times) -> Times:
         """Our time of each of the times (n,) of the microcontroller; ValueError before anything was added."""
@@ -119,6 +132,7 @@ class ClockFit:
         sent = np.array(self._sent_ns, np.int64) - at_ns
         arrived = np.array(self._arrived_ns, np.int64) - base_ns
         self.rate, least = line_under(sent.astype(np.float64), arrived.astype(np.float64))
+        self._above_ns = float(np.median(arrived - self.rate * sent - least))
         self._line, self._fitted_ns = (at_ns, base_ns + least), self._sent_ns[-1]
         self._slew = (0, 0.0)
         if given is not None and before is not None:

@@ -73,7 +73,7 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
 
 def _intervals_s(sensor: SensorLog, start: int, stop: int) -> tuple[float, float]:
     """Return the median of the intervals between rows, and the mean of those that are no gaps, in s."""
-    intervals = np.diff(np.asarray(sensor.time[start:stop], np.int64)) * 1e-9
+    intervals = np.diff(np.asarray(sensor.time[start:stop], np.int64)).astype(float) * 1e-9
     median = float(np.median(intervals))
     return median, float(intervals[intervals <= GAP * median].mean())
 

@@ -65,7 +65,7 @@ def command(**options: Any) -> None:
         print_json(result)
         return
     subject = "The paper's array" if name == PAPERS_ARRAY else f"The array {name}"
-    click.echo(f"{subject}, emulated to the register: recorded, calibrated, fused, diagnosed.")
+    click.echo(f"{subject}, with its chips emulated register by register: recorded, calibrated, fused, diagnosed.")
     for line in result["summary"]:
         click.echo(f"  {line}")
     click.echo(f"  {result['gap']['sentence']}")

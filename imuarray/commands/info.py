@@ -144,7 +144,8 @@ def _print(summary: dict[str, Any]) -> None:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else "no range"
         times = ""
         if (uncertainty := sensor["time_uncertainty_s"]) is not None:
-            times = f"times to {1e6 * uncertainty['median']:.0f} us ({1e6 * uncertainty['max']:.0f} at most)  "
+            median_us, most_us = 1e6 * uncertainty["median"], 1e6 * uncertainty["max"]
+            times = f"times known within {median_us:.0f} us (at worst {most_us:.0f} us)  "
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
         _say(
             f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"

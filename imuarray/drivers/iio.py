@@ -30,7 +30,7 @@ from imuarray.drivers.driver import Bytes, DecodedBursts, Registers, SelfTest, c
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.errors import SensorError
 from imuarray.facts.registers import Setting
-from imuarray.log.format import COUNT_BITS, SATURATED, SensorHeader, ThermometerScale
+from imuarray.log.format import COUNT_BITS, SATURATED, TIME_UNCERTAINTY, SensorHeader, ThermometerScale
 from imuarray.printable import printable
 from imuarray.units import SI_PER_UNIT
 
@@ -99,8 +99,9 @@ class Conversion(NamedTuple):
 
 
 class IioQueue:
-    """Samples of one sensor that wait until it is visited. `drained` and `gaps` tell of what `take` gave last: times,
-    and before which of them samples are missing, which the kernel's buffer does not tell.
+    """Samples of one sensor that wait until it is visited. `drained`, `gaps` and `uncertainties_ns` tell of what `take`
+    gave last: times, before which of them samples are missing, which the kernel's buffer does not tell, and the largest
+    error of each time where it is known: of times by count, not of those of the kernel, which states none.
     """
 
     def __init__(self, period_ns: float) -> None:
@@ -108,29 +109,31 @@ class IioQueue:
         self.gaps: list[int] = []
         self._longest_ns = GAP_PERIODS * period_ns
         self._rows = bytearray()
+        self.uncertainties_ns: list[float] = []
         self._times_ns: list[int] = []
+        self._uncertainties_ns: list[float] = []
         self._newest_ns: int | None = None
 
-    @property
-    def uncertainties_ns(self) -> Sequence[float]:
-        """See `QueueTimes`: the kernel does not tell."""
-        return ()
+    def _forget(self) -> None:
+        self._rows, self._times_ns, self._uncertainties_ns = bytearray(), [], []
 
     def restart(self) -> None:
         """The device was set up again: forget everything."""
-        self._rows, self._times_ns, self._newest_ns = bytearray(), [], None
+        self._forget()
+        self._newest_ns = None
 
-    def put(self, rows: bytes, times_ns: Sequence[int]) -> None:
+    def put(self, rows: bytes, times_ns: Sequence[int], uncertainties_ns: Sequence[float] = ()) -> None:
         """Let these rows wait, one for each time; if nobody takes them, they are dropped."""
         if len(self._times_ns) > LONGEST_BUFFER:
-            self._rows, self._times_ns = bytearray(), []
+            self._forget()
         self._rows += rows
         self._times_ns += times_ns
+        self._uncertainties_ns += uncertainties_ns
 
     def take(self) -> bytes:
         """Return all rows that wait, and let none wait any more."""
-        self.drained, taken = self._times_ns, bytes(self._rows)
-        self._rows, self._times_ns = bytearray(), []
+        self.drained, self.uncertainties_ns, taken = self._times_ns, self._uncertainties_ns, bytes(self._rows)
+        self._forget()
         before = [] if self._newest_ns is None else [self._newest_ns]
         steps = enumerate(pairwise([*before, *self.drained]), 1 - len(before))
         self.gaps = [row for row, (earlier, later) in steps if later - earlier > self._longest_ns]
@@ -365,6 +368,7 @@ class IioSensor:
             sensitivity=self.unit_si / conversion.scale,
             axes=self.axes,
             has_temperature=thermometer is not None,
+            compensated=(TIME_UNCERTAINTY,) if self.sensor.fifo and self._capture.counts_out_times else (),
             extra={**header.extra, **extra},
         )
 
@@ -399,6 +403,11 @@ class IioCapture:
     def join(self, sensor: IioSensor) -> None:
         """Make `sensor` one of those that the device serves."""
         self._members.append(sensor)
+
+    @property
+    def counts_out_times(self) -> bool:
+        """True if the buffer has no times: those of its samples then follow from their counts."""
+        return self._clock is not None
 
     def set_up(self, sensor: IioSensor) -> None:
         """Set the device up for all its sensors, unless that was done for another of them just now. OSError,
@@ -500,12 +509,14 @@ class IioCapture:
         columns = layout.unpack(scans)
         count = len(scans) // layout.size
         if self._clock is None:
-            times = columns[TIMESTAMP].tolist()
+            times: list[int] = columns[TIMESTAMP].tolist()
+            uncertainties: Sequence[float] = ()
         else:
             times = self._clock.times(count, from_ns, until_ns=self.clock.now_ns())
+            uncertainties = self._clock.uncertainties_ns
         for member in self._members:
             if isinstance(member, BufferedIioSensor):
-                member.queue.put(_rows(columns, member), times)
+                member.queue.put(_rows(columns, member), times, uncertainties)
 
 
 def _reach(elements: Sequence[ScanElement], offset: int) -> int:

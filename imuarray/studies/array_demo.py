@@ -90,7 +90,7 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
     parts = [
         errors_section(errors),
         heating_section(logs["heating"], calibration),
-        recorded_section(logs, f"The array {array.name}, emulated to the register: {chips_text(array)}."),
+        recorded_section(logs, f"The array {array.name}, emulated register by register: {chips_text(array)}."),
         calibration_section(tumble),
         noise_section(noise),
         gap_section(diagnosis),

@@ -151,8 +151,8 @@ def gap_section(diagnosis: Diagnosis) -> Section:
 
 
 ABOUT_PAPERS_ARRAY = (
-    "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine inertial sensors with"
-    " the biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10."
+    "Twelve sensors of the paper's array behind one multiplexer, emulated register by register: nine inertial sensors"
+    " with the biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10."
 )
 
 

@@ -113,6 +113,7 @@ def test_a_buffer_is_logged_count_by_count_at_the_kernels_times(machine: KernelM
         assert rows.range == pytest.approx(32768 * 0.000598205 / 9.80665)
         assert (rows.chip, rows.unit, rows.rate_hz) == ("kx023", "g", 50)
         assert rows.attributes["iio_name"] == "kx023"
+        assert rows.time_uncertainty is None  # the kernel states none of its own times
         assert rows.attributes["iio_place"] == "1-001e"
         assert rows.attributes["time_source"] == "CLOCK_MONOTONIC of the kernel's driver"
         assert rows.temperature_counts is None
@@ -273,6 +274,9 @@ def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -
         late_ns = rows.time[100:] + START_NS - np.array([time_of(k) for k in number.tolist()])[100:]
         assert np.abs(late_ns).max() < PERIOD_NS
         assert rows.attributes["time_source"].startswith("counts")
+        assert rows.time_uncertainty is not None
+        true_ns = np.array([time_of(k) for k in number.tolist()])
+        assert (np.abs(rows.time[:] + START_NS - true_ns) <= 1e9 * rows.time_uncertainty[:]).all()
 
 
 def test_a_device_that_was_removed_and_is_there_again_goes_on(machine: KernelMachine) -> None:

@@ -105,6 +105,22 @@ def test_warming_up_is_followed() -> None:
     assert np.abs(error_ns[10:]).max() < 150_000
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("drift", [5e-3, -40e-6])
+def test_what_is_stated_of_the_error_is_at_least_the_error(drift: float, seed: int) -> None:
+    """The quickest delivery takes 50 us, of which between nothing and twice as much is taken off."""
+    true, counter, arrived = deliveries(20, 50, drift, seed, late=0.01)
+    for latency_ns in (30_000, 50_000, 90_000):
+        fit = ClockFit(latency_ns)
+        for start in range(0, len(counter), 5):
+            piece = slice(start, start + 5)
+            for sent_ns, arrived_ns in zip(counter[piece].tolist(), arrived[piece].tolist(), strict=True):
+                fit.add(sent_ns, arrived_ns)
+            error_ns = np.abs(fit.host_ns(counter[piece]) - true[piece]).max()
+            assert error_ns <= fit.uncertainty_ns or start < 50, start
+        assert fit.uncertainty_ns < latency_ns + 100_000
+
+
 def test_nothing_to_fit() -> None:
     with pytest.raises(ValueError, match="without data"):
         ClockFit().host_ns(np.array([1]))

@@ -51,8 +51,8 @@ def test_it_is_a_column_in_seconds(queue: Path) -> None:
 def test_info_says_how_well_times_are_known(queue: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(queue)]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if " rows " in line}
-    assert "times to 21 us (500 at most)" in lines["Q"]
-    assert "times to" not in lines["P"]
+    assert "times known within 21 us (at worst 500 us)" in lines["Q"]
+    assert "times known" not in lines["P"]
     assert main(["info", str(queue), "--json"]) == 0
     polled, drained = json.loads(capsys.readouterr().out)["sensors"]
     assert polled["time_uncertainty_s"] is None
