@@ -42,6 +42,17 @@ async def background(page: Browser) -> float:
     return float(np.median(np.asarray(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("L"))))
 
 
+def test_what_is_folded_on_the_screen_is_open_on_paper(tmp_path: Path) -> None:
+    async def visit(address: str) -> None:
+        async with browser(tmp_path / "profile", address) as page:
+            shown = "document.querySelector('details table').checkVisibility()"
+            assert not await page.value(shown)
+            await page.call("Emulation.setEmulatedMedia", media="print")
+            assert await page.value(shown)
+
+    asyncio.run(visit(written(tmp_path / "page.html")))
+
+
 def test_a_page_on_four_screens(tmp_path: Path) -> None:
     pytest.importorskip("PIL")
 
