@@ -163,8 +163,9 @@ class Draft:
         if group.path in STIMULI:
             self._known |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
         self._end_ns = max(self._end_ns, int(rows["time"][count - 1]) + 1)
+        stored = self.file[group.path]
         for name, values in rows.items():
-            dataset = self.file[group.path][name]
+            dataset = stored[name]
             dataset.resize(self._rows[number] + count, axis=0)
             dataset[self._rows[number] :] = values[:count]
         self._rows[number] += count

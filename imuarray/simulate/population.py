@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import Field
 from functools import cache
+from statistics import NormalDist
 from typing import Annotated, Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -54,11 +55,20 @@ class Spread(BaseModel):
         """The value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
         if self.reach == 0:
             return self.mean
-        from scipy.special import ndtr, ndtri  # their weight is for those who ask
+        beyond, below = _probability(-self.reach / self.sigma), _probability(deviate)
+        if below in (0.0, 1.0):
+            return self.mean + math.copysign(self.reach, deviate)
+        away = self.sigma * _NORMAL.inv_cdf(beyond + below * (1 - 2 * beyond))
+        return self.mean + min(max(away, -self.reach), self.reach)
 
-        beyond = ndtr(-self.reach / self.sigma)
-        away = self.sigma * ndtri(beyond + ndtr(deviate) * (1 - 2 * beyond))
-        return self.mean + min(max(float(away), -self.reach), self.reach)
+
+_NORMAL = NormalDist()
+"""The standard normal distribution, of the standard library: importing `scipy.special` takes a tenth of a second."""
+
+
+def _probability(deviate: float) -> float:
+    """Return the probability that a standard normal value is below `deviate`, to the last digits of small ones too."""
+    return 0.5 * math.erfc(-deviate / math.sqrt(2))
 
 
 Figure: TypeAlias = "float | str | Spread | tuple[float | str | Spread, ...]"

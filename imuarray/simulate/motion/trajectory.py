@@ -24,8 +24,6 @@ import numpy as np
 
 from imuarray.arrays import Floats, Integers, Reals
 from imuarray.errors import SourceError
-from imuarray.importers.cells import CellColumn, TextTable, nanoseconds
-from imuarray.importers.mapping import FileTable
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
 from imuarray.simulate.motion.felt import Felt
@@ -34,6 +32,8 @@ from imuarray.units import SI_PER_UNIT
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, RotationSpline
+
+    from imuarray.importers.cells import CellColumn
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +177,8 @@ class _Cells(NamedTuple):
     text: dict[str, tuple[str, ...]]
 
     def column(self, name: str) -> CellColumn:
+        from imuarray.importers.cells import CellColumn  # importers are loaded where a file is read
+
         return CellColumn(self.source, name, self.lines, self.text[name])
 
     def numbers(self, *names: str) -> Floats:
@@ -186,6 +188,8 @@ class _Cells(NamedTuple):
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
     """The motion that the file describes; SourceError, one line, names the line and column that can't be read."""
+    from imuarray.importers.cells import nanoseconds  # importers are loaded where a file is read
+
     cells = _read(Path(path))
     layout = _layout(cells)
     time_ns = nanoseconds(cells.column(TIME), 1_000_000_000, None)
@@ -199,6 +203,9 @@ def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
 
 def _read(path: Path) -> _Cells:
     """The whole file; SourceError unless it is a table of two rows or more."""
+    from imuarray.importers.cells import TextTable  # importers are loaded where a file is read
+    from imuarray.importers.mapping import FileTable
+
     try:
         file = path.open("rb")
     except OSError as error:
