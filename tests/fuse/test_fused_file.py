@@ -99,6 +99,17 @@ def test_what_is_no_column_is_told_in_a_line(tmp_path: Path, kind: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_triads_are_not_compressed_but_checked(tmp_path: Path) -> None:
+    with h5py.File(written(tmp_path / "fused.h5")) as file:
+        columns = {name: file["fused"][name] for name in ("time", "specific_force", "specific_force_covariance")}
+        assert {name: column.compression for name, column in columns.items()} == {
+            "time": "gzip",
+            "specific_force": None,
+            "specific_force_covariance": "gzip",
+        }
+        assert all(column.fletcher32 for column in columns.values())
+
+
 @pytest.mark.parametrize("value", [5, [5, 6], "AB", np.zeros((2, 2)), h5py.Empty("S3")], ids=str)
 def test_names_that_are_none_are_left_out(tmp_path: Path, value: Any) -> None:
     path = written(tmp_path / "f.h5")
