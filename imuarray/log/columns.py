@@ -4,7 +4,10 @@ messages (`NamedColumn`), and the tracks `/truth`, `/reference` and `/clocks`.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from threading import Lock
 from typing import Any, NamedTuple, cast
 
 import h5py
@@ -18,13 +21,60 @@ UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 """The exceptions of HDF5 on stored rows that it can't read; ValueError, TypeError and IndexError mean a bad slice."""
 
 
+CACHED_BYTES = 1 << 26
+"""Bytes of the rows of a log that stay in memory: an hour of nine triads at 100 Hz has 57 MB."""
+
+_BLOCK_ROWS = 1 << 16
+"""Rows of a column that are read and kept together: sixteen chunks."""
+
+_FEW_ROWS = 1 << 10
+"""Fewer rows are read by themselves: a block takes longer than they do."""
+
+
+class RowCache:
+    """The blocks of rows that were used last, of all columns of a log.
+
+    Most analyses read a log several times, and reading means decompressing: reading an hour of nine triads takes a
+    fifth as long as fusing it by the mean does.
+    """
+
+    def __init__(self, limit_bytes: int | None = None) -> None:
+        """`limit_bytes` may be kept, by default `CACHED_BYTES`."""
+        self._limit_bytes, self._bytes = CACHED_BYTES if limit_bytes is None else limit_bytes, 0
+        self._blocks: OrderedDict[tuple[str, int], npt.NDArray[Any]] = OrderedDict()
+        self._lock = Lock()
+
+    def rows(self, column: h5py.Dataset, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Return a copy of rows `start` to `stop` of a column of this name, `start` < `stop`; the errors of HDF5."""
+        first = range(start - start % _BLOCK_ROWS, stop, _BLOCK_ROWS)
+        parts = [self._block(column, name, at)[max(start - at, 0) : stop - at] for at in first]
+        return parts[0].copy() if len(parts) == 1 else np.concatenate(parts)
+
+    def _block(self, column: h5py.Dataset, name: str, first: int) -> npt.NDArray[Any]:
+        """The block that begins at row `first`."""
+        key = name, first
+        with self._lock:
+            if key in self._blocks:
+                self._blocks.move_to_end(key)
+                return self._blocks[key]
+        block = np.asarray(column[first : first + _BLOCK_ROWS])
+        with self._lock:
+            if key not in self._blocks:
+                self._blocks[key] = block
+                self._bytes += block.nbytes
+            while self._bytes > self._limit_bytes:
+                self._bytes -= self._blocks.popitem(last=False)[1].nbytes
+        return block
+
+
 class NamedColumn:
     """An HDF5 dataset (or a `Column`) that names its place in errors: reading damaged rows raises LogError."""
 
-    __slots__ = ("_column", "_where")
+    __slots__ = ("_cache", "_column", "_where")
 
-    def __init__(self, column: h5py.Dataset | Column, where: str) -> None:
-        self._column, self._where = column, where
+    def __init__(self, column: h5py.Dataset | Column, where: str, cache: RowCache | None = None) -> None:
+        """`cache` keeps rows that are read; only for a dataset that does not change."""
+        self._column, self._where, self._cache = column, where, cache
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -48,6 +98,11 @@ class NamedColumn:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
+        if self._cache is not None and isinstance(key, slice) and key.step in (None, 1):
+            start, stop, _ = key.indices(len(self))
+            if stop - start >= _FEW_ROWS:
+                with suppress(*UNREADABLE):  # where rows nearby are damaged, those asked for may be intact
+                    return self._cache.rows(self._column, self._where, start, stop)
         try:
             return self._column[key]
         except UNREADABLE:
@@ -168,9 +223,9 @@ class ClockTrack(NamedTuple):
     realtime: NamedColumn
 
 
-def track_of(group: Any, where: str) -> Track:
-    """Return the track that a group of the file contains; LogError, which names the place `where`, if it contains
-    none.
+def track_of(group: Any, where: str, cache: RowCache | None = None) -> Track:
+    """Return the track that a group of the file contains, whose rows `cache` keeps; LogError, which names the place
+    `where`, if it contains none.
     """
     if not isinstance(group, GROUP) or "time" not in group:
         raise LogError(f"{where} has no time")
@@ -178,7 +233,7 @@ def track_of(group: Any, where: str) -> Track:
     for column, tail in zip(columns, ((), (3,), (3,), ()), strict=True):
         if column is not None and column.shape != (*group["time"].shape, *tail):
             raise LogError(f"{where}: a column has another shape than time")
-    return Track(*_named(columns, where))
+    return Track(*_named(columns, where, cache))
 
 
 def clocks_of(group: Any, where: str) -> ClockTrack:
@@ -193,9 +248,14 @@ def clocks_of(group: Any, where: str) -> ClockTrack:
     return ClockTrack(*_named(columns, where))
 
 
-def _named(columns: Sequence[Any], where: str) -> Iterator[Any]:
+def _named(columns: Sequence[Any], where: str, cache: RowCache | None = None) -> Iterator[Any]:
     """Return the columns that exist, and None for the others."""
     return (
-        None if column is None else NamedColumn(column, f"{where}: {column.name.rsplit('/', 1)[-1]}")
+        None if column is None else named_column(column, f"{where}: {column.name.rsplit('/', 1)[-1]}", cache)
         for column in columns
     )
+
+
+def named_column(column: h5py.Dataset | Column, where: str, cache: RowCache | None) -> NamedColumn:
+    """Return a column whose rows `cache` keeps if they can't change: those of a growing log are not kept."""
+    return NamedColumn(column, where, cache if isinstance(column, h5py.Dataset) else None)

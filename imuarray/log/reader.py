@@ -19,7 +19,7 @@ from weakref import WeakValueDictionary
 import h5py
 
 from imuarray.errors import LogError, LogWarning
-from imuarray.log.columns import ClockTrack, Track, clocks_of, track_of
+from imuarray.log.columns import ClockTrack, RowCache, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
@@ -56,13 +56,15 @@ class Log:
             if str(error).startswith(str(path)):
                 raise
             raise LogError(f"{path}: {error}") from None
+        self._cache = RowCache()
         try:
             self._check()
             names = [name for name in self._file["sensors"] if not self._is_damaged(f"/sensors/{name}")]
             if not names:
                 raise LogError(f"{path}: every sensor in it is damaged")
             self.sensors: Mapping[str, SensorLog] = {
-                name: SensorLog(self._file["sensors"][name], f"{path}, sensor {name}", self, _shared) for name in names
+                name: SensorLog(self._file["sensors"][name], f"{path}, sensor {name}", self, _shared, self._cache)
+                for name in names
             }
             is_plain = isinstance(self._file, h5py.File) and not self._damaged
             self._changed = changed_parts(self._file) if is_plain else []
@@ -225,7 +227,7 @@ class Log:
 
     def _track(self, name: str) -> Track | None:
         group = self._group(name)
-        return None if group is None else track_of(group, f"{self.path}: group {name}")
+        return None if group is None else track_of(group, f"{self.path}: group {name}", self._cache)
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
         """An `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where the

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.columns import DATASET, LiveGroup, NamedColumn
+from imuarray.log.columns import DATASET, LiveGroup, NamedColumn, RowCache, named_column
 from imuarray.log.format import (
     ADJUSTMENT_ATTRIBUTES,
     COUNT_BITS,
@@ -55,12 +55,17 @@ class SensorLog(CountScale):
     """
 
     def __init__(
-        self, group: h5py.Group | LiveGroup, where: str, log: OpenLog, opened: Callable[[Path], OpenLog]
+        self,
+        group: h5py.Group | LiveGroup,
+        where: str,
+        log: OpenLog,
+        opened: Callable[[Path], OpenLog],
+        cache: RowCache | None = None,
     ) -> None:
         """Check the group; LogError. `where` is its name in errors; `opened` opens the log at a path in a process to
-        which the sensor is sent.
+        which the sensor is sent; `cache` keeps rows of a file that does not change.
         """
-        self._group = group
+        self._group, self._cache = group, cache
         self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
         self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
@@ -139,7 +144,7 @@ class SensorLog(CountScale):
                 continue
             if not isinstance(dataset, DATASET) or dataset.dtype.kind not in kind:
                 raise LogError(f"{self.where}: column {name} is not a column of whole numbers")
-            self._columns[name] = NamedColumn(dataset, f"{self.where}: {name}")
+            self._columns[name] = named_column(dataset, f"{self.where}: {name}", self._cache)
             if dataset.shape[:1] != self.time.shape[:1]:
                 raise LogError(f"{self.where}: column {name} has another length than time")
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
@@ -204,7 +209,7 @@ class SensorLog(CountScale):
         rows.
         """
         if name not in self._columns:
-            self._columns[name] = NamedColumn(self._group[name], f"{self.where}: {name}")
+            self._columns[name] = named_column(self._group[name], f"{self.where}: {name}", self._cache)
         return self._columns[name]
 
     def has_compensated(self, name: str) -> bool:

@@ -1,0 +1,87 @@
+"""Rows that stay in memory after they were read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.errors import LogError
+from imuarray.log.columns import NamedColumn, RowCache
+
+ROWS = 250_000
+
+
+class Counted:
+    """A column that counts the rows that are read of it."""
+
+    def __init__(self, values: Any) -> None:
+        self.values, self.shape, self.dtype, self.rows_read = values, values.shape, values.dtype, 0
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __getitem__(self, key: Any) -> Any:
+        self.rows_read += len(self.values[key])
+        return self.values[key].copy()
+
+
+def test_any_slice_is_that_of_the_column() -> None:
+    values = np.random.default_rng(1).integers(-32768, 32767, (ROWS, 3), dtype=np.int16)
+    column = NamedColumn(Counted(values), "counts", RowCache())  # type: ignore[arg-type]
+    ends = np.random.default_rng(2).integers(-ROWS, 2 * ROWS, (200, 2))
+    for start, stop in [*ends.tolist(), (0, ROWS), (65_536, 131_072), (65_535, 131_073), (5, 5), (9, 3)]:
+        np.testing.assert_array_equal(column[start:stop], values[start:stop])
+    np.testing.assert_array_equal(column[10:ROWS:7], values[10:ROWS:7])
+    np.testing.assert_array_equal(column[:], values)
+
+
+def test_rows_are_read_once_while_there_is_room() -> None:
+    counted = Counted(np.arange(ROWS))
+    column = NamedColumn(counted, "time", RowCache(limit_bytes=8 * ROWS))  # type: ignore[arg-type]
+    for _ in range(3):
+        for start in range(0, ROWS, 16_384):
+            column[start : start + 16_384]
+    assert counted.rows_read == ROWS
+
+
+def test_what_was_used_last_stays() -> None:
+    counted = Counted(np.arange(ROWS))
+    column = NamedColumn(counted, "time", RowCache(limit_bytes=2 * 8 * 65_536))  # type: ignore[arg-type]
+    for start in (0, 65_536, 0, 131_072, 0):  # the third block takes the place of the second
+        column[start : start + 65_536]
+    assert counted.rows_read == 3 * 65_536
+    column[65_536:131_072]
+    assert counted.rows_read == 4 * 65_536
+
+
+def test_a_caller_may_change_what_it_got() -> None:
+    column = NamedColumn(Counted(np.arange(ROWS)), "time", RowCache())  # type: ignore[arg-type]
+    column[0:5000][:] = -1
+    assert column[0:5000].tolist() == list(range(5000))
+
+
+def test_few_rows_are_read_by_themselves() -> None:
+    counted = Counted(np.arange(ROWS))
+    column = NamedColumn(counted, "time", RowCache())  # type: ignore[arg-type]
+    assert column[-1:].tolist() == [ROWS - 1] and column[7:71].tolist() == list(range(7, 71))
+    assert counted.rows_read == 65
+
+
+def test_rows_beside_damaged_ones_can_be_read(tmp_path: Path) -> None:
+    values, chunk = np.arange(20_000), 4096
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file.create_dataset("time", data=values, chunks=(chunk,), fletcher32=True)
+        place = file["time"].id.get_chunk_info(2).byte_offset
+    with (tmp_path / "log.h5").open("r+b") as raw:
+        raw.seek(place + 100)
+        raw.write(b"\xff" * 8)
+    with h5py.File(tmp_path / "log.h5", "r") as file:
+        column = NamedColumn(file["time"], "time", RowCache())
+        np.testing.assert_array_equal(column[: 2 * chunk], values[: 2 * chunk])
+        np.testing.assert_array_equal(column[3 * chunk :], values[3 * chunk :])
+        with pytest.raises(LogError, match=r"time: rows 0 to 19999 are damaged"):
+            column[:]
