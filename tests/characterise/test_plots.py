@@ -20,6 +20,9 @@ from tests.selection import some
 
 pytest.importorskip("matplotlib")
 
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
 RATE_HZ, ROWS, PER_COUNT = 100.0, 20_000, 1 / 5460
 LEVEL = 1e-3
 
@@ -292,3 +295,21 @@ def test_files_are_named_and_written(result: dict[str, Any], tmp_path: Path) -> 
     assert list(FIGURES) == ["allan.png", "spectrum.png", "autocorrelation.png", "histogram.png"]
     FIGURES["autocorrelation.png"](_of(result, "white")).savefig(tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_labels_lie_inside_the_figure_and_panels_apart(result: dict[str, Any], name: str) -> None:
+    figure = FIGURES[name](result)
+    figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    panels = [panel.get_tightbbox() for panel in figure.get_axes() if panel.axison]
+    texts = [text.get_window_extent() for text in figure.findobj(Text) if text.get_text() in _figure_texts(figure)]
+    for box in [*panels, *texts]:
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+    for place, box in enumerate(panels):
+        for other in [*panels[place + 1 :], *texts]:
+            assert not (box.x0 < other.x1 and other.x0 < box.x1 and box.y0 < other.y1 and other.y0 < box.y1)
+
+
+def _figure_texts(figure: Figure) -> tuple[str, str]:
+    return figure.get_suptitle(), figure.get_supxlabel()

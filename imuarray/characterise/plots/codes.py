@@ -11,7 +11,9 @@ from imuarray.arrays import Floats
 from imuarray.characterise.plots.frame import (
     COLOURS,
     FALSE_ALARM,
+    Margins,
     Table,
+    arrange,
     count_axes,
     floats,
     how_to_read,
@@ -45,6 +47,9 @@ _READING = (
 )
 
 
+_BARS = Margins(0.16, 0.16, 0.22, 0.24)
+
+
 def histogram_figure(result: Table) -> Figure:
     """Bars of codes, a row of panels per sensor and a column per axis, with what is wrong with them in orange.
 
@@ -66,8 +71,9 @@ def histogram_figure(result: Table) -> Figure:
             panel.set_axis_off()
         for axis, panel in zip(sensor["axes"], panels, strict=False):
             _draw(panel, axis, level)
-            panel.set_title(plain(f"{label(sensor)}, {axis['axis']}"), loc="left", fontsize=8)
+            panel.set_title(plain(f"{label(sensor)}, {axis['axis']}"), loc="left", y=1.0, fontsize=8)
     how_to_read(figure, _READING)
+    arrange(figure, grid, _BARS)
     return figure
 
 

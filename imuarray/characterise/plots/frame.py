@@ -8,6 +8,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.errors import MissingExtraError
@@ -119,16 +120,16 @@ def panel_figure(
     if not drawn:
         figure.text(0.5, 0.4, captions.otherwise, ha="center")
         return figure
-    panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
-    for panel, kind in zip(panels, drawn, strict=True):
+    panels = figure.subplots(len(drawn), 1, squeeze=False)
+    for panel, kind in zip(panels[:, 0], drawn, strict=True):
         draw(panel, kind)
-        panel.set_title(plain(kind.title), loc="left", fontsize=10, fontweight="bold")
+        panel.set_title(plain(kind.title), loc="left", y=1.0, fontsize=10, fontweight="bold")
         panel.grid(which="major", color="0.88", linewidth=0.8)
         panel.grid(which="minor", color="0.95", linewidth=0.5)
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
-    figure.align_ylabels(panels)
     how_to_read(figure, captions.reading)
+    arrange(figure, panels, _CURVES)
     return figure
 
 
@@ -139,7 +140,7 @@ def new_figure(result: Table, title: str) -> Figure:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtraError("matplotlib", "report") from None
-    figure = Figure(layout="constrained", dpi=120)
+    figure = Figure(dpi=120)
     FigureCanvasAgg(figure)
     stretch = result["stretch"]
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
@@ -148,6 +149,45 @@ def new_figure(result: Table, title: str) -> Figure:
     length_s = stretch["end_s"] - stretch["start_s"]
     figure.suptitle(plain(f"{title} of {name}{emulated}: {which}, {length_s:.4g} s"), fontsize=11)
     return figure
+
+
+class Margins(NamedTuple):
+    """Inches beside each panel for its labels: on the left and the right, above and below."""
+
+    left: float
+    right: float
+    above: float
+    below: float
+
+
+_CURVES = Margins(0.95, 0.12, 0.26, 0.52)
+_TITLE_IN = 0.4
+_FOOT_LINE_IN = 0.15
+_EDGE_IN = 0.12
+_LABEL_IN = (0.72, 0.36)
+"""From a panel to the names of its vertical and horizontal axes: past the longest tick labels."""
+
+
+def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -> None:
+    """Place a grid of panels and their labels by the `margins`, all panels of one size, legends on the right.
+
+    Matplotlib's layouts measure every text of every panel several times, which takes as long as drawing them.
+    """
+    width, height = figure.get_size_inches()
+    rows, columns = panels.shape
+    legends = [panel.get_legend() for panel in panels[:, -1]]
+    texts = [drawn.get_window_extent().width / figure.dpi for drawn in legends if drawn is not None]
+    beside = max(texts, default=0.0) + (0.1 if texts else 0.0)
+    figure.suptitle(figure.get_suptitle(), y=1 - _EDGE_IN / height, fontsize=11)
+    foot = _EDGE_IN + _FOOT_LINE_IN * len(figure.get_supxlabel().splitlines())
+    each_width = (width - beside) / columns - margins.left - margins.right
+    each_height = (height - _TITLE_IN - foot) / rows - margins.above - margins.below
+    for (row, column), panel in np.ndenumerate(panels):
+        left = margins.left + column * (margins.left + each_width + margins.right)
+        top = _TITLE_IN + margins.above + row * (margins.above + each_height + margins.below)
+        panel.set_position((left / width, 1 - (top + each_height) / height, each_width / width, each_height / height))
+        panel.yaxis.set_label_coords(-_LABEL_IN[0] / each_width, 0.5)
+        panel.xaxis.set_label_coords(0.5, -_LABEL_IN[1] / each_height)
 
 
 def set_height(figure: Figure, height: float, rows: int) -> None:
