@@ -11,6 +11,7 @@ numpy assembles the rows together.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -53,10 +54,18 @@ _STAND_IN = re.compile(rf"(?<=:){_SECONDS}(?=,)|(?<=:){_NANOSECONDS}(?=}})|7\.(\
 
 
 class _Rows(NamedTuple):
-    """Messages of one channel in the order of their times: when (n,) ns, and each with its head."""
+    """Messages of one channel in the order of their times: when (n,) ns, how many bytes (n,), and each with its
+    head.
+    """
 
     time_ns: Times
+    lengths: Times
     messages: list[bytes]
+
+
+def _sized(time_ns: Times, messages: list[bytes]) -> _Rows:
+    """Return messages with their lengths."""
+    return _Rows(time_ns, np.fromiter(map(len, messages), np.int64, len(messages)), messages)
 
 
 class _Stream:
@@ -64,7 +73,7 @@ class _Stream:
 
     def __init__(self, channel: int, blocks: Iterator[_Rows]) -> None:
         self.channel, self._blocks = channel, blocks
-        self.waiting = _Rows(np.zeros(0, np.int64), [])
+        self.waiting = _Rows(np.zeros(0, np.int64), np.zeros(0, np.int64), [])
         self._last = False
 
     @property
@@ -80,14 +89,15 @@ class _Stream:
                 self._last = True
                 continue
             time_ns = np.concatenate([self.waiting.time_ns, block.time_ns])
-            self.waiting = _Rows(time_ns, self.waiting.messages + block.messages)
+            lengths = np.concatenate([self.waiting.lengths, block.lengths])
+            self.waiting = _Rows(time_ns, lengths, self.waiting.messages + block.messages)
 
     def take(self, until_ns: int) -> _Rows:
         """Yield the messages that wait, up to a time."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
-        time_ns, messages = self.waiting
-        self.waiting = _Rows(time_ns[count:], messages[count:])
-        return _Rows(time_ns[:count], messages[:count])
+        time_ns, lengths, messages = self.waiting
+        self.waiting = _Rows(time_ns[count:], lengths[count:], messages[count:])
+        return _Rows(time_ns[:count], lengths[:count], messages[:count])
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -132,9 +142,9 @@ def _merge(container: Container, streams: Sequence[_Stream], source: str) -> Non
         time_ns, channels = time_ns[order], channels[order]
         if time_ns[0] < 0:
             raise ExportError(f"{source}: a row of {time_ns[0]} ns since 1970; MCAP has no such times")
-        messages = [message for part in parts for message in part.messages]
+        messages = list(itertools.chain.from_iterable(part.messages for part in parts))
         messages = [messages[index] for index in order.tolist()]
-        ends = np.cumsum(np.fromiter(map(len, messages), np.int64, len(messages)))
+        ends = np.cumsum(np.concatenate([part.lengths for part in parts])[order])
         first = 0
         while first < len(messages):
             begin = int(ends[first - 1]) if first else 0
@@ -207,7 +217,7 @@ def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[
             time_ns, texts = time_ns[order], texts[order]
         sequence = np.arange(first, first + len(time_ns)) & 0xFFFF_FFFF
         first += len(time_ns)
-        yield _Rows(time_ns, _with_heads(texts, channel, sequence, time_ns))
+        yield _sized(time_ns, _with_heads(texts, channel, sequence, time_ns))
 
 
 def _frame(content: Content) -> str:
@@ -252,7 +262,7 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
         if (np.diff(time_ns) < 0).any():  # whoever wrote that, its messages are in order
             order = np.argsort(time_ns, kind="stable")
             time_ns, made = time_ns[order], [made[index] for index in order.tolist()]
-        yield _Rows(time_ns, made)
+        yield _sized(time_ns, made)
         meter.add(rows.stop - rows.start, len(table.columns))
 
 
@@ -281,25 +291,35 @@ def _form(
 def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.NDArray[Any]]) -> Texts:
     """(n, l) messages by their form, at times (n,), from columns (n, cells)."""
     cells = [cell for column in columns for cell in column.T]
-    parts: list[Texts] = []
     made: dict[int, Texts] = {}
     for part in form:
-        if isinstance(part, bytes):
-            parts.append(np.broadcast_to(np.frombuffer(part, np.uint8), (len(time_ns), len(part))))
-            continue
-        if part not in made:
+        if not isinstance(part, bytes) and part not in made:
             made[part] = (
                 _digits(time_ns // 10**9 if part == -2 else time_ns % 10**9) if part < 0 else _texts(cells[part])
             )
-        parts.append(made[part])
-    return np.concatenate(parts, axis=1)
+    line = b"".join(part if isinstance(part, bytes) else made[part][0].tobytes() for part in form)
+    messages = np.empty((len(time_ns), len(line)), np.uint8)
+    messages[:] = np.frombuffer(line, np.uint8)  # a copy of the first message, and over it what differs
+    at = 0
+    for part in form:
+        width = len(part) if isinstance(part, bytes) else made[part].shape[1]
+        if not isinstance(part, bytes) and made[part].strides[0]:
+            messages[:, at : at + width] = made[part]
+        at += width
+    return messages
 
 
 def _digits(values: Times) -> Texts:
     """(n, w) integers from 0 as text, with spaces before them."""
-    width, table = len(str(int(values.max(initial=0)))), _four_digits()
-    groups = [table[values // 10 ** (4 * group) % 10**4] for group in range(-(-width // 4) - 1, -1, -1)]
-    texts = np.concatenate(groups, axis=1)[:, -width:]
+    most = int(values.max(initial=0))
+    width, table = len(str(most)), _four_digits()
+    words = np.empty((len(values), -(-width // 4)), np.uint32)
+    rest = values.astype(np.uint32) if most < 1 << 32 else values
+    for group in range(words.shape[1] - 1, -1, -1):
+        above = rest // 10**4
+        words[:, group] = table[rest - above * 10**4]
+        rest = above
+    texts = words.view(np.uint8)[:, -width:]
     short = np.flatnonzero(values < 10 ** (width - 1))
     if width > 1 and len(short):
         powers = 10 ** np.arange(width - 1, 0, -1)
@@ -308,9 +328,9 @@ def _digits(values: Times) -> Texts:
 
 
 @cache
-def _four_digits() -> Texts:
-    """(10000, 4) the texts 0000 ... 9999: a division for four digits instead of one for each."""
-    return np.frombuffer("".join(f"{number:04d}" for number in range(10**4)).encode(), np.uint8).reshape(-1, 4)
+def _four_digits() -> npt.NDArray[np.uint32]:
+    """(10000,) the texts 0000 ... 9999 as words: a division for four digits instead of one for each."""
+    return np.frombuffer("".join(f"{number:04d}" for number in range(10**4)).encode(), np.uint32)
 
 
 def _texts(values: npt.NDArray[Any]) -> Texts:
@@ -324,7 +344,8 @@ def _texts(values: npt.NDArray[Any]) -> Texts:
     numbers = (different.view(np.float64) if is_float else different).tolist()
     table = np.array(json.dumps(numbers, separators=(",", ":"))[1:-1].encode().split(b","))
     texts = table.view(np.uint8).reshape(len(table), -1)
-    return np.asarray(np.where(texts == 0, ord(" "), texts).astype(np.uint8)[which.reshape(-1)])
+    texts[texts == 0] = ord(" ")
+    return np.asarray(table[which.reshape(-1)].view(np.uint8).reshape(len(values), -1))
 
 
 def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> list[bytes]:
@@ -333,8 +354,8 @@ def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> 
 
     heads = message_heads(channel, sequence, time_ns, texts.shape[1])
     whole = np.concatenate([heads.view(np.uint8).reshape(len(texts), -1), texts], axis=1)
-    content, length = whole.tobytes(), whole.shape[1]
-    return [content[start : start + length] for start in range(0, len(content), length)]
+    messages: list[bytes] = whole.view(f"V{whole.shape[1]}")[:, 0].tolist()
+    return messages
 
 
 class _Entry(NamedTuple):
@@ -366,7 +387,7 @@ def _entries(
     for number, entry in enumerate(said):
         text = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8)
         messages += _with_heads(text[None], channel, np.array([number]), time_ns[number : number + 1])
-    yield _Rows(time_ns, messages)
+    yield _sized(time_ns, messages)
 
 
 def _events(content: Content) -> list[_Entry]:
