@@ -305,17 +305,15 @@ def windows_of(
                 window, counts = window[inside], counts[inside]
             if not len(window):
                 continue
-            first = int(window.min())
-            number, here = window - first, slice(first, int(window.max()) + 1)
-            starts = np.flatnonzero(np.diff(window, prepend=first - 1))
-            value = np.ascontiguousarray((counts / sensor.sensitivity @ sensor.orientation.T).T)
+            starts = np.flatnonzero(np.diff(window, prepend=-1))
+            value = sensor.orientation / sensor.sensitivity @ np.ascontiguousarray(counts.T)
+            places = window[starts]
+            np.add.at(rows, places, np.diff(starts, append=len(window)))
             for axis, column in enumerate(value):
-                sums[here, axis] += np.bincount(number, column)
-                squares[here, axis] += np.bincount(number, column**2)
-                places = window[starts], axis
-                lowest[places] = np.minimum(lowest[places], np.minimum.reduceat(column, starts))
-                highest[places] = np.maximum(highest[places], np.maximum.reduceat(column, starts))
-            rows[here] += np.bincount(number)
+                np.add.at(sums[:, axis], places, np.add.reduceat(column, starts))
+                np.add.at(squares[:, axis], places, np.add.reduceat(column**2, starts))
+                np.minimum.at(lowest[:, axis], places, np.minimum.reduceat(column, starts))
+                np.maximum.at(highest[:, axis], places, np.maximum.reduceat(column, starts))
         spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
         may_spike = rows >= _SPIKED_ROWS
         low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T

@@ -128,10 +128,12 @@ def _means(
         if len(segment) and (segment.min() < 0 or segment.max() >= count):
             raise CalibrationError(f"{where}: time does not increase")
         sums = np.zeros((count, value.shape[1])) if sums.size == 0 else sums
-        number += np.bincount(segment, minlength=count)
-        moments += np.bincount(segment, since, minlength=count)
-        for k in range(value.shape[1]):
-            sums[:, k] += np.bincount(segment, value[:, k], minlength=count)
+        starts = np.flatnonzero(np.diff(segment, prepend=-1))
+        if len(starts):
+            places = segment[starts]
+            np.add.at(number, places, np.diff(starts, append=len(segment)))
+            np.add.at(moments, places, np.add.reduceat(since.astype(float), starts))
+            np.add.at(sums, places, np.add.reduceat(value, starts, axis=0))
     if not number.any():
         raise CalibrationError(f"{where}: no valid readings")
     full = number >= _FULL * np.median(number[number > 0])
