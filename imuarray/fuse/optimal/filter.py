@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
+from imuarray.fuse.optimal import compiled_segments
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, segment_view, solve
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import Gaussian, States, corrected, predicted
@@ -39,6 +40,7 @@ class Dynamics:
         self._back = max(1, round(OVER_S / period_s))
         self._time, self._triad = np.zeros(0, np.int64), np.zeros((0, 3))
         self._sum, self._frames, self._mean = 0.0, 0, 0.0
+        self._worst = float((geometry.timing / geometry.noise).max(initial=0.0))
 
     def recent(self) -> float:
         """Mean square of the change per second since this was asked before; then begins anew."""
@@ -47,20 +49,80 @@ class Dynamics:
         self._sum, self._frames = 0.0, 0
         return self._mean
 
+    def solve(
+        self,
+        view: SegmentView,
+        readings: FrameReadings,
+        solution: FrameSolution,
+        frames: slice,
+        evidence: SegmentEvidence | None = None,
+    ) -> None:
+        """The triads of `readings`, which are `frames` of the solution, their covariances widened by the change;
+        `evidence` gathers what they teach.
+        """
+        packed = view.packed
+        if packed is None or not self._solve_alike(view, packed, readings, solution.part(frames), evidence):
+            solve(view, readings, solution, frames)
+            weights = self(view, readings, solution, frames)
+            if evidence is not None:
+                evidence.add(readings, solution, frames, weights)
+
+    def _solve_alike(
+        self,
+        view: SegmentView,
+        packed: Floats,
+        readings: FrameReadings,
+        into: FrameSolution,
+        evidence: SegmentEvidence | None,
+    ) -> bool:
+        """The same by compiled code, and whether it could."""
+        count, back = len(readings.time), self._back if self._worst > 0 else 0
+        if not readings.alike or readings.bounds is not None or (back and len(self._time) < back):
+            return False
+        valid, (rows, unknowns, terms) = readings.valid[0], view.sizes
+        if valid.tobytes() != view.packed_rows:
+            return False
+        sums = _Sums(terms, rows) if evidence is None else evidence.sums_of(valid)
+        weights = np.empty(count)
+        given = (
+            np.ascontiguousarray(readings.values, float),
+            packed,
+            self._triad[:back],
+            np.ascontiguousarray(readings.time, np.int64),
+            self._time[:back],
+        )
+        done, change = compiled_segments.frames(
+            (*given, into.unknowns, into.covariance, weights, sums.squares, sums.products, sums.blur),
+            (count, rows, unknowns, terms, back),
+            evidence is not None,
+            view.reach,
+            self._worst,
+            self._geometry.fair_square,
+        )
+        if not done:
+            return False
+        into.used[:] = valid[: self._geometry.axes]
+        if back:
+            self._sum, self._frames = self._sum + change, self._frames + count
+            self._time = np.concatenate([self._time, readings.time[-back:]])[-back:]
+            self._triad = np.concatenate([self._triad, into.unknowns[-back:, :3]])[-back:]
+        if evidence is not None and done == 1:
+            evidence.add(readings, into, slice(None), weights)
+        return True
+
     def __call__(
         self, view: SegmentView, readings: FrameReadings, solution: FrameSolution, frames: slice
     ) -> Floats | None:
         """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
-        if not self._geometry.timing.any() or not len(readings.time):
+        if not self._worst or not len(readings.time):
             return None
         changes = self._changes(readings.time, solution.unknowns[frames, :3])
         self._sum, self._frames = self._sum + float(changes.sum()), self._frames + len(changes)
-        for valid, which in patterns(readings.valid):
+        for valid, which in readings.patterns():
             usual = view.usual(valid)
             if usual is not None:
                 solution.covariance[frames][which] += changes[which][:, None, None] * usual.timing
-        worst = float((self._geometry.timing / self._geometry.noise).max())
-        return np.asarray(1 / (1 + worst**2 * changes))
+        return np.asarray(1 / (1 + self._worst**2 * changes))
 
     def _changes(self, time: Times, triad: Floats) -> Floats:
         """(n,) squares of the change per second; 0 where nothing is known yet."""
@@ -106,13 +168,11 @@ class SegmentEvidence:
     ) -> None:
         """Take in the readings of `frames` of the solution, by `weights` (n,) up to 1."""
         triad, covariance = solution.unknowns[frames, :3], solution.covariance[frames, :3, :3]
-        for valid, which in patterns(self._fair(readings.valid, triad, solution.used[frames])):
+        fair = self._fair(readings.valid, triad, solution.used[frames])
+        for valid, which in readings.patterns() if fair is readings.valid else patterns(fair):
             if not valid.any():
                 continue
-            key = valid.tobytes()
-            if key not in self._parities:
-                self._parities[key] = self._geometry.parity(valid)
-            sums = self._sums.setdefault(key, _Sums(self._terms, len(valid)))
+            sums = self.sums_of(valid)
             values = readings.values[which]
             weight = np.ones(len(values)) if weights is None else weights[which]
             if self._terms == 1:
@@ -125,12 +185,23 @@ class SegmentEvidence:
             sums.products += weighted @ values
             sums.blur += np.tensordot(weight, covariance[which], axes=1)
 
+    def sums_of(self, valid: Booleans) -> _Sums:
+        """The sums over the frames in which these rows were in use."""
+        key = valid.tobytes()
+        if key not in self._parities:
+            self._parities[key] = self._geometry.parity(valid)
+        if key not in self._sums:
+            self._sums[key] = _Sums(self._terms, len(valid))
+        return self._sums[key]
+
     def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
         """(p, n) and (p,): ``values = measurements @ states + errors`` of unit variance, from `rows` (terms, r, n) of
         what the readings feel of the states; then begins anew.
         """
         parts = []
         for key, sums in self._sums.items():
+            if not sums.squares[0, 0]:  # no frame was taken in
+                continue
             parity = self._parities[key]
             seen = parity @ rows
             for size, weights in _components(sums):
@@ -241,8 +312,7 @@ class ArrayFilter:
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
             view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view
-            solve(view, part, solution, frames)
-            self._evidence.add(part, solution, frames, self._dynamics(view, part, solution, frames))
+            self._dynamics.solve(view, part, solution, frames, self._evidence)
             if ends:
                 self.end()
         return solution
@@ -254,7 +324,7 @@ class ArrayFilter:
         self._step = (self.belief, decay, added)
         self.belief = predicted(self.belief, decay, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
-        self._view = segment_view(self.states, self.geometry, self.belief, warmer_degc)
+        self._view = segment_view(self.states.felt(warmer_degc), self.geometry, self.belief)
         self._view.begin(part, self._stimulus, self._dynamics.recent())
         self._stimulus = self._view.stimulus
         return self._view
@@ -263,7 +333,7 @@ class ArrayFilter:
         """Learn from the frames of a segment, whole or not, that has begun."""
         if self._view is None:
             return
-        rows, values = self._evidence.measurements(self.states.rows(self.warmer_degc))
+        rows, values = self._evidence.measurements(self.states.felt(self.warmer_degc).dense)
         if self._record is not None:
             self._record(Step(*self._step, self.warmer_degc, rows, values))
         if len(rows):

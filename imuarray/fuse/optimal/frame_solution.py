@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices
+from imuarray.fuse.optimal import compiled_segments
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patterns
-from imuarray.fuse.optimal.states import Gaussian, States
+from imuarray.fuse.optimal.states import Adjoint, FeltStates, Gaussian
 
 _TOLERATED = 0.1
 """Share by which the stimulus may change the variance of a row before a frame gets a gain of its own; what a gain that
@@ -53,6 +54,10 @@ class SegmentView:
         self.stimulus, self._variance = np.zeros(3), geometry.noise**2
         self.rows = geometry.rows.copy()
         self.rows[:, :3] += response
+        self.packed: Floats | None = None
+        """The usual gain as `_segments.frames` takes it; None where NumPy does all."""
+        self.packed_rows = b""
+        """The rows in use that this gain is for, as the bytes of their flags."""
         self._usual: dict[bytes, NominalGain | None] = {}
 
     def begin(self, readings: FrameReadings, before: Floats, change: float) -> None:
@@ -62,9 +67,29 @@ class SegmentView:
         self._variance = self.geometry.noise**2 + self.geometry.timing**2 * change
         valid, self.stimulus = readings.valid[0], before
         if self.geometry.spans(valid):
+            if readings.alike and readings.bounds is None:
+                self._pack(readings, change)
+                if self.packed is not None:
+                    return
             weighed = self.rows[valid] / self.geometry.noise[valid, None] ** 2
             normal, sums = weighed.T @ self.rows[valid], weighed.T @ (readings.values[0] - self.offset)[valid]
             self.stimulus = np.linalg.solve(normal, sums)[:3]
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Rows, unknowns and terms."""
+        return (*self.rows.shape, len(self.errors))
+
+    def _pack(self, readings: FrameReadings, change: float) -> None:
+        """Compute stimulus, usual gain and reach by compiled code."""
+        rows, unknowns, terms = sizes = self.sizes
+        packed = np.empty(rows + 3 + unknowns * (rows + 1) + (2 + terms**2) * unknowns**2)
+        known = (self.rows, self.geometry.noise, self.geometry.timing, self.offset, self.errors)
+        first = np.ascontiguousarray(readings.values[0], float), readings.valid[0]
+        reach = compiled_segments.begin((*known, *first, packed), sizes, self.final, change, _TOLERATED)
+        if reach >= 0:
+            self.packed, self.packed_rows, self.reach = packed, readings.valid[0].tobytes(), reach
+            self._variance, self.stimulus = packed[:rows], packed[rows : rows + 3]
 
     def terms(self, stimulus: Floats) -> Floats:
         """(n, terms) that go with the terms of an axis's error at (n, 3)."""
@@ -106,7 +131,8 @@ class SegmentView:
         gain = np.zeros(self.rows.shape[::-1])
         (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
         noise = (gain * self.geometry.noise**2) @ gain.T
-        errors = (gain @ self.errors @ gain.T).reshape(-1, *noise.shape)
+        both = (gain[:, None, :, None] * gain[None, :, None, :]).reshape(noise.size, -1)
+        errors = (self.errors.reshape(-1, both.shape[1]) @ both.T).reshape(-1, *noise.shape)
         timing = (gain * self.geometry.timing**2) @ gain.T
         return NominalGain(gain, gain @ self.offset, noise, errors, timing)
 
@@ -131,17 +157,12 @@ class SegmentView:
         return float((2 * tolerated / (slope + np.sqrt(slope**2 + 4 * curvature * tolerated) + 1e-300)).min())
 
 
-def segment_view(
-    states: States, geometry: Geometry, belief: Gaussian, warmer_degc: Floats, *, final: bool = False
-) -> SegmentView:
-    """The states as the rows of `geometry` feel them while they are warmer than their biases by (r,)."""
-    rows = states.rows(warmer_degc)
-    terms, count, _ = rows.shape
-    flat = rows.reshape(terms * count, -1)
-    felt = (flat @ belief.mean).reshape(terms, count)
-    errors = (flat @ belief.covariance @ flat.T).reshape(terms, count, terms, count).transpose(0, 2, 1, 3)
-    response = felt[1:].T if terms > 1 else np.zeros((count, 3))
-    return SegmentView(geometry, felt[0], response, np.ascontiguousarray(errors), final)
+def segment_view(felt: FeltStates, geometry: Geometry, belief: Gaussian, adjoint: Adjoint | None = None) -> SegmentView:
+    """The states as the rows of `geometry` feel them; final with what came after them, the `adjoint`."""
+    mean, covariance = felt.of(belief, adjoint)
+    response = mean[1:].T if len(mean) > 1 else np.zeros((mean.shape[1], 3))
+    errors = np.ascontiguousarray(covariance.transpose(0, 2, 1, 3))
+    return SegmentView(geometry, mean[0], response, errors, adjoint is not None)
 
 
 def _pairs(terms: Floats) -> Floats:
@@ -237,14 +258,16 @@ def solve(view: SegmentView, readings: FrameReadings, into: FrameSolution, frame
     """The triads of `readings`, which are `frames` of `into`."""
     into = into.part(frames)
     every = np.arange(len(readings.time))
-    for valid, which in patterns(readings.valid):
+    for valid, which in readings.patterns():
         usual = view.usual(valid)
         if usual is None:
             continue
         solved = readings.values[which] @ usual.gain.T - usual.expected
         into.unknowns[which], into.used[which] = solved, valid[: view.geometry.axes]
         into.covariance[which] = view.usual_spreads(usual, solved[:, :3])
-        odd = np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
+        odd = np.zeros(len(solved), bool)
+        if view.reach < np.inf:
+            odd |= np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
         telling = None
         if readings.bounds is not None:
             telling = _telling(view, readings.bounds, which, into)

@@ -53,6 +53,11 @@ class Geometry:
         """(r,) up to which stimulus along the axis its readings are a fair choice."""
         return self.end - _NEAR * self.noise
 
+    @property
+    def fair_square(self) -> float:
+        """The square of the stimulus up to which the readings of all axes are a fair choice; 0 if there is none."""
+        return float(max(self.fair.min(), 0.0)) ** 2
+
     def spans(self, valid: Booleans) -> bool:
         """Return whether these of the axes, (r,), span space."""
         key = valid[: self.axes].tobytes()
@@ -98,21 +103,32 @@ class Bounds(NamedTuple):
     at: Floats
 
 
+Patterns = list[tuple[Booleans, npt.NDArray[np.intp] | slice]]
+"""Different rows of flags, each with the frames that have it."""
+
+
 class FrameReadings(NamedTuple):
-    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any."""
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any; whether all
+    frames are `alike`, with the same rows valid.
+    """
 
     time: Times
     values: Floats
     valid: Booleans
     bounds: Bounds | None = None
+    alike: bool = False
 
     def part(self, frames: slice) -> FrameReadings:
         """Some of the frames."""
         bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
-        return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds)
+        return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds, self.alike)
+
+    def patterns(self) -> Patterns:
+        """The different sets of valid rows."""
+        return [(self.valid[0], slice(None))] if self.alike and len(self.valid) else patterns(self.valid)
 
 
-def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | slice]]:
+def patterns(flags: Booleans) -> Patterns:
     """The different rows of `flags` (n, r), each with the frames that have it."""
     if len(flags) == 0:
         return []
@@ -148,8 +164,9 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
         valid = valid & (ends == 0)
     if frames.stale is not None and (valid & frames.stale).any():
         valid = _without_stale(valid, frames.stale, geometry)
-    values = frames.values if valid.all() else np.where(valid, frames.values, 0.0)
-    return FrameReadings(frames.time, values, valid, bounds)
+    whole = bool(valid.all())
+    values = frames.values if whole else np.where(valid, frames.values, 0.0)
+    return FrameReadings(frames.time, values, valid, bounds, whole or bool((valid == valid[:1]).all()))
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:

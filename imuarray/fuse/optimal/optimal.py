@@ -28,7 +28,7 @@ from imuarray.fuse.frames import Estimate, Frames, FusedBlock, entries
 from imuarray.fuse.fusion_notes import FusionNotes, LearnedBias
 from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, SegmentEnds
-from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, solve
+from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, geometry_of, readings_of
 from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
 from imuarray.fuse.optimal.smoother import SegmentSmoother
@@ -38,7 +38,7 @@ from imuarray.fuse.pipeline import fused_block
 
 def learned_biases(axes: Sequence[Axis], of: ArrayFilter) -> list[LearnedBias]:
     """Every axis's, in order."""
-    rows = of.states.rows(of.warmer_degc)[0][: len(axes)]
+    rows = of.states.felt(of.warmer_degc).dense[0][: len(axes)]
     biases = rows @ of.belief.mean
     spreads = [
         np.sqrt(np.maximum(np.einsum("in,nk,ik->i", rows, covariance, rows), 0.0))
@@ -228,8 +228,7 @@ class _Group:
                 self._view.begin(part, self._stimulus, self._dynamics.recent())
                 self._stimulus = self._view.stimulus
             if self._view is not None:
-                solve(self._view, part, solution, frames)
-                self._dynamics(self._view, part, solution, frames)
+                self._dynamics.solve(self._view, part, solution, frames)
         return solution
 
 

@@ -26,7 +26,6 @@ from imuarray.fuse.optimal.states import (
     backwards,
     corrected,
     predicted,
-    smoothed,
 )
 
 _PLACE = struct.Struct("<qq")
@@ -124,7 +123,7 @@ class SegmentSmoother:
             taken.append((at, innovation))
         for (at, innovation), (decay, _, warmer_degc, *_) in zip(taken[::-1], stride[::-1], strict=True):
             adjoint = backwards(adjoint, at, innovation)
-            view = segment_view(self._states, self._geometry, smoothed(at, adjoint), warmer_degc, final=True)
+            view = segment_view(self._states.felt(warmer_degc), self._geometry, at, adjoint)
             self._views.push([view.offset, view.response, view.errors])
             adjoint = Adjoint(decay * adjoint.vector, adjoint.matrix * np.outer(decay, decay))
         return adjoint

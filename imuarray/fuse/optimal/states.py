@@ -12,12 +12,12 @@ innovations and inverts no covariance of states, so that states known without do
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
 
@@ -67,19 +67,75 @@ def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian,
 
 
 def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
-    """Return what these and all later measurements say of the state `at`, as predicted before them."""
-    kept = np.eye(len(at.mean)) - at.covariance @ step.rows.T @ (step.inverse @ step.rows)
-    vector = kept.T @ later.vector - step.rows.T @ step.weighted
-    matrix = kept.T @ later.matrix @ kept + step.rows.T @ step.inverse @ step.rows
-    return Adjoint(vector, (matrix + matrix.T) / 2)
+    """Return what these and all later measurements say of the state `at`, as predicted before them.
+
+    With ``kept = 1 - covariance rows' inverse rows`` the vector is ``kept' vector - rows' weighted`` and the matrix
+    ``kept' matrix kept + rows' inverse rows``. Measurements are few beside states, so products with `kept` are not
+    formed.
+    """
+    weighed = step.inverse @ step.rows
+    seen = at.covariance @ step.rows.T
+    across = later.matrix @ seen
+    vector = later.vector - weighed.T @ (seen.T @ later.vector) - step.rows.T @ step.weighted
+    half = weighed.T @ (seen.T @ across @ weighed / 2 - across.T) + step.rows.T @ weighed / 2
+    return Adjoint(vector, later.matrix + (half + half.T))
 
 
-def smoothed(at: Gaussian, adjoint: Adjoint) -> Gaussian:
-    """The state `at` with all that came after it."""
-    return Gaussian(
-        at.mean - at.covariance @ adjoint.vector,
-        at.covariance - at.covariance @ adjoint.matrix @ at.covariance,
-    )
+class _Layer(NamedTuple):
+    """Of every row of a sparse matrix that has a k-th entry: the `rows`, the `columns` of these entries and the entries
+    (p, 1), None where all are one.
+    """
+
+    rows: Indices | slice
+    columns: Indices
+    entries: Floats | None
+
+
+class FeltStates:
+    """What r rows feel of n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row feels two or
+    three states and a term of its response one, so that products skip the zeros.
+    """
+
+    def __init__(self, dense: Floats) -> None:
+        self.dense = dense
+        flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
+        self._layers: list[_Layer] = []
+        rows, columns = np.nonzero(flat)
+        place = np.arange(len(rows)) - np.searchsorted(rows, rows)
+        for layer in range(int(place.max(initial=-1)) + 1):
+            which = place == layer
+            entries = flat[rows[which], columns[which]]
+            self._layers.append(
+                _Layer(
+                    slice(None) if which.sum() == len(flat) else rows[which],
+                    columns[which],
+                    None if (entries == 1).all() else entries[:, None],
+                )
+            )
+
+    def times(self, matrix: Floats) -> Floats:
+        """(terms r, q) the product with (n, q)."""
+        product = np.zeros((self.dense.shape[0] * self.dense.shape[1], matrix.shape[1]))
+        for rows, columns, entries in self._layers:
+            part = matrix.take(columns, axis=0)
+            product[rows] += part if entries is None else entries * part
+        return product
+
+    def of(self, belief: Gaussian, adjoint: Adjoint | None = None) -> tuple[Floats, Floats]:
+        """(terms, r) and (terms, r, terms, r) mean and covariance of what the rows feel under a belief, with what came
+        after it if `adjoint` is given.
+        """
+        terms, rows, _ = self.dense.shape
+        felt = self.times(belief.covariance)
+        mean, covariance = self.times(belief.mean[:, None])[:, 0], self.times(felt.T)
+        if adjoint is not None:
+            mean -= felt @ adjoint.vector
+            covariance -= felt @ adjoint.matrix @ felt.T
+        return mean.reshape(terms, rows), covariance.reshape(terms, rows, terms, rows)
+
+
+_KEPT = 16
+"""Temperatures of which it is remembered what the axes feel."""
 
 
 @dataclass(frozen=True)
@@ -95,21 +151,27 @@ class States:
     steady: Floats
     thermal: Floats
     response: Floats
+    _felt: dict[bytes, FeltStates] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def terms(self) -> int:
-        """1, or 4 where the states include responses: the terms of an axis's error, (1, stimulus) times `rows`."""
+        """1, or 4 where the states include responses: an axis's error is (1, stimulus) times what it feels."""
         return 1 + len(self.response)
 
-    def rows(self, warmer_degc: Floats) -> Floats:
-        """(terms, m, n) what axes that are warmer than their biases by (m,) feel of the states."""
-        steady = self.steady + warmer_degc[:, None] * self.thermal
-        return np.concatenate([steady[None], self.response])
+    def felt(self, warmer_degc: Floats) -> FeltStates:
+        """What axes that are warmer than their biases by (m,) feel of the states."""
+        key = warmer_degc.tobytes() if self.thermal.any() else b""
+        if key not in self._felt:
+            if len(self._felt) >= _KEPT:
+                self._felt.clear()
+            steady = self.steady + warmer_degc[:, None] * self.thermal
+            self._felt[key] = FeltStates(np.concatenate([steady[None], self.response]))
+        return self._felt[key]
 
     def transition(self, seconds: float) -> tuple[Floats, Floats]:
         """(n,) share of each state that remains after a while, and (n,) the variance that is added."""
         remaining = np.exp(-seconds / self.time_constants_s)
-        return remaining, np.diag(self.prior) * (1 - remaining**2)
+        return remaining, self.prior.diagonal() * (1 - remaining**2)
 
 
 class _State(NamedTuple):
