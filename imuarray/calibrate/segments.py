@@ -54,11 +54,14 @@ class Segments:
 
 @dataclass(frozen=True)
 class TemperatureSeries:
-    """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`."""
+    """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`.
+    Readings are multiples of `step_degc`, as far as known.
+    """
 
     kind: str
     time_s: Floats
     degc: Floats
+    step_degc: float = 0.0
 
     def at(self, time_s: Floats) -> Floats:
         """The temperature at other times: between two readings on a straight line."""
@@ -189,4 +192,4 @@ def _read(
         column.name,
         slice(0, int(time.shape[0])),
     )
-    return TemperatureSeries(kind, means.time_s, zero + step * means.mean[:, 0])
+    return TemperatureSeries(kind, means.time_s, zero + step * means.mean[:, 0], abs(step))

@@ -15,7 +15,7 @@ import numpy as np
 import imuarray
 from imuarray.arrays import Floats
 from imuarray.errors import ConfigError
-from imuarray.gap.findings.causes import causes_of, judged_of
+from imuarray.gap.findings.causes import causes_of, judged_of, nearest_of
 from imuarray.gap.findings.closure import deviating, deviating_in_either, floor_of, gap_of
 from imuarray.gap.findings.description import (
     NO_REMAINDER,
@@ -365,8 +365,9 @@ def _report(
     comparison, bench = case.comparison, case.comparison.bench
     report = StatisticReport(bench, comparison.campaign, comparison.pairs, case.names)
     suspected = (*map(cause_of, case.wrong_labels), *sensor_causes)
-    unobservable = _unobservable(case, candidates, suspected, report)
     remainder = _remainder(case, verification, suspected, report)
+    suspected = suspected or with_origins(nearest_of(bench, search.rounds, case.seed), case.headers, explanation.shared)
+    unobservable = _unobservable(case, candidates, suspected, report)
     judgement = _judge(case, verification, remainder, with_unobservable_rivals(suspected, unobservable))
     verdict, gap, causes, unknown = judgement
     where = _where(case, report)
@@ -417,6 +418,8 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
         counted = deviating(pairs, before.parts, after.parts, before.likelihood.is_silent)
     gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
     unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
+    if not any(cause.is_accepted for cause in suspected):
+        unknown = min(unknown, 1 - max((cause.probability for cause in suspected), default=0.0))
     return judge(
         gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely, has_remainder=bool(remainder.sizes)
     )

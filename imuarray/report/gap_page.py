@@ -85,8 +85,9 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
         else f"The simulator is not good enough; {names} explain only a part of it.",
         "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
     }[diagnosis.verdict]
+    accepted = sum(cause.is_accepted for cause in diagnosis.causes)
     figures = [
-        (str(len(diagnosis.causes)), "cause" if len(diagnosis.causes) == 1 else "causes"),
+        (str(accepted), "cause" if accepted == 1 else "causes"),
         (share(diagnosis.unknown), "probability of something unknown"),
     ]
     if gap.closed is not None:

@@ -18,7 +18,17 @@ from imuarray.gap.findings.diagnosis import (
     Unobservable,
     Where,
 )
-from imuarray.gap.findings.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
+from imuarray.gap.findings.text import (
+    NOT_ACCEPTED,
+    NOTHING,
+    chance,
+    closed_text,
+    number,
+    parameters_text,
+    places_text,
+    scored,
+    share,
+)
 from imuarray.gap.model.use import Figure, Use
 from imuarray.report.gap_figures import outside
 from imuarray.report.gap_words import MEANINGS
@@ -54,11 +64,17 @@ def causes_table(causes: Sequence[Cause]) -> Table:
             _parameters(cause),
             closed_text(cause.closed, cause.closed_ci95),
             ", ".join(cause.confusable_with) or NOTHING,
-            f"{cause.origin}, detected on both parts together" if cause.needs_both else cause.origin,
+            _origin(cause),
         ]
         for cause in causes
     ]
     return Table(heading, rows, "Most probable first.", (2, 3, 5, 6))
+
+
+def _origin(cause: Cause) -> str:
+    if not cause.is_accepted:
+        return NOT_ACCEPTED
+    return f"{cause.origin}, detected on both parts together" if cause.needs_both else cause.origin
 
 
 def each_table(causes: Sequence[Cause]) -> Table | None:

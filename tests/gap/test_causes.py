@@ -11,11 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.findings.causes import TEMPER, causes_of, judged_of, probabilities
+from imuarray.gap.findings.causes import (
+    NEAREST_NATS,
+    NEAREST_RIGHT,
+    TEMPER,
+    causes_of,
+    judged_of,
+    nearest_of,
+    probabilities,
+)
 from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause
 from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import COST, Evaluation, Round
+from imuarray.gap.inference.forward_selection import BRIEF, COST, Evaluation, Round
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
@@ -359,3 +367,42 @@ def test_a_later_cause_is_no_more_probable_than_what_it_was_detected_with(bench:
     assert (first.preceding, later.preceding) == (0, 1)
     (only,) = causes(bench, "G1", round_of(bench, "G1", second))
     assert only.probability > first.probability
+
+
+def rounds_without_selection(bench: Bench, **offers: Sequence[Evaluation]) -> dict[tuple[str, ...], list[Round]]:
+    """One round of each sensor, in which nothing was accepted."""
+    return {
+        (sensor,): [round_of(bench, sensor, *evaluations, selection=None)] for sensor, evaluations in offers.items()
+    }
+
+
+def test_the_nearest_effect_of_an_unexplained_gap(bench: Bench) -> None:
+    """That with the larger gain on both parts: twice as much on the training part (`confirmed`)."""
+    weaker, stronger = confirmed(bench, "G1", Bias((0.1, 0.0, 0.0)), 1.2), confirmed(bench, "A1", Bias((0.2,) * 3), 1.9)
+    (cause,) = nearest_of(bench, rounds_without_selection(bench, G1=[weaker], A1=[stronger]), 1)
+    assert (cause.effect, cause.sensors, cause.is_accepted) == ("bias", ("A1",), False)
+    assert cause.probability == pytest.approx(NEAREST_RIGHT / (1 + math.exp(3 * (1.2 - 1.9))))
+
+
+def test_no_effect_is_near_that_gains_little_or_only_removes(bench: Bench) -> None:
+    little = confirmed(bench, "G1", Bias((0.1, 0.0, 0.0)), 0.9 * NEAREST_NATS / 3)
+    removal = confirmed(bench, "G1", Hypothesis((), removed="tone"), 9.0)
+    assert nearest_of(bench, rounds_without_selection(bench, G1=[little, removal]), 1) == ()
+    assert nearest_of(bench, {}, 1) == ()
+
+
+def test_no_nearest_effect_of_a_sensor_with_an_accepted_one(bench: Bench) -> None:
+    accepted = round_of(bench, "G1", confirmed(bench, "G1", LINE, 20.0))
+    assert nearest_of(bench, {("G1",): [accepted]}, 1) == ()
+
+
+def test_the_choice_of_a_moment_costs_among_effects_but_not_to_be_the_nearest(bench: Bench) -> None:
+    """The gain of a trial that needs both parts is their mean, less the cost of a moment: a sum of 14 nats is 2 * 7."""
+    needs_both = Hypothesis((Bias((0.1, 0.0, 0.0)),), whole=True)
+    sure = confirmed(bench, "G1", needs_both, 7.0 - BRIEF)
+    (cause,) = nearest_of(bench, rounds_without_selection(bench, G1=[sure]), 1)
+    assert cause.needs_both
+    assert cause.probability == pytest.approx(NEAREST_RIGHT)
+    lasting = confirmed(bench, "A1", Bias((0.2,) * 3), 2.5)  # 7.5 nats, more than 14 - 8
+    (cause,) = nearest_of(bench, rounds_without_selection(bench, G1=[sure], A1=[lasting]), 1)
+    assert cause.sensors == ("A1",)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imuarray.arrays import Integers
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
@@ -21,8 +22,10 @@ from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase
 from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
 
@@ -38,6 +41,26 @@ def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> No
 def test_a_lag_beyond_the_usual_is_left_to_the_effect() -> None:
     base = fit(campaign_of("heating", {"G1": (ThermalLag(5 * LONGEST_LAG_S),)}, seed=3), PLANS["heating"])
     assert base.fitted["G1"].lag_s == LONGEST_LAG_S
+
+
+class Warming(Still):
+    """A box at rest that is warmed from 24 to 52 degC, with a time constant of a minute."""
+
+    def felt(self, time_ns: Integers) -> Felt:
+        return replace(super().felt(time_ns), temperature_degc=24 + 28 * (1 - np.exp(-time_ns / 60e9)))
+
+    def unchanged_until_ns(self, time_ns: int) -> int:
+        return time_ns
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 8.0])
+def test_a_bias_that_is_curved_in_a_heating_that_only_rises_has_the_lag_of_its_element(lag_s: float) -> None:
+    """Such a curve follows the temperature of some time ago better than that of now by a straight line."""
+    motion = Warming(seconds=300.0)
+    effects = (ThermalBias(quadratic=(0.002, -0.002, 0.001)), *((ThermalLag(lag_s),) if lag_s else ()))
+    sources = simulated_sources(simulation(motion, {"G1": effects}, seed=3))
+    campaign = Campaign((summarise_log("heating", sources, phases_of(motion), reference_of(motion)),))
+    assert fit(campaign, [motion]).fitted["G1"].lag_s == pytest.approx(lag_s, abs=0.5)
 
 
 def test_nothing_heated_has_no_lag() -> None:

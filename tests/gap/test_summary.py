@@ -47,10 +47,11 @@ def test_streamed_is_whole(cuts: list[int]) -> None:
 @pytest.mark.parametrize("longer", [1, 4])
 def test_side_by_side_they_are_what_each_is_alone(longer: int) -> None:
     """Two replicates in two blocks each, and every probe that says to look at each column alone; also of a phase that
-    is so much longer than its rows, and has none in its second half.
+    is so much longer than its rows, and has none in its second half. The readings of the first one come in pairs.
     """
     warm = (np.arange(3000) % 7).astype(np.int16)
-    rows = [block(noise(seed=seed), temperature_counts=warm + seed) for seed in (1, 2)]
+    counts = [np.repeat(noise(1500), 2, axis=0), noise(seed=2)]
+    rows = [block(own, temperature_counts=warm + seed) for seed, own in enumerate(counts, start=1)]
     phase = Phase(0, longer * (int(rows[0].time[-1]) + 10_000_000), "static", "+Z")
     tally = Tally(header(), phase, Grid.of(3000), 2)
     for part in (slice(1000), slice(1000, 3000)):

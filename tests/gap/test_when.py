@@ -61,6 +61,14 @@ def test_a_beginning_that_is_narrowed_down() -> None:
     assert trial.narrowed((10.0, 50.0), 1).begin_bounds_s == (10.0, 50.0)
 
 
+def test_a_beginning_with_whole_logs_after_it() -> None:
+    """From some moment of log 2 on, and in the logs after it."""
+    since_2 = since(Span(2, 30.0, math.inf), [3, 4])
+    trial = replace(LINE.at(since_2), begin_bounds_s=(10.0, 50.0))
+    narrowed = trial.narrowed((10.0, 20.0, 30.0, 50.0), 1)
+    assert narrowed.when.triples == [(2, 20.0, math.inf), (3, 0.0, math.inf), (4, 0.0, math.inf)]
+
+
 @pytest.mark.parametrize(
     ("when", "both"),
     [

@@ -15,7 +15,7 @@ from imuarray.gap.findings.closure import DeviatingStatistics, deviating, deviat
 from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause, Origin
 from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import Evaluation, Round
+from imuarray.gap.inference.forward_selection import BRIEF, COST, Evaluation, Round
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
@@ -39,6 +39,14 @@ the gap.
 
 CONFUSABLE = 0.05
 """Least odds of an effect against the cause that was taken, 1 to 20, for it to be confusable."""
+
+NEAREST_NATS = 3.0
+"""Least gain on both parts together, over the placebo's and less the cost of its numbers, of an effect that is named
+although none was accepted.
+"""
+
+NEAREST_RIGHT = 0.4
+"""How often an effect without a rival that is named in this way is right."""
 
 _SAME, _SAME_FREQUENCY = 1.25, 1.01
 """Largest ratio of equal parameters of two sensors; frequencies of lines are distinguished more finely."""
@@ -65,6 +73,56 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
         for joint in _merged(bench, single)
     ]
     return _ranked(merged)
+
+
+def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
+    """Return the effect that comes nearest to explain a gap of which none was accepted: the one with the best odds of
+    those that gain `NEAREST_NATS` on both parts together; nothing if there is none.
+
+    A deviation of five standard deviations in a single statistic is a gap, but is worth less than it costs to choose
+    among thousands of moments, lines and axes. Here this cost decides between effects alone.
+    """
+    offers = [
+        _Offer(unit, evaluation, _gain_of_both(unit_rounds[0], evaluation))
+        for unit, unit_rounds in rounds.items()
+        if unit_rounds and unit_rounds[0].selection is None
+        for evaluation in unit_rounds[0].confirmed
+        if evaluation.trial.effects
+    ]
+    if not (good := [offer for offer in offers if offer.gain > NEAREST_NATS]):
+        return ()
+    best = max(good, key=lambda offer: offer.log_odds)
+    odds: dict[tuple[str, Unit], float] = {}
+    for offer in good:
+        rival = offer.evaluation.trial.name, offer.unit
+        odds[rival] = max(odds.get(rival, 0.0), math.exp(offer.log_odds - best.log_odds))
+    share = 1.0 / sum(odds.values())
+    name = best.evaluation.trial.name
+    rivals = tuple(sorted({effect for (effect, _), odd in odds.items() if odd > CONFUSABLE} - {name}))
+    before = rounds[best.unit][0].before
+    cause = _cause(bench, before, before, best.evaluation, Support(share, rivals), seed)
+    return (replace(cause, probability=NEAREST_RIGHT * share, is_accepted=False),)
+
+
+class _Offer(NamedTuple):
+    """A confirmed trial for a unit, and its `gain` in nats on both parts together, over the placebo's, less the cost of
+    its numbers.
+    """
+
+    unit: Unit
+    evaluation: Evaluation
+    gain: float
+
+    @property
+    def log_odds(self) -> float:
+        """Log odds against the other offers: moments that were chosen cost as much as among thousands."""
+        return self.gain - (2 * BRIEF if self.evaluation.trial.needs_both else 0.0)
+
+
+def _gain_of_both(round_: Round, evaluation: Evaluation) -> float:
+    both = evaluation.train_gain + evaluation.gain
+    gain = 2 * (evaluation.gain + BRIEF) if evaluation.trial.needs_both else both
+    return gain - max(round_.placebo_gain, 0.0) - COST * evaluation.factors - evaluation.trial.rarity
 
 
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -65,6 +65,8 @@ class Cause:
     to which it was not fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training
     part alone does not show the cause, so that it was detected, and its closed share measured, on both parts together.
     `preceding` is the number of earlier causes (changes of the sensors' models) in whose presence it was detected.
+    `is_accepted` is false for the effect that comes nearest to explain a gap of which none was accepted; it is in no
+    model, and closes nothing of the diagnosis's `gap`.
     """
 
     effect: str
@@ -83,6 +85,7 @@ class Cause:
     share: float = nan
     all_closed: float | None = None
     preceding: int = 0
+    is_accepted: bool = True
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:

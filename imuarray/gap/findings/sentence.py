@@ -52,7 +52,7 @@ def sentence_of(
         )
     else:
         parts += cause_sentences
-    if gap.closed is not None and likely:
+    if gap.closed is not None and any(cause.is_accepted for cause in likely):
         closed = closed_text(gap.closed, gap.closed_ci95)
         data = "the data that showed it" if needs_both_parts(causes) else "held-out data"
         parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on {data}.")

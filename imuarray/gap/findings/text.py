@@ -186,6 +186,9 @@ def _numbers(value: Any) -> list[float] | None:
         return None
 
 
+NOT_ACCEPTED = "the nearest known effect; the evidence does not suffice to accept it"
+
+
 def _verdict(diagnosis: Diagnosis) -> Iterator[str]:
     yield from _hanging("Verdict  ", f"{diagnosis.verdict} (chance alone: {chance(diagnosis.p)})")
     yield from _hanging("Gap      ", gap_text(diagnosis.gap))
@@ -205,6 +208,7 @@ def _causes(diagnosis: Diagnosis) -> Iterator[str]:
         yield line
         more = [parameters_text(cause.parameters)] if cause.parameters else []
         more += [f"may also be {' or '.join(cause.confusable_with)}"] if cause.confusable_with else []
+        more += [] if cause.is_accepted else [NOT_ACCEPTED]
         more += ["detected on both parts together, none was held out"] if cause.needs_both else []
         more += [f"in the {cause.origin}, not in the sensor"] if cause.origin != "sensor" else []
         yield from _hanging(" " * 8, ". ".join(more)) if more else []

@@ -56,7 +56,7 @@ _DIVIDED, _LOST = 3, 2.0
 _NARROWINGS, _MOMENTS = 4, 6
 """Times that the beginning of a trial is narrowed down, and moments tried each time: to 1/150 of a motion."""
 
-_BRIEF = 4.0
+BRIEF = 4.0
 """Cost in nats, to the mean of both parts, of the choice of a moment: to their sum twice as much, the log of thousands
 of moments.
 """
@@ -214,7 +214,7 @@ def confirmed(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -
     gains = gains_of(standing, likelihood, shift)
     train_gain, gain = (float(gains[part].sum()) - misfit for part in (~out, out))
     if hypothesis.trial.needs_both:
-        gain = (train_gain + gain) / 2 - _BRIEF
+        gain = (train_gain + gain) / 2 - BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
     touched = touched_by(before, likelihood, shift)
     independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
@@ -410,7 +410,7 @@ def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
     if evaluation.trial.needs_both or evaluation.gain < -_INDIFFERENT:
         return False
     train_gain = min(_tempering(standing, evaluation), 1.0) * evaluation.train_gain
-    return train_gain - COST * evaluation.factors - 2 * _BRIEF > ACCEPTED
+    return train_gain - COST * evaluation.factors - 2 * BRIEF > ACCEPTED
 
 
 def _on_both_parts(evaluation: Evaluation) -> Evaluation:
@@ -419,7 +419,7 @@ def _on_both_parts(evaluation: Evaluation) -> Evaluation:
     return replace(
         evaluation,
         hypothesis=replace(evaluation.hypothesis, trial=trial),
-        gain=(evaluation.train_gain + evaluation.gain) / 2 - _BRIEF,
+        gain=(evaluation.train_gain + evaluation.gain) / 2 - BRIEF,
     )
 
 
@@ -437,7 +437,7 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
         return temper * evaluation.gain
     if evaluation.factors or evaluation.train_gain < 0:
         return -math.inf
-    return temper * (evaluation.train_gain + evaluation.gain - 2 * _BRIEF)
+    return temper * (evaluation.train_gain + evaluation.gain - 2 * BRIEF)
 
 
 def _squares(scores: Floats) -> float:

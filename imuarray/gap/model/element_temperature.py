@@ -61,7 +61,8 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     """Time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the temperature best.
 
     `rms` (3,) is that of single readings. 0 where no attitude has enough heating, or no lag is significantly better
-    than none.
+    than none. Readings that follow a parabola over temperature better than a straight line with any lag have the lag
+    that goes with a parabola: in a heating that only rises a curve looks like a lag.
     """
     by_attitude: dict[Hashable, list[HeatedRest]] = {}
     for rest in rests:
@@ -69,7 +70,8 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     attitudes = [members for members in by_attitude.values() if _is_heated(members)]
     if not attitudes or not rms.all():
         return 0.0
-    misfits = np.array([_misfit(attitudes, lag_s, rms) for lag_s in _LAGS_S])
+    straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in _LAGS_S]).T
+    misfits = curved if straight.min() - curved[0] > _GAIN else straight
     best = int(np.argmin(misfits))
     if not misfits[0] - misfits[best] > _GAIN:
         return 0.0
@@ -85,9 +87,11 @@ def _is_heated(rests: Sequence[HeatedRest]) -> bool:
     return float(np.ptp(degc)) >= LEAST_HEATING_DEGC
 
 
-def _misfit(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats) -> float:
-    """Chi-squared of readings about a straight line over temperature, with one level for each attitude."""
-    products, squares, total = np.zeros(3), 0.0, np.zeros(3)
+def _misfits(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats) -> tuple[float, float]:
+    """Chi-squared of readings about a straight line and about a parabola over temperature, with one level for each
+    attitude.
+    """
+    moments, shared, total = np.zeros((2, 2)), np.zeros((2, 3)), np.zeros(3)
     for members in attitudes:
         has_rows = [rest.segments.rows > 0 for rest in members]
         rows = np.concatenate([rest.segments.rows[mask] for rest, mask in zip(members, has_rows, strict=True)])
@@ -96,11 +100,14 @@ def _misfit(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats
         )
         readings = np.concatenate([rest.readings for rest in members])
         warm = degc - np.average(degc, weights=rows)
+        powers = np.stack([warm, warm**2 - np.average(warm**2, weights=rows)])
         apart = readings - np.average(readings, axis=0, weights=rows)
-        products += (rows * warm) @ apart
-        squares += float(rows @ warm**2)
+        moments += (rows * powers) @ powers.T
+        shared += (rows * powers) @ apart
         total += rows @ apart**2
-    return float(((total - products**2 / squares) / rms**2).sum())
+    straight = total - shared[0] ** 2 / moments[0, 0]
+    curved = total - np.einsum("pa,pa->a", shared, np.linalg.lstsq(moments, shared, rcond=1e-12)[0])
+    return float((straight / rms**2).sum()), float((curved / rms**2).sum())
 
 
 def _log_with(log: LogSummary, motion: Motion, lags_s: Mapping[str, float]) -> LogSummary:

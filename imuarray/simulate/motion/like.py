@@ -7,14 +7,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Integers, Reals
+from imuarray.arrays import Floats, Integers, Reals
 from imuarray.axes import UP_AXES
-from imuarray.calibrate.segments import chip_thermometer
+from imuarray.calibrate.segments import TemperatureSeries, chip_thermometer
 from imuarray.errors import LogError
 from imuarray.log.columns import Track
 from imuarray.log.format import Phase
@@ -32,10 +33,16 @@ CHIP_S, SHORT_CHIP_S, CHIP_SHARE = 10.0, 2.0, 1 / 15
 over the shorter time: its steps and its noise are no change of the temperature, and a heating lasts a part of the log.
 """
 
+FINEST_CHIP_S = 0.5
+"""Shortest time over which they are averaged where the temperature changes by more than their steps and noise."""
+
 _FEW_READINGS, _SIGNIFICANT = 5, 3.0
 """Fewest readings of a thermometer that show its noise; the scatter of readings of a temperature that changes, in this
 noise: otherwise a straight line is taken, since the noise of a thermometer is no change of the temperature.
 """
+
+_MEDIAN_OF_SECOND_DIFFERENCES = 0.6745 * math.sqrt(6)
+"""Median size of the second differences of independent normal readings, in their standard deviation."""
 
 TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
 
@@ -58,12 +65,12 @@ class LikeLog:
     taken to have stood still: on the face that a phase names as up, and until the next such phase on that one (before
     the first, on the first; +Z if none is named); then turns and shaking are missing from it, and tilts too.
 
-    The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
-    what a chip's own thermometer measured, averaged over `CHIP_S`, if its zero is known, else 25 degC. The field is
-    that of `fields`, if there are any, else the earth's on that face, also while the box moves; the pressure is that
-    of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of the track: a reference
-    has noise, and a box at rest does not move. The log stays open. LogError for a phase whose `up` is no box axis, or
-    rows that can't be meant.
+    The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included,
+    else what a chip's own thermometer measured, averaged over at most `CHIP_S`, if its zero is known, else 25 degC.
+    The field is that of `fields`, if there are any, else the earth's on that face, also while the box moves; the
+    pressure is that of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of
+    the track: a reference has noise, and a box at rest does not move. The log stays open. LogError for a phase
+    whose `up` is no box axis, or rows that can't be meant.
     """
 
     log: Log
@@ -227,16 +234,40 @@ class LikeLog:
             with suppress(LogError):  # a barometer that was imported without
                 if len(sensor):
                     return "barometer", SplineColumns(sensor.time, (sensor.compensated("temperature"),), sensor.where)
-        chip = chip_thermometer(self.log, min(CHIP_S, max(SHORT_CHIP_S, CHIP_SHARE * self.seconds)))
+        chip = chip_thermometer(self.log, FINEST_CHIP_S)
         if chip is None:
             return "nothing", None
-        time_s, degc = chip.time_s, chip.degc
+        time_s, degc = _averaged(chip, min(CHIP_S, max(SHORT_CHIP_S, CHIP_SHARE * self.seconds)))
         if not _changes(degc):
             line = np.polynomial.Polynomial.fit(time_s, degc, 1)
             time_s = time_s[[0, -1]]
             degc = line(time_s)
         time_ns = np.rint(time_s * 1e9).astype(np.int64)
         return "chip", SplineColumns(time_ns, (degc,), f"{self.log.path}, temperature_counts")
+
+
+def _averaged(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]:
+    """Means (k,) of the times and of the readings of a thermometer over `longest_s`, and over less, by halves, as long
+    as the means of the halves differ by more than a step of the thermometer and by more than its noise.
+    """
+    degc = chip.degc
+    noise = float(np.median(np.abs(np.diff(degc, n=2)))) / _MEDIAN_OF_SECOND_DIFFERENCES if len(degc) > 2 else 0.0
+    edges = np.searchsorted(chip.time_s, np.arange(chip.time_s[0], chip.time_s[-1], longest_s)).tolist()
+    windows = [(first, stop) for first, stop in pairwise([*edges, len(degc)]) if stop > first]
+    means = []
+    while windows:
+        first, stop = windows.pop()
+        middle = (first + stop) // 2
+        if middle > first:
+            change = abs(float(degc[first:middle].mean() - degc[middle:stop].mean()))
+            if change > max(
+                chip.step_degc, _SIGNIFICANT * noise * math.sqrt(1 / (middle - first) + 1 / (stop - middle))
+            ):
+                windows += [(first, middle), (middle, stop)]
+                continue
+        means.append((chip.time_s[first:stop].mean(), degc[first:stop].mean()))
+    time_s, averages = np.array(sorted(means)).T
+    return time_s, averages
 
 
 def _changes(degc: Reals) -> bool:

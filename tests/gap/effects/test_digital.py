@@ -101,6 +101,18 @@ def test_an_axis_that_saturates_alone() -> None:
 
 
 @pytest.mark.slow
+def test_an_axis_that_saturates_at_one_end() -> None:
+    """A gyroscope that ends at +30 dps and turns by more than that the other way, up to the converter's end."""
+    evidence = shown("motion", "G1", Saturation(300.0, -270.0))
+    (found,) = list(saturation.guesses(evidence))[-1].effects
+    assert isinstance(found, Saturation)
+    upper = np.add(found.centre, found.limit)
+    np.testing.assert_allclose(upper, 30.0, atol=1 / evidence.header.sensitivity)
+    lowest = np.subtract(found.centre, found.limit)
+    np.testing.assert_allclose(lowest, -32768 / evidence.header.sensitivity)
+
+
+@pytest.mark.slow
 def test_ends_about_an_offset_that_is_added_behind_them() -> None:
     """Of a gyroscope at +37.5 and -22.5 dps on every axis."""
     evidence = shown("motion", "G1", Saturation(30.0, 7.5))

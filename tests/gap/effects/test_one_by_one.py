@@ -10,7 +10,8 @@ import pytest
 
 from imuarray.gap.inference.comparison import prepared
 from imuarray.gap.inference.effects import dropped_samples, glitches, stuck
-from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
+from imuarray.gap.inference.evidence import Evidence, Repetition, ScoredStatistics, evidence_of
+from imuarray.gap.inference.when import Span
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.recording.events import repeated_rows_in
@@ -94,6 +95,12 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bo
     np.testing.assert_array_equal(there.end_ns, real.end_ns)
     assert np.array_equal(there.counts, real.counts) == has_readings
     assert (_flagged(block.status, STALE) == _flagged(recording.log[sensor].status[:], STALE)).all()
+
+
+def test_the_reading_that_is_repeated_may_be_the_first_of_a_log() -> None:
+    """The first repetition comes a row of 10 ms later; its stretch begins half a row before it."""
+    repetition = Repetition(Span(0, 0.005, 0.03), 3, (1, 2, 3))
+    assert stuck._with_first_reading(repetition) == pytest.approx(Span(0, 0.0, 0.035))
 
 
 def test_rows_that_are_lost(made: Made) -> None:

@@ -36,7 +36,8 @@ class Hypothesis:
     without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
     (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
     (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`).
-    `begin_bounds_s`: moments of its log between which the last span begins, where looks have to find the beginning.
+    `begin_bounds_s`: moments of its log between which the last span of less than a log begins, where looks have to find
+    the beginning.
     """
 
     effects: tuple[Effect, ...]
@@ -68,12 +69,13 @@ class Hypothesis:
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:
-        """The same with its last span beginning at moment number `at` of these, which ascend, and within its
-        neighbours.
+        """The same with its last span that is not a whole log beginning at moment number `at` of these, which ascend,
+        and within its neighbours.
         """
-        *earlier, last = self.when.spans
-        begin_s = moments_s[at]
-        changed = self.at(When((*earlier, last._replace(moment_s=begin_s)), self.when.chosen))
+        spans, begin_s = list(self.when.spans), moments_s[at]
+        last = max(place for place, span in enumerate(spans) if not span.is_whole)
+        spans[last] = spans[last]._replace(moment_s=begin_s)
+        changed = self.at(When(tuple(spans), self.when.chosen))
         bounds_s = moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]
         return replace(changed, begin_bounds_s=bounds_s)
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.in_motion import FORCE, moments
+from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, Moments, moments
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
 
 _AT_REST = ("force_own", "force_next", "force_after", "mean")
-_IN_MOTION = ("motion_coupling", "motion_residual")
+_DELAY = "motion_delay"
+_IN_MOTION = ("motion_coupling", "motion_residual", _DELAY)
 _BEYOND = 2.7
 
 _CLEAR, _SMALL = 4.0, 0.2
@@ -30,19 +32,26 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Hypotheses with the cost of each number, which none of them being refined doesn't save."""
     if evidence.header.quantity != "angular_rate":
         return
-    responses_g = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else []
-    if not responses_g and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
-        responses_g = _from_motion(evidence)
-    for response_g in responses_g:
-        if response_g.any():
-            fitted = float(np.count_nonzero(response_g))  # numbers, whose cost none of them being refined doesn't save
-            yield Hypothesis((GSensitivity(tuple(response_g.ravel().tolist())),), rarity=fitted)
+    responses = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else []
+    if not responses and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
+        responses = _from_motion(evidence)
+    for response in responses:
+        if response.per_g.any():
+            yield Hypothesis((GSensitivity(tuple(response.per_g.ravel().tolist())),), rarity=float(response.numbers))
 
 
-def _from_faces(evidence: Evidence) -> list[Floats]:
-    """(3, 3) each; none unless faces differ. Directions that were not felt get 0."""
+class _Response(NamedTuple):
+    """Response `per_g` (3, 3) to specific force, which so many `numbers` determine."""
+
+    per_g: Floats
+    numbers: int
+
+
+def _from_faces(evidence: Evidence) -> list[_Response]:
+    """None unless faces differ. Directions that were not felt get 0."""
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
@@ -57,15 +66,43 @@ def _from_faces(evidence: Evidence) -> list[Floats]:
     is_clear = (size > _CLEAR * np.sqrt(variance[:, None] * inverse)) & (size > _SMALL * size.max())
     response_g = beyond + np.where(beyond != 0, evidence.fitted.response, 0.0)
     clear_g = np.where(is_clear, response_g, 0.0)
-    return [response_g] if is_clear[beyond != 0].all() else [response_g, clear_g]
+    responses_g = [response_g] if is_clear[beyond != 0].all() else [response_g, clear_g]
+    return [_Response(per_g, int(np.count_nonzero(per_g))) for per_g in responses_g]
 
 
-def _from_motion(evidence: Evidence) -> list[Floats]:
+def _from_motion(evidence: Evidence) -> list[_Response]:
+    """Least squares of what the reference does not explain; and the mass unbalance that makes the delays of axes."""
     table = moments(evidence)
     if table is None:
         return []
     force, shared, _ = table.beside(FORCE)
-    return [np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)]
+    response_g = np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)
+    return [_Response(response_g, int(np.count_nonzero(response_g))), _Response(_unbalance(evidence, table), 3)]
+
+
+def _unbalance(evidence: Evidence, table: Moments) -> Floats:
+    """The (3, 3) response to the force f of a mass unbalance m, m x f (IEEE Std 1431), that delays the axes as they are
+    delayed beyond the model, as far as delays tell it; directions that they do not tell are near 0.
+
+    A box that rocks feels gravity turn in step with the change c of its rate: an axis is late by -<c, m x f> / <c, c>.
+    """
+    products, _, _ = table.beside(_CHANGE_AND_FORCE)
+    changes, force = np.diag(products[:3, :3]), products[:3, 3:]
+    delay_s, score = evidence.typical(_DELAY), evidence.score(_DELAY)
+    known = np.isfinite(delay_s) & (score != 0) & (delay_s != 0) & (changes > 0)
+    if not known.any():
+        return np.zeros((3, 3))
+    delays_s = np.cross(np.eye(3), force)[known] * table.window_s / changes[known, None]
+    error_s = np.abs(delay_s[known] / score[known])
+    normal = (delays_s / error_s[:, None] ** 2).T @ delays_s + np.eye(3) / _USUAL_UNBALANCE**2
+    unbalance = np.linalg.solve(normal, delays_s.T @ (delay_s[known] / error_s**2))
+    return np.cross(unbalance, np.eye(3)).T
+
+
+_CHANGE_AND_FORCE = np.r_[CHANGE, FORCE]
+
+_USUAL_UNBALANCE = 10.0
+"""Scatter of the mass unbalance in dps/g, which limits what weak evidence says."""
 
 
 G_SENSITIVITY = Candidate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from imuarray.characterise.codes import Histogram
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.converters import code_span
+from imuarray.simulate.converters import CodeSpan, code_span
 from imuarray.simulate.effects.saturation import Saturation
 
 _PROBES = ("code_pile", "skewness", "kurtosis", "motion_residual", "motion_gain", "force_square", "force_own")
@@ -23,7 +23,8 @@ _MOST = 2
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up alone;
-    and both ends of each axis that piles up at both, about a centre of its own.
+    and both ends of each axis, about a centre of its own, where an axis piles up at both, or at one and passes the
+    opposite of it at the other, which then is the converter's.
     """
     yield from with_removal(evidence, Saturation.name, _found(evidence))
 
@@ -44,11 +45,30 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
             max(axis_limits) / evidence.header.sensitivity if axis_limits else math.inf for axis_limits in limits
         )
         yield Hypothesis((Saturation((x, y, z)),), ("limit",))
-    if any(len(axis_ends) > 1 for axis_ends in ends):
+    both = [_both_ends(axis_ends, _extremes(evidence, axis), span) for axis, axis_ends in enumerate(ends)]
+    if any(both):
         scale = 2 * evidence.header.sensitivity
-        x, y, z = ((max(codes) - min(codes)) / scale if len(codes) > 1 else math.inf for codes in ends)
-        centre_x, centre_y, centre_z = ((max(codes) + min(codes)) / scale if len(codes) > 1 else 0.0 for codes in ends)
+        x, y, z = ((max(codes) - min(codes)) / scale if codes else math.inf for codes in both)
+        centre_x, centre_y, centre_z = ((max(codes) + min(codes)) / scale if codes else 0.0 for codes in both)
         yield Hypothesis((Saturation((x, y, z), (centre_x, centre_y, centre_z)),))
+
+
+def _extremes(evidence: Evidence, axis: int) -> list[int]:
+    """The lowest and the highest code of an axis in each phase."""
+    histograms = [phase.raw.codes[axis] for phase in evidence.phases]
+    return [int(end) for histogram in histograms if len(histogram.codes) for end in histogram.codes[[0, -1]]]
+
+
+def _both_ends(ends: Collection[int], codes: Collection[int], span: CodeSpan) -> tuple[int, ...]:
+    """The codes at which an axis ends: those with a pile, or one with a pile and the end of the converter's span, if
+    the axis passes the opposite of the pile; () if it may end at opposite codes.
+    """
+    if len(ends) == 1:
+        (end,) = ends
+        if end > 0 and min(codes) < -end:
+            return span.lowest, end
+        return (end, span.highest) if end < 0 and max(codes) > -end else ()
+    return tuple(ends)
 
 
 def _piled(histogram: Histogram) -> Iterator[int]:

@@ -4,6 +4,7 @@ single axis too), or by a level that changes along the axes that feel gravity.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -15,11 +16,17 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import Span, When
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.simulate.effects.scale import Scale
 
 _LARGEST = 0.9
 """More than that isn't an error of scale."""
+
+_ALONG = "motion_along"
+
+_PARTLY = 0.8
+"""Largest error of the first part of a motion, as a share of that of the second, if it begins within the motion."""
 
 _FELT = 0.3
 """Least share of the force along an axis whose level tells a scale."""
@@ -38,6 +45,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         for step in level_steps(evidence):
             yield from _of_step(evidence, step)
     yield from _of_rotation(evidence)
+    yield from _within_motion(evidence)
     score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
     if measured_response is None or not (score > ODD).any():
         return
@@ -52,15 +60,40 @@ def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
     """The share of motion that is lacking along each axis that strays, and along all axes alike, where the axes cannot
     be told apart: in a rotation about a single axis.
     """
-    score = size_of_score(evidence, "motion_along")
+    score = size_of_score(evidence, _ALONG)
     if evidence.is_odd("motion_gain", beyond=ODD) or not (score > ODD).any():
         return
-    shift = evidence.shift("motion_along")
+    shift = evidence.shift(_ALONG)
     error = np.where((score > DOUBTFUL) & (np.abs(shift) < _LARGEST), shift, 0.0)
     largest = float(error[score.argmax()])
     for x, y, z in dict.fromkeys([(largest,) * 3, tuple(error.tolist())]):
         if any((x, y, z)):
             yield Hypothesis((Scale((x, y, z)),), ("error",))
+
+
+def _within_motion(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The error of the second part of a motion from some moment on, where the first part shows a smaller one."""
+    if _ALONG not in evidence.scores or _ALONG not in evidence.rows_of:
+        return
+    logs = np.array(evidence.rows_of[_ALONG])
+    shift, score = evidence.values[_ALONG] - evidence.expected[_ALONG], np.nan_to_num(np.abs(evidence.scores[_ALONG]))
+    for log in np.unique(logs[logs >= 0]).tolist():
+        parts = np.flatnonzero(logs == log)
+        moving = [phase.raw.phase for phase in evidence.phases if phase.log == log and not phase.is_still]
+        if len(parts) != 2 or not moving:
+            continue
+        (first, second), second_score = np.nan_to_num(shift[parts]), score[parts[1]]
+        changes = (second_score > DOUBTFUL) & (np.abs(second) < _LARGEST) & (np.abs(first) < _PARTLY * np.abs(second))
+        error = np.where(changes, second, 0.0)
+        if not (changes & (second_score > ODD)).any():
+            continue
+        begin_s, end_s = min(phase.start_ns for phase in moving) * 1e-9, max(phase.end_ns for phase in moving) * 1e-9
+        when = When((Span(log, (begin_s + end_s) / 2, math.inf),))
+        largest = float(error[second_score.argmax()])
+        for x, y, z in dict.fromkeys([(largest,) * 3, tuple(error.tolist())]):
+            if any((x, y, z)):
+                scale = Hypothesis((Scale((x, y, z)),), ("error",)).at(when)
+                yield replace(scale, begin_bounds_s=(begin_s, end_s))
 
 
 def _of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:

@@ -11,7 +11,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.skew import Skew
 
-_AHEAD = 3.0
+_AHEAD = 6.0
 """A reading may be old when it is stamped; one that is made after its stamp is rare. Of two sensors that differ the one
 behind is late, rather than the other one early.
 """

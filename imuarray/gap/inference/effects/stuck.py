@@ -89,10 +89,10 @@ def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _with_first_reading(repetition: Repetition) -> Span:
-    """The stretch with the reading that is repeated."""
+    """The stretch with the reading that is repeated, which may be the first of the log."""
     log, moment_s, length_s = repetition.span
-    row_s = length_s / repetition.rows
-    return Span(log, moment_s - row_s, length_s + row_s)
+    begin_s = max(moment_s - length_s / repetition.rows, 0.0)
+    return Span(log, begin_s, moment_s + length_s - begin_s)
 
 
 def _kind(evidence: Evidence) -> str:

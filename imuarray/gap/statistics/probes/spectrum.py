@@ -101,7 +101,9 @@ def _band_probe(number: int) -> PhaseProbe:
 
 BAND_PROBES = tuple(_band_probe(number) for number in range(BANDS))
 LINE = PhaseProbe("spectrum", "normal score of the highest peak over its neighbours' median", "", ("tone",), line)
-ALTERNATION = PhaseProbe("spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation)
+ALTERNATION = PhaseProbe(
+    "spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation, by_column=False
+)
 EVERY_OTHER = PhaseProbe(
     "spectrum", "normal score of the mean of every other reading less that of those between", "", ("tone",), every_other
 )
