@@ -34,6 +34,9 @@ ROWS = 4096
 _HEADER_WITHIN = 50
 """Rows within which a header is looked for that is not the first row."""
 
+MOST_RESTARTS = 1000
+"""Most falls of a clock in a recording; a column that falls more often holds no times, or rows are out of order."""
+
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
 
@@ -364,8 +367,15 @@ class TimeColumn:
         wraps_at: float | None = None,
         ties: bool = False,
         last_ns: int | None = None,
+        *,
+        restarts: bool = False,
     ) -> None:
         """`last_ns` is the time of the row before the first one, None if there is none."""
+        self._restarts, self._restart_ns, self._usual_ns = restarts, 0, 1
+        self.restarted: npt.NDArray[np.bool_] = np.zeros(0, bool)
+        """Rows (n,) of the last block at which the times fell."""
+        self.set_back_ns: list[int] = []
+        """By how much the times fell each time, at most `MOST_RESTARTS` of them; a longer list is refused."""
         self._iso = unit == ISO
         self._format = unit if is_date_format(unit) else ""
         tick_ns = Fraction(ticks).limit_denominator(10**9) * NS_PER_UNIT.get(unit, 1)
@@ -389,6 +399,8 @@ class TimeColumn:
             self.wrapped += int(turns[-1]) // self._span_ns if len(turns) else 0
             times = times + self._turns_ns + turns
             self._turns_ns += int(turns[-1]) if len(turns) else 0
+        if self._restarts:
+            times = self._joined(column, times)
         if self._ties:
             times = self._apart(times)
         before = np.concatenate([[first], times[:-1]])
@@ -413,9 +425,25 @@ class TimeColumn:
         if self._span_ns:
             return ""
         return (
-            "; for a counter that restarts, set wraps_at in the map; for rows out of order, sort = true; import several"
-            " recordings one by one, and so the parts before and after a clock was set"
+            "; for a counter that wraps, set wraps_at in the map; for rows out of order, sort = true; for a clock that"
+            " was set back, restarts = true; import several recordings one by one"
         )
+
+    def _joined(self, column: CellColumn, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Let times that fall go on from the row before, at the usual interval; SourceError if they fall often."""
+        if not len(times):
+            return times
+        steps = np.diff(times, prepend=times[0] if self.last_ns is None else self.last_ns - self._restart_ns)
+        self.restarted = steps < 0
+        if (steps > 0).any():
+            self._usual_ns = round(float(np.median(steps[steps > 0])))
+        self.set_back_ns += (-steps[self.restarted]).tolist()
+        if len(self.set_back_ns) > MOST_RESTARTS:
+            row = int(np.flatnonzero(self.restarted)[-1])
+            raise column.refuse(row, f"the times fall for the {MOST_RESTARTS + 1}th time; is this the column of time?")
+        shifts = self._restart_ns + np.cumsum(np.where(self.restarted, self._usual_ns - steps, 0))
+        self._restart_ns = int(shifts[-1])
+        return np.asarray(times + shifts)
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Separate equal times by 1 ns."""
@@ -482,6 +510,7 @@ class TimeColumn:
 
 def _date_ns(column: CellColumn, row: int, text: str) -> int:
     """Return a date and time as ns since 1970; without a zone it is UTC."""
+    text, leap_ns = _without_leap_second(text)
     whole, point, rest = text.partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
     try:
@@ -491,19 +520,31 @@ def _date_ns(column: CellColumn, row: int, text: str) -> int:
         raise column.refuse(
             row, f"{column.text(row)!r} is not a date and time such as 2013-09-16T08:30:00.5Z"
         ) from None
-    return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0)
+    return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0) + leap_ns
+
+
+def _without_leap_second(text: str) -> tuple[str, int]:
+    """Return a time in second 60 as one in second 59, and how much later it is in ns: the clock shows the next minute,
+    and then that once more (`restarts` in the map).
+    """
+    if _LEAP_SECOND.search(text):
+        return text.replace(":59:60", ":59:59", 1), 1_000_000_000
+    return text, 0
+
+
+_LEAP_SECOND = re.compile(r":59:60(?!\d)")
 
 
 def _formatted_ns(column: CellColumn, row: int, text: str, layout: str) -> int:
     """Return a date and time of a `strptime` format as ns since 1970, one without a day as ns since midnight; without a
     zone it is UTC. A fraction at the end may have nine digits, or be absent.
     """
-    nanos = 0
+    text, nanos = _without_leap_second(text)
     if layout.endswith(".%f"):
         layout = layout.removesuffix(".%f")
         head, point, digits = text.replace(",", ".").rpartition(".")
         if point and digits.isdigit():
-            text, nanos = head, int(f"{digits[:9]:0<9}")
+            text, nanos = head, nanos + int(f"{digits[:9]:0<9}")
     try:
         moment = datetime.strptime(text, layout)
     except ValueError:

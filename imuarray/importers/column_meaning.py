@@ -18,6 +18,8 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.mapping import NS_PER_UNIT
+from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
+from imuarray.importers.sphere import fit_sphere
 from imuarray.importers.text_layout import TextLayout, quoted
 from imuarray.printable import printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
@@ -41,7 +43,7 @@ _BEGIN = r"(?<![a-z])"
 _QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
     ("angular_rate", re.compile(rf"gyr|rot|omega|ang|rate|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
-    ("specific_force", re.compile(rf"acc|force|{_BEGIN}(?:l?a|f)\*|gravity|lin", re.IGNORECASE)),
+    ("specific_force", re.compile(rf"acc|force|{_BEGIN}(?:l?a|g?_?f)\*|gravity|lin", re.IGNORECASE)),
 )
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
 """Every unit belongs to one quantity."""
@@ -67,6 +69,7 @@ _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 _COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
+_ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 _INDEX = re.compile(
@@ -100,7 +103,28 @@ class Proposal:
         return "\n".join(parts) + "\n"
 
 
-_INSTANCE = re.compile(r"i|id|imu|instance|(sensor|device|imu|unit)[ _]?(id|no|nr|number|index)?", re.IGNORECASE)
+_INSTANCE = re.compile(
+    r"i|id|imu|instance|type|(event\.)?(sensor|device|imu|unit)[ _.]?(id|no|nr|number|index|type)?", re.IGNORECASE
+)
+_ANDROID_TYPES: Mapping[str, str] = {
+    "1": "accelerometer", "2": "magnetic field", "4": "gyroscope", "6": "pressure", "9": "gravity",
+    "10": "linear acceleration", "13": "ambient temperature", "14": "magnetic field uncalibrated",
+    "16": "gyroscope uncalibrated", "35": "accelerometer uncalibrated",
+}  # fmt: skip
+"""Constants `TYPE_...` of Android's class Sensor."""
+
+
+def words_of_kind(kind: str, column: str) -> str:
+    """Return what a kind of rows is called: itself, or the name of a number in Android's column of sensor types."""
+    return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
+
+
+def is_of_a_quantity(words: str) -> bool:
+    """Return whether words name a quantity that a map can describe."""
+    patterns = [*(pattern for _, pattern in _QUANTITIES), _TEMPERATURE, _PRESSURE]
+    return any(pattern.search(words) for pattern in patterns)
+
+
 _MOST_INSTANCES = 16
 _ALTERNATES = 0.3
 
@@ -289,11 +313,13 @@ def time_lines(
     if index in dates:
         month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
         return [*lines, f"unit = {quoted(dates[index])}{month}"]
-    if name.lower() == "sampletimefine":
-        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz", "wraps_at = 4294967296"]
     values = columns[index]
     steps = np.diff(values)
-    said = proposal.units.get(name) or _unit_in(name)
+    if name.lower() == "sampletimefine":
+        is_coarse = 1e4 / max(_unit_of_time("us", values)[1], 1e-9) >= USUAL_RATES_HZ[0]
+        ticks_line = ["ticks = 100   # of Xsens: a clock of 10 kHz"] if is_coarse else []
+        return [*lines, 'unit = "us"', *ticks_line, "wraps_at = 4294967296"]
+    said = proposal.units.get(name) or _unit_in(name) or _unit_called(name)
     if ticks := _TICKS.fullmatch(said):
         tick_s = float(ticks[1]) * NS_PER_UNIT[_SPELLINGS.get(ticks[2], ticks[2])] * 1e-9
         rate_hz = 1 / max(_unit_of_time("s", values)[1] * tick_s, 1e-12)
@@ -309,10 +335,36 @@ def time_lines(
         )
         return ["rate_hz = 100   # ? enter the true rate"]
     unit, step = _unit_of_time(said, values)
-    factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    rate_hz = _rate_hz(unit, step)
+    inferred, _ = _unit_of_time("", values)
+    other_hz = _rate_hz(inferred, step)
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1] and USUAL_RATES_HZ[0] <= other_hz <= USUAL_RATES_HZ[1]:
+        proposal.doubts.append(
+            f"column {name!r} says {unit}, which would be {rate_hz:.3g} rows a second; {inferred} is assumed"
+        )
+        unit, rate_hz = inferred, other_hz
     mark = "" if said == unit else "   # ?"
-    lines.append(f'unit = "{unit}"{mark or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
+    lines.append(f'unit = "{unit}"{mark or "   #"} {rate_hz:.4g} rows a second, if so')
     return lines + _restarts(values)
+
+
+def _rate_hz(unit: str, step: float) -> float:
+    """Return the rate of rows that are `step` units of time apart."""
+    return 1e9 / max(step * NS_PER_UNIT[unit], 1e-3)
+
+
+_CALLED: Mapping[str, re.Pattern[str]] = {
+    "us": re.compile(r"(?:^|[_ .])(?:us|usec|micros|microseconds)$|[a-z]US$", re.ASCII),
+    "ms": re.compile(r"(?:^|[_ .])(?:ms|msec|millis|milliseconds)$|[a-z]MS$", re.ASCII),
+    "ns": re.compile(r"(?:^|[_ .])(?:ns|nsec|nanos|nanoseconds)$|[a-z]NS$", re.ASCII),
+    "s": re.compile(r"(?:^|[_ .])(?:sec|secs|seconds)$", re.ASCII),
+}
+"""Names of times that say their unit without brackets, by unit."""
+
+
+def _unit_called(name: str) -> str:
+    """Return the unit of time that a name without brackets says; "" if it says none."""
+    return next((unit for unit, spelt in _CALLED.items() if spelt.search(name.strip())), "")
 
 
 _TICKS = re.compile(r"(\d+\.?\d*) ?([mun\u00b5\u03bc]?s)")
@@ -331,7 +383,9 @@ def _restarts(values: Floats) -> list[str]:
 
 def _wrap_of(values: Floats) -> float:
     """Return the usual period that a counter (n,) with falls has; 0 without one."""
-    most = float(values.max())
+    least, most = float(values.min()), float(values.max())
+    if least < 0:  # a signed counter
+        return next((period for period in _WRAPS if 0.9 * period < 2 * min(most, -least) <= period), 0.0)
     return next((period for period in _WRAPS if 0.9 * period < most <= period), 0.0)
 
 
@@ -340,7 +394,7 @@ def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
     steps = np.diff(values)
     step = float((values[-1] - values[0]) / len(steps))
     if (steps < 0).any():
-        step = float(steps[steps >= 0].mean()) if _wrap_of(values) else float(np.ptp(values) / len(steps))
+        step = float(np.median(steps[steps > 0]))
     if said in NS_PER_UNIT:
         return said, step
     return next((unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"), step
@@ -398,6 +452,13 @@ def _with_quantity(
             f" {listed}, and the two columns after each of them"
         )
         triads = [triad for triad in triads if triad not in computed]
+    estimates = [triad for triad in triads if _ESTIMATE.search(first_name(triad))]
+    if estimates and len(estimates) < len(triads):
+        proposal.doubts.append(
+            "left out: estimates of biases, according to their names:"
+            f" {', '.join(map(first_name, estimates))}, and the two columns after each of them"
+        )
+        triads = [triad for triad in triads if triad not in estimates]
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]
@@ -436,7 +497,10 @@ def _keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) ->
 
 def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
     """Return whether the median length of a triad is 1 g in some unit."""
-    length = float(np.nanmedian(np.sqrt(sum(columns[index] ** 2 for index in triad))))
+    lengths = np.sqrt(sum(columns[index] ** 2 for index in triad))
+    if np.isnan(lengths).all():
+        return False
+    length = float(np.nanmedian(lengths))
     return any(abs(length / gravity - 1) < _NEAR_GRAVITY for gravity in _GRAVITIES)
 
 
@@ -454,6 +518,7 @@ def _sensor(
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
+    whole = whole and float(np.ptp(values)) < _CODES_16
     codes: list[str] = []
     largest = _CODES_16 / 2
     if whole:
@@ -471,8 +536,26 @@ def _sensor(
     ]
     if said in UNITS_OF[quantity]:  # type: ignore[index]
         return [*item, f'unit = "{said}"'], said
-    unit, lines = _counted(quantity, length, largest) if whole else _measured(quantity, length, force_unit)
+    if not whole:
+        unit, lines = _measured(quantity, values, force_unit)
+        return [*item, *lines], unit
+    sphere = fit_sphere(values) if quantity == "specific_force" else None
+    unit, lines = _counted(quantity, length if sphere is None else sphere.radius, largest)
+    if sphere is not None and not codes and is_in_mg(sphere.radius):
+        unit, lines = "mg", [UNIT_MG.format(sphere.radius)]
     return [*item, *codes, *lines], unit
+
+
+UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
+
+
+def is_in_mg(length: float) -> bool:
+    """Return whether gravity's length in all directions says that whole numbers are in mg, not 1024 counts per g."""
+    return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
+
+
+_EXACT = 0.012
+"""Greatest log ratio of gravity's length in all directions to the counts per g."""
 
 
 def _signed(values: Floats) -> tuple[Floats, list[str], float]:
@@ -521,9 +604,13 @@ def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[st
     ]
 
 
-def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[str]]:
-    """Return the unit of columns of physical values."""
+def _measured(quantity: str, values: Floats, force_unit: str) -> tuple[str, list[str]]:
+    """Return the unit of columns of physical values (n, 3)."""
+    length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     if quantity == "angular_rate":
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > _MOST_DPS:
+            return "mdps", [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
         unit = "rad/s" if force_unit == "m/s2" else "dps"
         return unit, [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
     if quantity == "specific_force":
@@ -532,6 +619,10 @@ def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[
         sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
     unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
     return unit, [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
+
+
+_MOST_DPS = 6000.0
+"""Readings beyond those of every gyroscope in dps: the values are in thousandths."""
 
 
 def _propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,18 +23,22 @@ from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
 from imuarray.importers.column_meaning import (
     COUNTS_OF_GYROSCOPE,
+    UNIT_MG,
     Proposal,
     increases,
     instance_column,
+    is_in_mg,
+    is_of_a_quantity,
     kind_column,
     propose_columns,
     propose_kind,
     time_lines,
     units_below_header,
+    words_of_kind,
 )
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.mimu4444 import is_recording
-from imuarray.importers.plausibility import report_of, turns_of
+from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
 from imuarray.importers.sources import open_rows, reader_of, texts_in
 from imuarray.importers.table import import_table
@@ -68,7 +73,9 @@ def guess_map(source: str | Path) -> str:
     head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
     trial = _try_import(proposal.text([]), path)
     if trial.is_refused and not any(line.startswith(("rate_hz", "wraps_at")) for line in proposal.time):
-        trial = _try_sorted(proposal, path) or trial
+        trial = _try_sorted(proposal, path) or _try_restarts(proposal, path) or trial
+    if _correct_milli(proposal, trial.radii):
+        trial = _try_import(proposal.text([]), path)
     if _correct_scale(proposal, trial.factor) if trial.factor is not None else _correct_quiet_unit(proposal, trial):
         trial = _try_import(proposal.text([]), path)
     proposal.remarks += [text for text in trial.remarks if text not in proposal.remarks]
@@ -78,14 +85,17 @@ def guess_map(source: str | Path) -> str:
 
 class _Trial(NamedTuple):
     """An import with a proposed map: its remarks, its doubts, the error factor of the gyroscope's scale (None if
-    unknown), and the least interval of rows as a share of the usual one.
+    unknown), the least interval of rows as a share of the usual one, and the longest as a share of the recording;
+    the `radii` of gravity in all directions by accelerometer, in g.
     """
 
     remarks: list[str]
     doubts: list[str]
     factor: float | None = None
     least_interval: float = 0.0
+    longest_gap: float = 0.0
     is_refused: bool = False
+    radii: Mapping[str, float] = MappingProxyType({})
 
 
 _FITTING = 0.5
@@ -99,21 +109,45 @@ def _try_sorted(proposal: Proposal, path: Path) -> _Trial | None:
     line = "sort = true   # rows are out of order, and fit between the others"
     proposal.time.append(line)
     trial = _try_import(proposal.text([]), path)
-    if trial.is_refused or trial.least_interval < _FITTING:
+    if trial.is_refused or trial.least_interval < _FITTING or trial.longest_gap > _OPENED:
         proposal.time.remove(line)
         return None
     return trial
 
 
-def _least_interval(log: Log) -> float:
-    """Return the least interval of the rows of any sensor, as a share of its median."""
-    shares = []
+def _try_restarts(proposal: Proposal, path: Path) -> _Trial | None:
+    """Add `restarts = true` to the proposal, if the recording can be imported then."""
+    line = "restarts = true   # ? the clock was set back, or started again"
+    proposal.time.append(line)
+    trial = _try_import(proposal.text([]), path)
+    if trial.is_refused:
+        proposal.time.remove(line)
+        return None
+    proposal.doubts.append(
+        "the times fall: a clock that was set back, or a recorder that started again. If the file holds several"
+        " recordings, import them one by one"
+    )
+    return trial
+
+
+_OPENED = 0.25
+"""Longest interval of rows that were sorted, as a share of the recording, above which they are not late: a clock that
+was set back puts the rest of the recording before its beginning.
+"""
+
+
+def _extreme_intervals(log: Log) -> tuple[float, float]:
+    """Return the least interval of the rows of any sensor, as a share of its median, and the longest, as a share of
+    the time of all its rows.
+    """
+    least, longest = [], []
     for sensor in log.sensors.values():
         intervals = [np.diff(np.asarray(sensor.time[block.start : block.stop + 1])) for block in sensor.blocks()]
         steps = np.concatenate([np.zeros(0), *intervals])
         if len(steps):
-            shares.append(float(steps.min() / max(np.median(steps), 1.0)))
-    return min(shares, default=1.0)
+            least.append(float(steps.min() / max(np.median(steps), 1.0)))
+            longest.append(float(steps.max() / max(steps.sum(), 1.0)))
+    return min(least, default=1.0), max(longest, default=0.0)
 
 
 def _try_import(text: str, path: Path) -> _Trial:
@@ -125,13 +159,28 @@ def _try_import(text: str, path: Path) -> _Trial:
             summary = import_table(path, place / "map.toml", place / "run.h5")
             with open_log(place / "run.h5") as log:
                 report = report_of(log)
-                return _Trial(
-                    [*summary.remarks, *report.quirks], list(report.doubts), turns_of(log), _least_interval(log)
-                )
+                remarks = [*summary.remarks, *report.quirks]
+                trial = _Trial(remarks, list(report.doubts), turns_of(log), *_extreme_intervals(log))
+                return trial._replace(radii=radii_of(log))
         except ImuArrayError as error:
             return _Trial(
                 [], [f"cannot be imported as it is: {str(error).replace(folder, '').lstrip('/')}"], is_refused=True
             )
+
+
+def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
+    """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if all directions say so."""
+    changed = False
+    for item in proposal.items:
+        name = item[1].split('"')[1]
+        if not any(line.startswith("sensitivity = 1024 ") for line in item) or name not in radii:
+            continue
+        length = 1024 * radii[name]
+        if is_in_mg(length):
+            item[:] = [line for line in item if not line.startswith(("range", "sensitivity", "unit"))]
+            item.append(UNIT_MG.format(length))
+            changed = True
+    return changed
 
 
 def _correct_scale(proposal: Proposal, factor: float) -> bool:
@@ -143,9 +192,15 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
         if line is None or not _is_gyroscope(item) or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
             continue
         wanted = COUNTS_OF_GYROSCOPE / factor
-        nearest = min(SENSITIVITIES["angular_rate"], key=lambda scale: abs(ln(scale / wanted)))
+        units = {1 / size: unit for unit, size in UNITS_OF["angular_rate"].items() if unit.startswith("m")}
+        nearest = min([*SENSITIVITIES["angular_rate"], *units], key=lambda scale: abs(ln(scale / wanted)))
         if nearest == COUNTS_OF_GYROSCOPE:
             return False
+        if nearest in units:  # whole numbers of a small unit
+            item[:] = [line for line in item if not line.startswith(("range", "sensitivity"))]
+            place = next(number for number, text in enumerate(item) if text.startswith("unit"))
+            item[place] = f'unit = "{units[nearest]}"   # ? from the rotation of gravity in the accelerometer'
+            return True
         item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? from the rotation of gravity in the accelerometer"
         at = next(number for number, text in enumerate(item) if text.startswith("range"))
         item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
@@ -275,9 +330,14 @@ def _propose_table(text: _Text) -> Proposal:
     text.layout.kind_column = instance
     proposal = Proposal(text.layout)
     kinds = [row[instance].strip() for row in text.rows]
-    for kind in sorted(set(kinds)):
+    called = {kind: words_of_kind(kind, text.names[instance]) for kind in sorted(set(kinds))}
+    is_named = any(map(is_of_a_quantity, called.values()))
+    for kind, name in called.items():
+        if is_named and not is_of_a_quantity(name):
+            proposal.doubts.append(f"left out: rows of kind {kind!r}, whose name states no quantity")
+            continue
         chosen = np.array([other == kind for other in kinds])
-        stem = text.stem if words is None else kind
+        stem = name if is_named else text.stem
         of_kind = [column[chosen] for column in columns]
         partial = propose_columns(text.layout, text.names, of_kind, dates, stem, units)
         _add_kind(proposal, kind, partial)

@@ -5,7 +5,8 @@
     [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   format = "mimu4444"
     [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
                   or     rate_hz = 100
-                  ticks = 1   wraps_at = 4294967296   ties = true   stamps = "reading" | "arrival"
+                  ticks = 1   wraps_at = 4294967296   ties = true   sort = true   restarts = true
+                  stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
                   values = "counts" | "physical"   offset = 0   bits = 16   axes = "+X+Y+Z"   position_mm = [x, y, z]
                   temperature_column   thermometer = { zero_degc, lsb_per_degc } | { unit = "degC" }
@@ -132,9 +133,11 @@ class TimeTable(BaseModel):
 
     A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
     are separated by 1 ns. With `sort`, rows that come late are put in the order of their times
-    (`imuarray.importers.row_order`). A unit with `%` is the format of dates, as `datetime.strptime` has them; a time of
-    day alone goes on after midnight. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the
-    log's times are then reconstructed (`imuarray.importers.arrival`), and the delays are stored.
+    (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row before: the clock was set back
+    (the end of daylight saving time, a leap second), or the recorder started again. A unit with `%` is the format of
+    dates, as `datetime.strptime` has them; a time of day alone goes on after midnight. `stamps = "arrival"`: the times
+    are those at which rows arrived in bursts; the log's times are then reconstructed (`imuarray.importers.arrival`),
+    and the delays are stored.
     """
 
     model_config = _STRICT
@@ -145,6 +148,7 @@ class TimeTable(BaseModel):
     wraps_at: Positive | None = None
     ties: bool = False
     sort: bool = False
+    restarts: bool = False
     stamps: Literal["reading", "arrival"] = "reading"
 
     @model_validator(mode="after")
@@ -153,8 +157,12 @@ class TimeTable(BaseModel):
             raise ValueError("needs either column and unit, or rate_hz")
         if (self.column is None) != (self.unit is None):
             raise ValueError(f"unit requires column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
-        if self.column is None and (self.wraps_at is not None or self.ties or self.sort or self.stamps == "arrival"):
-            raise ValueError("wraps_at, ties, sort and stamps require column")
+        if self.column is None and (
+            self.wraps_at is not None or self.ties or self.sort or self.restarts or self.stamps == "arrival"
+        ):
+            raise ValueError("wraps_at, ties, sort, restarts and stamps require column")
+        if self.restarts and (self.sort or self.wraps_at is not None):
+            raise ValueError("restarts can't be combined with sort or wraps_at, which explain falling times otherwise")
         if self.sort and (
             self.wraps_at is not None or (is_date_format(self.unit or "") and has_no_day(self.unit or ""))
         ):

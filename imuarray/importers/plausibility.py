@@ -30,12 +30,18 @@ from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
+from imuarray.importers.sphere import fit_sphere
 from imuarray.log import Log, SensorLog
 from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 WINDOW_S = 0.5
 """Length of the windows in which rest and rotation are detected: gravity changes little, noise averages out."""
+
+TURN_WINDOW_S = 0.125
+"""Length of the windows in which quick rotations are compared: a turn by hand takes a second. Slow ones, whose gravity
+hardly changes from window to window, are compared in windows of `WINDOW_S`.
+"""
 
 FEWEST_ROWS = 32
 """Minimum length of a recording for doubts; a shorter one is an excerpt."""
@@ -215,6 +221,7 @@ def report_of(log: Log) -> Report:
     quirks, doubts = _Sentences(), _Sentences()
     levels: dict[str, dict[str, float]] = {}
     windows: dict[str, _Windows] = {}
+    short: dict[str, _Windows] = {}
     for sensor in log.sensors.values():
         if len(sensor) < FEWEST_ROWS:
             continue
@@ -233,21 +240,27 @@ def report_of(log: Log) -> Report:
             quirks.add(sensor.name, timing.sentence + hint)
         elif text := rate_change_sentence(find_rate_changes(sensor)) or _missing_rows(sensor, timing):
             quirks.add(sensor.name, text)
+        is_timed = True
         for text in _rate(timing):
             doubts.add(sensor.name, text)
+            is_timed = False
         codes = _Codes(sensor)
         for text in codes.quirks():
             quirks.add(sensor.name, text)
         for text in codes.doubts(sensor):
             doubts.add(sensor.name, text)
         if sensor.sensitivity and not codes.is_constant:
-            windows[sensor.name] = _Windows(sensor, timing, codes.held)
-            level, doubted = _level(sensor, windows[sensor.name])
+            own = _Windows(sensor, timing, codes.held)
+            if is_timed:  # rotations follow from rates and times
+                windows[sensor.name] = own
+                if sensor.quantity in INERTIAL:
+                    short[sensor.name] = _Windows(sensor, timing, codes.held, TURN_WINDOW_S)
+            level, doubted = _level(sensor, own)
             if level is not None:
                 levels.setdefault(level[0], {})[sensor.name] = level[1]
             for text in doubted:
                 doubts.add(sensor.name, text)
-    for name, text in [*_turns(log, windows), *_directions(log, windows), *_twins(log)]:
+    for name, text in [*_turns(log, windows, short), *_directions(log, windows), *_twins(log)]:
         doubts.add(name, text)
     forces = next((sensor.name for sensor in log.of("specific_force") if sensor.name in windows), None)
     if forces is not None and (knocks := windows[forces].knocks()):
@@ -268,9 +281,11 @@ def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
 class _Windows:
     """Means (w, 3) and largest standard deviation (w,) of a sensor's windows with rows, in its unit, box frame."""
 
-    def __init__(self, sensor: SensorLog, timing: RowTiming, left_out: slice = slice(0, 0)) -> None:
+    def __init__(
+        self, sensor: SensorLog, timing: RowTiming, left_out: slice = slice(0, 0), window_s: float = WINDOW_S
+    ) -> None:
         begin = int(sensor.time[0])
-        self.width_ns = round(max(WINDOW_S, 8 * timing.seconds / max(timing.rows, 1)) * 1e9)
+        self.width_ns = round(max(window_s, 8 * timing.seconds / max(timing.rows, 1)) * 1e9)
         count = (int(sensor.time[-1]) - begin) // self.width_ns + 1
         rows, sums, squares = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3))
         for block in sensor.blocks():
@@ -560,16 +575,19 @@ def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str
             )
 
 
-def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
+def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
     """Yield gyroscopes that disagree with the rotation of gravity in an accelerometer."""
-    forces = [windows[sensor.name] for sensor in log.of("specific_force") if sensor.name in windows]
+    forces = [sensor.name for sensor in log.of("specific_force") if sensor.name in windows]
     for gyroscope in log.of("angular_rate"):
         if gyroscope.name not in windows or not forces:
             continue
-        rotations = _rotations(forces[0], windows[gyroscope.name])
-        if rotations is None:
+        first, name = forces[0], gyroscope.name
+        pairs = (short[first], short[name]), (windows[first], windows[name])
+        seen = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
+        if not seen:
             continue
-        factor, correlation = _factor(rotations)
+        # Short windows follow quick turns, long ones show slow turns above the noise.
+        (factor, correlation), rotations = next((each for each in seen if each[0][1] >= FOLLOWS), seen[-1])
         if correlation < FOLLOWS:
             if axes := _fitting_axes(rotations, gyroscope):
                 yield gyroscope.name, axes
@@ -586,6 +604,16 @@ def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str
         yield gyroscope.name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
 
 
+def radii_of(log: Log) -> dict[str, float]:
+    """Return the length of gravity in all directions by accelerometer, in g, of those that were turned enough."""
+    spheres = {
+        sensor.name: fit_sphere(_Windows(sensor, row_timing(sensor)).mean)
+        for sensor in log.of("specific_force")
+        if len(sensor) >= FEWEST_ROWS and sensor.sensitivity
+    }
+    return {name: sphere.radius for name, sphere in spheres.items() if sphere is not None}
+
+
 def turns_of(log: Log) -> float | None:
     """Return the factor by which a log's first gyroscope must be multiplied to agree with the rotation of gravity in
     its first accelerometer; None if it cannot be determined.
@@ -593,8 +621,11 @@ def turns_of(log: Log) -> float | None:
     pair = [next(iter(log.of(quantity)), None) for quantity in INERTIAL]
     if any(sensor is None or len(sensor) < FEWEST_ROWS or not sensor.sensitivity for sensor in pair):
         return None
-    force, rate = (_Windows(sensor, row_timing(sensor)) for sensor in pair if sensor is not None)
-    return _turn_ratio(force, rate)
+    for window_s in (TURN_WINDOW_S, WINDOW_S):
+        force, rate = (_Windows(sensor, row_timing(sensor), window_s=window_s) for sensor in pair if sensor is not None)
+        if (ratio := _turn_ratio(force, rate)) is not None:
+            return ratio
+    return None
 
 
 class _Rotations(NamedTuple):
@@ -625,6 +656,8 @@ def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
     if len(common) < FEWEST_TURNS:
         return None
     f, omega = force.mean[here], rate.mean[there] * np.pi / 180
+    sphere = fit_sphere(f)
+    f = f if sphere is None else f - sphere.centre  # biases of 50 mg would change the rotations by a twentieth
     length = np.linalg.norm(f, axis=1)
     usual = np.median(length)
     f = f / np.maximum(length, 1e-9)[:, None]

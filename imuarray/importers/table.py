@@ -280,7 +280,7 @@ class _Stream:
     ) -> None:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
-        self._clock = TimeColumn(time.unit or "ns", time.ticks, time.wraps_at, time.ties)
+        self._clock = TimeColumn(time.unit or "ns", time.ticks, time.wraps_at, time.ties, restarts=time.restarts)
         self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
         self._last_stamp: Times = np.zeros(0, np.int64)
         self._wanted = wanted
@@ -385,6 +385,8 @@ class _Stream:
         late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
         status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)
+        if self._clock.restarted.any():
+            status[np.searchsorted(np.flatnonzero(kept), np.flatnonzero(self._clock.restarted & kept))] |= LOST_BEFORE
         self.log.append(sensor.name, Block(time[kept], triads, status, degrees, late))
         self.rows_of[sensor.name] += len(triads)
 
@@ -442,8 +444,15 @@ class _Stream:
             yield f"{rows} out of order in the file sorted by time; the file's order is not kept"
         if self._clock.tied:
             yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
+        if self._clock.set_back_ns:
+            back = ", ".join(f"{ns * 1e-9:.6g} s" for ns in self._clock.set_back_ns[:3])
+            more = ", ..." if len(self._clock.set_back_ns) > 3 else ""
+            yield (
+                f"the times fell {counted(len(self._clock.set_back_ns), 'time')}, by {back}{more}; rows after that go"
+                " on at the usual interval, as what passed meanwhile is not known"
+            )
         if self._clock.wrapped:
-            yield f"the time column restarted {counted(self._clock.wrapped, 'time')}"
+            yield f"the time column wrapped {counted(self._clock.wrapped, 'time')}"
         for name, count in self.rows_of.items():
             incomplete = self._incomplete[name]
             if blank := self.count - count - incomplete:

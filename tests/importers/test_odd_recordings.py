@@ -162,7 +162,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         [
             "? Acc: measures 9.8",
             "the columns may be in m/s2, not g",
-            "? Gyro: measures 0.0173 times the rotation of gravity in the accelerometers: the columns may be in rad/s",
+            "? Gyro: measures 0.0175 times the rotation of gravity in the accelerometers: the columns may be in rad/s",
         ],
     ),
     "rad/s as dps, of a coarse gyroscope": (
@@ -321,13 +321,13 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         with_counter(1 << 32),
         MAP.replace('unit = "s"', 'unit = "us"\nwraps_at = 4294967296', 1),
         0,
-        ["2000 rows each over 20.0 s", "the time column restarted 1 time"],
+        ["2000 rows each over 20.0 s", "the time column wrapped 1 time"],
     ),
     "a counter that begins anew, and nobody says it": (
         with_counter(1 << 32),
         MAP.replace('unit = "s"', 'unit = "us"', 1),
         2,
-        ["for a counter that restarts, set wraps_at in the map"],
+        ["for a counter that wraps, set wraps_at in the map"],
     ),
     "several tables of different rates": (several_tables(), KINDS, 0, ["2000 rows at most over 20.0 s"]),
     "blank cells of a slower sensor": (wide_with_blanks(), MAP, 0, ["Acc: no reading in 1500 of 2000 rows"]),
