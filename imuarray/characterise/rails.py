@@ -3,7 +3,7 @@
 A rail is an end of the codes' bits; the code of range times sensitivity, where readings reach it and none is beyond; or
 a pile of readings at the largest code, because a range, a filter or a driver may end elsewhere. A density falls towards
 its ends, so the last code is no more frequent than any of those before it; a pile that this law excludes is a rail if
-it is near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles up its
+it is near the range's end, or, if smooth motion that turns there does not explain it, if the other axes move in it. (At rest, a coarse sensor with one face down piles up its
 readings, too, but then the other axes don't move.)
 """
 
@@ -29,6 +29,12 @@ LEAST_PILE = 5
 
 BEFORE = 8
 """Codes before the last one that it is compared with."""
+
+FALLING = 1 / (BEFORE + 1)
+TURNING = FALLING**0.5
+"""Share of the last code among itself and those before it: at most the first where the density falls to its end, the
+second where a smooth motion turns (the time that x = x_max - t^2 spends beyond a code grows with the square root).
+"""
 
 SURE = 1e-6
 """The probability of a pile by chance below which it is reported."""
@@ -100,13 +106,14 @@ def _at_end(seen: Histogram, side: int, nominal: int) -> bool | None:
     away = side * code
     if 0 < nominal - NOMINAL <= away <= nominal:
         return True
-    if not _is_pile(seen, side):
+    is_near = abs(away - nominal) <= NEAR_RANGE * nominal
+    if not _is_pile(seen, side, FALLING if is_near else TURNING):
         return False
-    return True if abs(away - nominal) <= NEAR_RANGE * nominal else None
+    return True if is_near else None
 
 
-def _is_pile(seen: Histogram, side: int) -> bool:
-    """Return whether the last code on a side comes more often than a density that falls to its end allows."""
+def _is_pile(seen: Histogram, side: int, share: float) -> bool:
+    """Return whether the last code on a side comes more often than `share` of it and the codes before it allows."""
     code = int(seen.codes[-1 if side > 0 else 0])
     count = int(seen.counts[-1 if side > 0 else 0])
     step = usual_step(seen)
@@ -117,7 +124,7 @@ def _is_pile(seen: Histogram, side: int) -> bool:
         return False
     inwards = side * (code - seen.codes)
     before = int(seen.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
-    return bool(bdtrc(count - 1, count + before, 1 / (BEFORE + 1)) < SURE)
+    return bool(bdtrc(count - 1, count + before, share) < SURE)
 
 
 def _moving(sensor: SensorLog, piles: list[tuple[int, int]], steps: list[int]) -> list[tuple[int, int]]:

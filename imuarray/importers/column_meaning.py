@@ -68,7 +68,7 @@ axis is at most a fourth of the range.
 _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
-_COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
+COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
@@ -444,7 +444,7 @@ def _with_quantity(
     def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
         return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
 
-    computed = [triad for triad in triads if triad[0] == "specific_force" and _COMPUTED.search(first_name(triad))]
+    computed = [triad for triad in triads if triad[0] == "specific_force" and COMPUTED.search(first_name(triad))]
     if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
         listed = ", ".join(map(first_name, computed))
         proposal.doubts.append(

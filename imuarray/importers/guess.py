@@ -22,6 +22,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
 from imuarray.importers.column_meaning import (
+    COMPUTED,
     COUNTS_OF_GYROSCOPE,
     UNIT_MG,
     Proposal,
@@ -70,10 +71,13 @@ def guess_map(source: str | Path) -> str:
     if path.is_file() and is_recording(path):
         return f"# Map of {path.name}: packets of a MIMU4444 board, which say the rest.\n{_MIMU4444}\n"
     proposal = _propose_map(path)
+    _leave_out_computed(proposal)
     head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
     trial = _try_import(proposal.text([]), path)
     if trial.is_refused and not any(line.startswith(("rate_hz", "wraps_at")) for line in proposal.time):
         trial = _try_sorted(proposal, path) or _try_restarts(proposal, path) or trial
+    if _leave_out_weightless(proposal, trial.doubts):
+        trial = _try_import(proposal.text([]), path)
     if _correct_milli(proposal, trial.radii):
         trial = _try_import(proposal.text([]), path)
     if _correct_scale(proposal, trial.factor) if trial.factor is not None else _correct_quiet_unit(proposal, trial):
@@ -166,6 +170,49 @@ def _try_import(text: str, path: Path) -> _Trial:
             return _Trial(
                 [], [f"cannot be imported as it is: {str(error).replace(folder, '').lstrip('/')}"], is_refused=True
             )
+
+
+def _label(item: Sequence[str]) -> str:
+    """Return what the rows of a sensor are called: their kind, else the name that the map gives it."""
+    lines = [line for line in item if line.startswith("kind = ")]
+    return (lines or [item[1]])[0].split('"')[1]
+
+
+def _leave_out(proposal: Proposal, items: Sequence[list[str]], why: str) -> bool:
+    """Remove sensors from a proposal and say so; return whether there were any."""
+    if items:
+        proposal.doubts.append(f"left out: {', '.join(map(_label, items))}: {why}")
+        proposal.items = [item for item in proposal.items if not any(item is other for other in items)]
+    return bool(items)
+
+
+def _leave_out_computed(proposal: Proposal) -> None:
+    """Leave out triads that software computed from others of the recording: gravity, accelerations without gravity, and
+    readings less an estimated bias where those of the chip are there too. They would count as further sensors.
+    """
+    triads = [item for item in proposal.items if item[0] == "[[sensor]]"]
+    forces = [item for item in triads if any(line.startswith('quantity = "specific_force"') for line in item)]
+    computed = [item for item in forces if COMPUTED.search(_label(item))]
+    if len(computed) < len(forces):
+        _leave_out(proposal, computed, "computed by software, according to their names")
+    labels = {_label(item).lower() for item in triads}
+    corrected = [
+        item for item in triads if any(f"{_label(item)}{mark}uncalibrated".lower() in labels for mark in ("", "_", " "))
+    ]
+    _leave_out(proposal, corrected, "the same chip's uncalibrated readings are kept, whose bias does not jump")
+
+
+def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
+    """Leave out accelerometers that do not measure 1 g where others of the recording do: a program subtracted gravity."""
+    forces = [item for item in proposal.items if any(line.startswith('quantity = "specific_force"') for line in item)]
+    names = [item[1].split('"')[1] for item in forces]
+    doubted = [
+        any(text.startswith(f"{name}: measures ") and "instead of 1 g" in text for text in doubts) for name in names
+    ]
+    if all(doubted):
+        return False
+    weightless = [item for item, is_doubted in zip(forces, doubted, strict=True) if is_doubted]
+    return _leave_out(proposal, weightless, "no gravity in it, while another accelerometer of the recording has it")
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:

@@ -74,3 +74,14 @@ def test_gaussian_noise_is_never_called_clipped(tmp_path: Path) -> None:
         counts = np.rint(rng.normal(0, spread, (2000, 3))).clip(-8000, 8000)
         with open_log(logged(tmp_path, counts)) as log:
             assert not find_rails(log["S"]).rows.any()
+
+
+def test_a_smooth_motion_that_turns_at_its_largest_rate_does_not_clip(tmp_path: Path) -> None:
+    """A swing of 45 dps in whole dps: the time at its largest code follows a square root, and is no pile."""
+    at = np.arange(4000) * 0.01
+    swing = np.stack([60 * np.sin(2 * at), 45 * np.sin(1.5 * at), 30 * np.sin(at)], axis=1)
+    with open_log(logged(tmp_path, np.rint(swing), 250.0, 1.0)) as log:
+        assert not find_rails(log["S"]).rows.any()
+    with open_log(logged(tmp_path, np.rint(swing.clip(-40, 40)), 250.0, 1.0)) as log:
+        rails = find_rails(log["S"])
+        assert rails.high.tolist()[:2] == [40, 40] and rails.low.tolist()[:2] == [-40, -40]
