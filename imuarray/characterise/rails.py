@@ -3,8 +3,8 @@
 A rail is an end of the codes' bits; the code of range times sensitivity, where readings reach it and none is beyond; or
 a pile of readings at the largest code, because a range, a filter or a driver may end elsewhere. A density falls towards
 its ends, so the last code is no more frequent than any of those before it; a pile that this law excludes is a rail if
-it is near the range's end, or, if smooth motion that turns there does not explain it, if the other axes move in it. (At rest, a coarse sensor with one face down piles up its
-readings, too, but then the other axes don't move.)
+it is near the range's end, or, if smooth motion that turns there does not explain it, if the other axes move in it. (At
+rest, a coarse sensor with one face down piles up its readings, too, but then the other axes don't move.)
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ class TextTable:
                 )
             self._is_last = not line.endswith("\n")
             self._is_damaged = "\0" in line
-            line = line.rstrip("\0 \r\n").lstrip(" ")
+            line = plain_line(line.rstrip("\0 \r\n").lstrip(" "), self._layout.delimiter)
             if "\0" in line:
                 self.left_out["nul"] += 1
                 continue
@@ -165,7 +165,12 @@ class TextTable:
             row, self._first_row = self._first_row, []
             return row
         try:
-            return next(self._reader, [])
+            row = next(self._reader, [])
+            while self._layout.labels and row:
+                if cells := labelled(row):
+                    return cells
+                row = next(self._reader, [])
+            return row
         except csv.Error as error:
             raise SourceError(f"{self.source}: line {self.line}: {error}") from None
 
@@ -173,13 +178,17 @@ class TextTable:
         """Yield line number and cells of every row of a kind. All rows must be equally long, or cells would silently
         change their column.
         """
-        kinds = self._layout.kind_column
+        kinds, width_of_kind = self._layout.kind_column, 0
         while row := self._row():
             if kinds is not None and (len(row) <= kinds or row[kinds].strip() != kind):
                 continue
             if row == self.header:
                 self.left_out["header"] += 1
                 continue
+            if kinds is not None and self.header and len(row) < self.width:
+                # Readings of fewer values than the header has names; those of one kind have the same number.
+                width_of_kind = width_of_kind or len(row)
+                row = [*row, *[""] * (self.width - len(row))] if len(row) == width_of_kind else row
             if not self.width:
                 self.width, self._blank_end = len(row), not row[-1].strip()
             if len(row) == self.width + 1 and not row[-1].strip():
@@ -246,13 +255,52 @@ class TextTable:
         return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
 
 
+_MONITOR_STAMP = re.compile(r"(\d\d:\d\d:\d\d[.,]\d+) -> ")
+_CHECKSUM = re.compile(r"(\$.*)\*[0-9A-Fa-f]{2}")
+
+
+def plain_line(line: str, delimiter: str) -> str:
+    """Return a line without what terminals and instruments wrap it in: the Arduino IDE's "12:34:56.789 -> " becomes a
+    cell of its own, and the checksum of a sentence "$VNYMR,...*5C" (NMEA 0183) is left out.
+    """
+    if (stamp := _MONITOR_STAMP.match(line)) is not None:
+        line = stamp[1].replace(",", ".") + delimiter + line[stamp.end() :]
+    if line.startswith("$") and (sentence := _CHECKSUM.fullmatch(line)) is not None:
+        return sentence[1]
+    return line
+
+
+_LABELLED = re.compile(
+    r"(?P<label>[A-Za-z_][\w /.()\[\]%^\u00b2\u00b0-]*?)\s*[:=]\s*(?P<value>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+    r"\s*(?P<unit>[A-Za-z\u00b5\u00b0%][A-Za-z/^*\u00b2\u00b0 0-9-]*)?"
+)
+
+
+def labelled(cells: Sequence[str]) -> list[str]:
+    """Return a row whose values have labels ("ax: 0.02, ay: -0.98 g") as their labels, joined by commas, and the
+    values; [] of a row without a label. The labels are the kind of the row: text between readings has others.
+    """
+    labels, values = [], []
+    for cell in map(str.strip, cells):
+        if (match := _LABELLED.fullmatch(cell)) is not None:
+            unit = f" [{match['unit'].strip()}]" if match["unit"] else ""
+            labels.append(match["label"].strip() + unit)
+            values.append(match["value"])
+        elif _is_number(cell):
+            labels.append("")
+            values.append(cell)
+        elif cell and not cell.endswith(":"):
+            return []
+    return [",".join(labels), *values] if any(labels) else []
+
+
 _REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(en)?", re.IGNORECASE)
 """Name of a last column for remarks, whose cell programs leave out of rows without one."""
 
 
 _UNIT_CELL = re.compile(
     r"[\[(].*[\])]|-|[mun\u00b5\u03bc]?(s|sec|g|G|T|gauss|V)|m/s[/^*]*(s|2|\u00b2)|m?(\u00b0|\u00ba|deg|rad)(/s(ec)?)?|m?dps"
-    r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|",
+    r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|m/\(s\^2\)|local_flux|no_units|(un)?cal|raw|",
     re.IGNORECASE,
 )
 
@@ -290,7 +338,17 @@ codecs.register_error(WINDOWS_1252, _western)
 def _encoding(file: BinaryIO) -> str:
     """Return the encoding of a text from its byte order mark."""
     peek = getattr(file, "peek", None)
-    return "utf-16" if peek is not None and peek(2)[:2] in _UTF16 else "utf-8-sig"
+    return "utf-16" if peek is not None and is_utf16(peek(_LOOKED_AT)) else "utf-8-sig"
+
+
+_LOOKED_AT = 64
+
+
+def is_utf16(data: bytes) -> bool:
+    """Return whether a text begins with a byte order mark of UTF-16 and has zeros as it does; what a serial port gives
+    while a board starts may be the same two bytes.
+    """
+    return data[:2] in _UTF16 and (len(data) < _LOOKED_AT or data[2:_LOOKED_AT].count(0) > _LOOKED_AT // 4)
 
 
 class CellBlock(NamedTuple):

@@ -32,7 +32,7 @@ _UNIT_IN_NAME = re.compile(
 _SPELLINGS: Mapping[str, str] = {
     "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2",
     "°/s": "dps", "deg/s": "dps", "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s",
-    "ms2": "m/s2", "m_s2": "m/s2", "deg_s": "dps", "degs": "dps", "rad_s": "rad/s", "rads": "rad/s",
+    "m/(s^2)": "m/s2", "ms2": "m/s2", "m_s2": "m/s2", "deg_s": "dps", "degs": "dps", "rad_s": "rad/s", "rads": "rad/s",
     "mrad_s": "mrad/s", "mrads": "mrad/s",
     "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
     "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
@@ -70,6 +70,8 @@ _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
+_VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\*", re.IGNORECASE)
+"""Names of columns that say nothing but that they hold values, as those of Android's SensorEvent."""
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 _INDEX = re.compile(
@@ -409,7 +411,7 @@ def _triads(
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
     if not names:
-        free = [index for index in range(len(columns)) if index not in taken]
+        free = [index for index in range(len(columns)) if index not in taken and np.isfinite(columns[index]).any()]
         yield from _nameless(columns, free)
         return
     used: set[int] = set()
@@ -418,6 +420,11 @@ def _triads(
         if len(parts) > _TRIAD_AND_TIME:
             yield from _nameless(columns, [index for index in parts if index not in taken])
             used.update(parts)
+    for index, name in enumerate(names[:-2]):
+        if names[index + 1 : index + 3] == ["1", "2"]:
+            used.update(range(index, index + 3))
+            by_name = next((what for what, words in _QUANTITIES if words.search(name)), "")
+            yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), by_name), (index, index + 1, index + 2)
     for axes in ("xyz", "XYZ", "012", "123"):
         for index, name in enumerate(names):
             for place in (at for at, letter in enumerate(name) if letter == axes[0]):
@@ -431,7 +438,7 @@ def _triads(
                 stem = name[:place] + "*" + name[place + 1 :]
                 if _QUATERNION.fullmatch(stem):
                     continue
-                called = stem if stem.strip("*_.- []()") else stem_of_file
+                called = stem if stem.strip("*_.- []()") and not _VALUES.fullmatch(stem) else stem_of_file
                 by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
                 yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), by_name), indices
 
@@ -459,6 +466,10 @@ def _with_quantity(
             f" {', '.join(map(first_name, estimates))}, and the two columns after each of them"
         )
         triads = [triad for triad in triads if triad not in estimates]
+    if any(names[second] == "1" for _, (_, second, _) in triads if names):
+        proposal.doubts.append(
+            "columns that are called 1 and 2 do not say which axes they hold: GoPro writes z, x, y, for example"
+        )
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]

@@ -9,6 +9,7 @@ in its report become comments, and a unit or scale that the recording contradict
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from math import log as ln
 from pathlib import Path
@@ -41,7 +42,7 @@ from imuarray.importers.mapping import parse_map
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
-from imuarray.importers.sources import open_rows, reader_of, texts_in
+from imuarray.importers.sources import ZIP, open_rows, reader_of, texts_in, unpack_texts
 from imuarray.importers.table import import_table
 from imuarray.importers.text_layout import (
     LOOKED_AT_ROWS,
@@ -203,7 +204,7 @@ def _leave_out_computed(proposal: Proposal) -> None:
 
 
 def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
-    """Leave out accelerometers that do not measure 1 g where others of the recording do: a program subtracted gravity."""
+    """Leave out accelerometers that do not measure 1 g where others do: a program subtracted gravity."""
     forces = [item for item in proposal.items if any(line.startswith('quantity = "specific_force"') for line in item)]
     names = [item[1].split('"')[1] for item in forces]
     doubted = [
@@ -295,6 +296,14 @@ def _correct_unit(item: list[str], factor: float) -> bool:
 
 def _propose_map(path: Path) -> Proposal:
     """Propose a map from names and numbers."""
+    if reader_of(path) == ZIP:
+        folder = unpack_texts(path)
+        try:
+            proposal = _propose_folder(folder)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        proposal.doubts = [text.replace(f"{folder}/", "") for text in proposal.doubts]
+        return proposal
     if path.is_dir() and reader_of(path) is None:
         return _propose_folder(path)
     if reader_of(path) is None:
@@ -302,11 +311,12 @@ def _propose_map(path: Path) -> Proposal:
         if layout.kind_column is not None:
             kinds = sorted({row[layout.kind_column] for row in rows})
             proposal = Proposal(layout, ["column = 1   # ?", 'unit = "ms"   # ?'])
-            proposal.doubts.append(
-                f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns"
-            )
+            if len(kinds) > 1:
+                proposal.doubts.append(
+                    f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns"
+                )
             force_unit = ""
-            described = names_by_kind(path)
+            described = {kind: _full_labels(kind) for kind in kinds} if layout.labels else names_by_kind(path)
             for kind in kinds:
                 if kind in described:
                     _propose_described(proposal, kind, described[kind], rows)
@@ -453,6 +463,19 @@ sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 
 
 def _finite(values: npt.NDArray[np.number] | None) -> Floats:
     return np.zeros(0) if values is None else np.asarray(values, np.float64)
+
+
+def _full_labels(kind: str) -> list[str]:
+    """Return the labels of a row with the words and the unit that all of them share, which programs write once:
+    "Acceleration X", "Y", "Z [m/s^2]".
+    """
+    labels = kind.split(",")
+    stem = labels[0].rstrip("xX")
+    unit = re.search(r" \[[^]]*\]$", labels[-1])
+    if stem == labels[0] or not all(re.fullmatch(r"[A-Za-z]( \[[^]]*\])?", label) for label in labels[1:]):
+        return labels
+    names = [labels[0], *(stem + label for label in labels[1:])]
+    return [name if unit is None or name.endswith("]") else name + unit[0] for name in names]
 
 
 def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:

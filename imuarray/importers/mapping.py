@@ -2,7 +2,8 @@
 
 ::
 
-    [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   format = "mimu4444"
+    [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   labels = true
+                  format = "mimu4444"
     [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
                   or     rate_hz = 100
                   ticks = 1   wraps_at = 4294967296   ties = true   sort = true   restarts = true
@@ -110,7 +111,8 @@ def _spelt(spellings: dict[str, str]) -> BeforeValidator:
 
 class FileTable(BaseModel):
     """`[file]`: how a text is split into cells. If rows of several tables are mixed, `kind_column` (an index) names the
-    table of a row. `format`: a format that needs no map, so that the map adds phases only.
+    table of a row. With `labels`, values have labels ("ax: 0.02, ay: -0.98"): the labels, joined by commas, become the
+    first cell, which is the kind of a row. `format`: a format that needs no map, so that the map adds phases only.
     """
 
     model_config = _STRICT
@@ -119,6 +121,7 @@ class FileTable(BaseModel):
     skip_rows: Annotated[int, Field(ge=0)] = 0
     comment: str = "#"
     kind_column: Annotated[int, Field(ge=0)] | None = None
+    labels: bool = False
     format: str | None = None
 
     @model_validator(mode="after")

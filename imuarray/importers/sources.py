@@ -6,10 +6,15 @@ The first bytes determine the kind of file (`open_rows`). Texts, bags and Parque
 
 from __future__ import annotations
 
+import shutil
+import weakref
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Protocol, cast
 
 from imuarray.errors import SourceError
@@ -68,17 +73,19 @@ class TextRows:
 
 
 class FolderRows:
-    """The rows of the texts in a folder: one file for each sensor, as phones export them. The name of a file, without
-    its suffix, is the kind of its rows.
+    """The rows of the texts in a folder or a zip file: one file for each sensor, as phones export them. The name of a
+    file, without its suffix, is the kind of its rows.
     """
 
     def __init__(
         self, source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
     ) -> None:
         self._source = source
-        self._files = {
-            name: TextRows(path, output, table_map, progress) for name, path in texts_in(Path(source)).items()
-        }
+        folder = Path(source)
+        if folder.is_file():
+            folder = unpack_texts(folder)
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._files = {name: TextRows(path, output, table_map, progress) for name, path in texts_in(folder).items()}
 
     @property
     def remarks(self) -> list[str]:
@@ -109,6 +116,43 @@ def texts_in(folder: Path) -> dict[str, Path]:
     """Return the texts of a folder by their names without suffix."""
     paths = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(_TEXTS))
     return {path.name.partition(".")[0]: path for path in paths}
+
+
+MOST_UNPACKED = 1 << 34
+"""Most bytes that the texts in a zip file may have."""
+
+
+def zipped_texts(path: Path) -> list[zipfile.ZipInfo]:
+    """Return the texts in a zip file: those in its uppermost folder that has any; [] if the file is no zip file or
+    holds arrays of NumPy.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [member for member in archive.infolist() if not member.is_dir()]
+    except (OSError, zipfile.BadZipFile):
+        return []
+    if any(member.filename.endswith(".npy") for member in members):
+        return []
+    texts = [member for member in members if member.filename.lower().endswith(_TEXTS)]
+    depth = min((member.filename.count("/") for member in texts), default=0)
+    return [member for member in texts if member.filename.count("/") == depth and "__MACOSX" not in member.filename]
+
+
+def unpack_texts(path: Path) -> Path:
+    """Unpack the texts of a zip file into a temporary folder, which the caller removes; SourceError."""
+    members = zipped_texts(path)
+    if sum(member.file_size for member in members) > MOST_UNPACKED:
+        raise SourceError(f"{path}: its texts have more than {MOST_UNPACKED} bytes; unpack it, and import the folder")
+    folder = Path(mkdtemp(prefix="imuarray-"))
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for member in members:
+                with archive.open(member) as packed, (folder / Path(member.filename).name).open("wb") as text:
+                    shutil.copyfileobj(packed, text)
+    except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise SourceError(f"{path}: cannot be unpacked: {error}") from None
+    return folder
 
 
 READERS: Mapping[bytes, str] = {
@@ -143,7 +187,12 @@ def reader_of(source: str | PathLike[str]) -> str | None:
             first = file.read(max(map(len, READERS)))
     except OSError as error:
         raise unreadable(path, error) from None
-    return next((module for magic, module in READERS.items() if first.startswith(magic)), None)
+    module = next((module for magic, module in READERS.items() if first.startswith(magic)), None)
+    return ZIP if module == "arrays" and first.startswith(b"PK") and zipped_texts(path) else module
+
+
+ZIP = "zip"
+"""A zip file with texts, which is read as their folder is."""
 
 
 def open_rows(
@@ -151,7 +200,7 @@ def open_rows(
 ) -> RecordingRows:
     """Open the rows of any recording that a map can describe; SourceError, MissingExtraError."""
     reader = reader_of(source)
-    if reader is None and Path(source).is_dir():
+    if reader == ZIP or (reader is None and Path(source).is_dir()):
         return FolderRows(source, output, table_map, progress)
     if reader is None:
         return TextRows(source, output, table_map, progress)

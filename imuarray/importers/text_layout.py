@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
-from imuarray.importers.cells import WINDOWS_1252, is_unit_row
+from imuarray.importers.cells import WINDOWS_1252, is_unit_row, is_utf16, labelled, plain_line
 from imuarray.importers.mapping import ISO
 
 LOOKED_AT_ROWS = 20_000
@@ -39,6 +39,7 @@ class TextLayout:
     comment: str = "#"
     named: bool = True
     kind_column: int | None = None
+    labels: bool = False
     unit_cells: tuple[str, ...] = ()
     """Cells of a row of units below the header."""
 
@@ -55,6 +56,8 @@ class TextLayout:
             said.append(f"comment = {quoted(self.comment)}")
         if self.kind_column is not None:
             said.append(f"kind_column = {self.kind_column}")
+        if self.labels:
+            said.append("labels = true")
         return ["[file]", *said, ""] if said else []
 
 
@@ -62,7 +65,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
     with open_source(path, path.with_suffix(".guess")) as file:
         data = decompress(file).read(_HEAD_BYTES)
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    encoding = "utf-16" if is_utf16(data) else "utf-8-sig"
     whole = data.decode(encoding, WINDOWS_1252).split("\n")
     whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
     lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
@@ -73,9 +76,15 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     if not lines:
         raise SourceError(f"{path}: contains no line of text that could be a row")
     layout = TextLayout(comment=comment)
-    tail = [line for _, line in lines[len(lines) // 2 :]][:200]
+    tail = [plain_line(line, "\0").split("\0")[-1] for _, line in lines[len(lines) // 2 :]][:200]
     layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
-    rows = [(number, split_cells(line, layout.delimiter)) for number, line in lines]
+    mark = max(_DELIMITERS, key=lambda mark: _labelled_share(tail, mark))
+    if _labelled_share(tail, mark) > _MOSTLY:
+        layout.delimiter, layout.labels, layout.kind_column, layout.named = mark, True, 0, False
+        cells = [labelled(split_cells(plain_line(line, mark), mark)) for _, line in lines]
+        return layout, [], [row for row in cells if row]
+    lines = [(number, plain_line(line, layout.delimiter)) for number, line in lines]
+    rows = _padded([(number, split_cells(line, layout.delimiter)) for number, line in lines])
     if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
         layout.decimal = ","
     numeric = [sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
@@ -95,22 +104,39 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     worded = sum(head in starts for head in heads)
     changes = sum(a != b for a, b in pairwise(heads))
     alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
-    if not is_plain and (len(widths) > 1 or alternate) and 1 < len(starts) < 20:
+    are_sentences = all(start.startswith("$") for start in starts) and worded > 0.9 * len(heads)
+    if not is_plain and (((len(widths) > 1 or alternate) and 1 < len(starts) < 20) or (starts and are_sentences)):
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
     width = len(rows[first][1])
     before = [(number, split_cells(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
     commented = before[-1] if before and len(before[-1][1]) == width else None
     header = rows[first - 1] if first else commented
-    if header is not None and first > 1 and len(rows[first - 2][1]) == len(header[1]) and is_unit_row(header[1]):
-        layout.unit_cells = tuple(header[1])
-        header = rows[first - 2]
+    above = first - 2
+    while header is not None and above >= 0 and len(rows[above][1]) == len(header[1]) and is_unit_row(header[1]):
+        layout.unit_cells = layout.unit_cells or tuple(header[1])
+        header, above = rows[above], above - 1
     layout.named = header is not None and abs(len(header[1]) - width) <= 1
     begin = header[0] if header is not None and layout.named else rows[first][0]
     layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
     names = [name.strip() for name in header[1]] if header is not None and layout.named else []
     body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
     return layout, names, body[:LOOKED_AT_ROWS]
+
+
+def _padded(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return rows of several widths below a header that is as wide as the widest, all as wide as it: readings of
+    several kinds have different numbers of values.
+    """
+    width = len(rows[0][1])
+    widths = [len(row) for _, row in rows[1:]]
+    plain = TextLayout()
+    if len(set(widths)) < 2 or max(widths) != width or any(is_number(cell, plain) for cell in rows[0][1]):
+        return rows
+    is_narrow = max(set(widths), key=widths.count) < width
+    if not is_narrow or max(widths.count(each) for each in set(widths)) > _PLAIN * len(widths):
+        return rows
+    return [(number, [*row, *[""] * (width - len(row))]) for number, row in rows]
 
 
 def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[bool], layout: TextLayout) -> int | None:
@@ -125,6 +151,16 @@ def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[boo
     if sum(is_number(row[0], layout) for row in tail if row) < _PLAIN * len(tail):
         return None
     return next((at for at, (_, row) in enumerate(rows) if numeric[at] and len(row) == usual), None)
+
+
+_MOSTLY = 0.9
+"""Share of lines whose values have labels, from which on a text is one of labelled values."""
+
+
+def _labelled_share(lines: Sequence[str], delimiter: str) -> float:
+    """Return the share of lines whose cells are values with labels; more cells count a little more."""
+    rows = [labelled(split_cells(line, delimiter)) for line in lines]
+    return sum(bool(row) for row in rows) / len(rows) + 1e-4 * min(sum(map(len, rows)) / len(rows), 100)
 
 
 def _fitness(lines: Sequence[str], delimiter: str) -> float:
@@ -196,8 +232,21 @@ def quoted(text: str) -> str:
 
 
 def names_by_kind(path: Path) -> dict[str, list[str]]:
-    """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them."""
+    """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them, and of sentences
+    that are known.
+    """
     with open_source(path, path.with_suffix(".guess")) as file:
         lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
     rows = [split_cells(line, ",") for line in lines if line.startswith("FMT,")]
-    return {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
+    return SENTENCES | {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
+
+
+_IMU = ["mag_x [gauss]", "mag_y [gauss]", "mag_z [gauss]", "acc_x [m/s2]", "acc_y [m/s2]", "acc_z [m/s2]"]
+_IMU += ["gyro_x [rad/s]", "gyro_y [rad/s]", "gyro_z [rad/s]"]
+SENTENCES = {
+    "$VNYMR": ["yaw [deg]", "pitch [deg]", "roll [deg]", *_IMU],
+    "$VNQMR": ["q0", "q1", "q2", "q3", *_IMU],
+    "$VNIMU": [*_IMU, "temperature [degC]", "pressure [kPa]"],
+    "$VNMAR": _IMU,
+}
+"""Columns of sentences of VectorNav's sensors behind their names (VN-100 user manual, ASCII messages)."""

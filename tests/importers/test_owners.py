@@ -5,6 +5,7 @@ What is compared is the truth that was written, in g, dps, gauss and s, however 
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from imuarray.errors import SourceError
 from imuarray.importers.guess import guess_map
 from imuarray.importers.plausibility import report_of
 from imuarray.importers.table import import_table
@@ -157,6 +159,67 @@ CASES: dict[str, Case] = {
         ('kind = "1"', 'kind = "4"'),
         ("# ? left out: rows of kind '5', whose name states no quantity",),
     ),
+    "text of a board that starts, and lines with a label": Case(
+        text("rst:0x1 (POWERON)", "Initializing I2C devices...", "MPU6050 connection successful",
+             *lines("a/g:" + "\t{}" * 6, CODES)),
+        ("columns = [1, 2, 3]", "columns = [4, 5, 6]"),
+    ),
+    "values with labels, for a serial plotter": Case(
+        text("Adafruit MPU6050 test!", "", *lines(
+            "t:{}" + "".join(f"\t{name}:{{:.5f}}" for name in AXES.split(",")), (T * 1e3).astype(int), FORCE, RATE)),
+        ("labels = true", 'kind = "t,ax,ay,az,gx,gy,gz"'),
+    ),
+    "lines of Adafruit's example, with units": Case(
+        text("MPU6050 Found!", "", *lines(
+            "Acceleration X: {:.3f}, Y: {:.3f}, Z: {:.3f} m/s^2\nRotation X: {:.4f}, Y: {:.4f}, Z: {:.4f} rad/s\n"
+            "Temperature: 25.30 degC\n", SI)),
+        ("labels = true", 'kind = "Acceleration X,Y,Z [m/s^2]"', 'kind = "Rotation X,Y,Z [rad/s]"'),
+    ),
+    "stamps of the Arduino IDE, over midnight": Case(
+        text(*lines("{} -> " + ",".join(["{:.5f}"] * 6),
+                    [at[11:] for at in dated(T, datetime(2024, 1, 1, 23, 59, 50))], FORCE, RATE)),
+        ('unit = "%H:%M:%S.%f"',),
+    ),
+    "VectorNav's sentences with checksums": Case(
+        text("$VNRRG,01,VN-100*5C", *lines(
+            "$VNYMR,+010.0,-000.1,+000.2" + ",{:+08.4f}" * 3 + ",{:+08.5f}" * 3 + ",{:+010.6f}" * 3 + "*6A",
+            MAGNET, SI)),
+        ('kind = "$VNYMR"', "columns = [7, 8, 9]", "columns = [10, 11, 12]"),
+    ),
+    "Android's events, of several lengths": Case(
+        text("timestamp_ns,sensor,accuracy,v0,v1,v2,v3,v4,v5", *lines(
+            "{},android.sensor.accelerometer,3,{:.6f},{:.6f},{:.6f}\n{},android.sensor.gyroscope,3,{:.6f},{:.6f},{:.6f}\n"
+            "{},android.sensor.gyroscope_uncalibrated,3,{:.6f},{:.6f},{:.6f},0.01,0.02,-0.01",
+            US * 1000 + 10**15, SI[:, :3], US * 1000 + 10**15 + 1000, SI[:, 3:] + 0.1,
+            US * 1000 + 10**15 + 2000, SI[:, 3:])),
+        ('kind = "android.sensor.accelerometer"', 'kind = "android.sensor.gyroscope_uncalibrated"'),
+        ("# ? left out: android.sensor.gyroscope: the same chip's uncalibrated readings are kept",),
+    ),
+    "Shimmer: three rows above the values": Case(
+        text('"sep=\t"', "\t".join(f"Shimmer_8A1C_{name}" for name in (
+            "Timestamp_Unix", "Accel_LN_X", "Accel_LN_Y", "Accel_LN_Z", "Gyro_X", "Gyro_Y", "Gyro_Z")),
+            "\t".join(["CAL"] * 7), "\t".join(["ms"] + ["m/(s^2)"] * 3 + ["deg/s"] * 3),
+            *lines("{:.3f}" + "\t{:.6f}" * 6, 1.7e12 + T * 1e3, FORCE * G, RATE)),
+        ("skip_rows = 1", 'unit = "m/s2"', 'unit = "dps"'),
+    ),
+    "Sensor Logger: a folder with copies that software computed": Case(
+        {f"{name}.csv": table("time,seconds_elapsed,z,y,x", "{},{:.6f},{:.6f},{:.6f},{:.6f}",
+                              US * 1000 + 17 * 10**17, T, values[:, ::-1])
+         for name, values in {
+             "TotalAcceleration": FORCE * G, "Gravity": FORCE * G + 0.01,
+             "Accelerometer": np.random.default_rng(5).normal(0, 0.02, (ROWS, 3)), "Gyroscope": np.radians(RATE) + 0.1,
+             "GyroscopeUncalibrated": np.radians(RATE)}.items()},
+        ('kind = "TotalAcceleration"', 'kind = "GyroscopeUncalibrated"'),
+        ("# ? left out: Gravity: computed by software", "# ? left out: Accelerometer: no gravity in it"),
+        name="recording",
+    ),
+    "GoPro: two columns that have numbers for names": Case(
+        table('cts,"Accelerometer [m/s2]",1,2,"Gyroscope [rad/s]",1_1,2_1', "{:.3f}" + ",{:.6f}" * 6, T * 1e3, SI)
+        .replace("1_1,2_1", "gy,gz").replace('"Gyroscope [rad/s]"', '"gx [rad/s]"')
+        .replace(",gy,gz", ",gy [rad/s],gz [rad/s]"),
+        ('columns = ["Accelerometer [m/s2]", "1", "2"]',),
+        ("# ? columns that are called 1 and 2 do not say which axes they hold",),
+    ),
 }  # fmt: skip
 
 
@@ -204,7 +267,38 @@ def test_the_owner_gets_the_true_values_at_once(case: Case, tmp_path: Path) -> N
             check_truth(log, case.force, case.error)
         else:
             np.testing.assert_allclose(log["Acc"].counts[:] / log["Acc"].sensitivity, case.force, atol=case.error[0])
-        assert not [text for text in report_of(log).doubts if text.startswith("Acc")]
+        assert not [said for said in report_of(log).doubts if said.startswith("Acc")]
+
+
+def test_a_zip_file_of_a_phone_is_read_as_its_folder(tmp_path: Path) -> None:
+    """As phyphox exports it: a text for each sensor, and others about the phone in a folder."""
+    with zipfile.ZipFile(tmp_path / "phone.zip", "w") as archive:
+        for name, unit, values in (("Accelerometer", "m/s^2", SI[:, :3]), ("Gyroscope", "rad/s", SI[:, 3:])):
+            header = ",".join(f'"{axis} ({unit})"' for axis in "XYZ")
+            archive.writestr(f"{name}.csv", table('"Time (s)",' + header, "{:.9E}" + ",{:.9E}" * 3, T, values))
+        archive.writestr("meta/device.csv", '"property","value"\n"version","1.1"\n')
+    guessed = guess_map(tmp_path / "phone.zip")
+    (tmp_path / "map.toml").write_text(guessed, encoding="utf-8")
+    summary = import_table(tmp_path / "phone.zip", tmp_path / "map.toml", tmp_path / "run.h5")
+    assert summary.sensors == ("Accelerometer", "Gyroscope")
+    with open_log(tmp_path / "run.h5") as log:
+        check_truth(log, FORCE, (2e-4, 6e-3))
+
+
+def test_a_zip_file_that_is_damaged_is_named(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "phone.zip", "w") as archive:
+        archive.writestr("Accelerometer.csv", table("t,x,y,z", "{:.3f}" + ",{:.6f}" * 3, T, FORCE))
+    data = bytearray((tmp_path / "phone.zip").read_bytes())
+    data[100:140] = bytes(40)
+    (tmp_path / "phone.zip").write_bytes(bytes(data))
+    with pytest.raises(SourceError, match=r"phone\.zip: cannot be unpacked: Bad CRC-32"):
+        guess_map(tmp_path / "phone.zip")
+
+
+def test_garbage_that_looks_like_a_byte_order_mark(tmp_path: Path) -> None:
+    """A serial port gives anything while a board starts, FF FE too."""
+    (tmp_path / "data.csv").write_bytes(b"\xff\xfe\x80boot\n" + table(f"t,{AXES}", PLAIN, T, FORCE, RATE).encode())
+    assert 'columns = ["ax", "ay", "az"]' in guess_map(tmp_path / "data.csv")
 
 
 def test_a_row_after_a_clock_was_set_back_is_flagged(tmp_path: Path) -> None:
