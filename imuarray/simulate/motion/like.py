@@ -252,7 +252,7 @@ def _averaged(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats
     """
     degc = chip.degc
     noise = float(np.median(np.abs(np.diff(degc, n=2)))) / _MEDIAN_OF_SECOND_DIFFERENCES if len(degc) > 2 else 0.0
-    edges = np.searchsorted(chip.time_s, np.arange(chip.time_s[0], chip.time_s[-1], longest_s)).tolist()
+    edges = np.searchsorted(chip.time_s, np.arange(chip.time_s[0], chip.time_s[-1], longest_s)).tolist() or [0]
     windows = [(first, stop) for first, stop in pairwise([*edges, len(degc)]) if stop > first]
     means = []
     while windows:
