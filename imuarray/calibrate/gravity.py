@@ -62,12 +62,26 @@ def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
     start = np.concatenate([np.zeros(3), np.eye(3)[_TRIANGLE]])
     fit = least_squares(lambda parameters: np.linalg.norm(gravity(parameters), axis=0) - 1, start)
     if not fit.success or np.linalg.cond(fit.jac.T @ fit.jac) > 1e8:
-        raise CalibrationError(same_sides(sensor))
+        raise CalibrationError(same_sides(sensor, means))
     return gravity(fit.x)
 
 
-def same_sides(sensor: SensorLog) -> str:
-    """Describe what poses leave open."""
+FACE_COSINE = 0.97
+"""Cosine of the angle (14 degrees) within which a pose lies on a face: a table is level, and a box has right angles."""
+
+
+def same_sides(sensor: SensorLog, means: Floats | None = None) -> str:
+    """Describe what poses leave open; `means` (k, 3) are their readings in g."""
+    if means is not None:
+        directions = means / np.linalg.norm(means, axis=1, keepdims=True)
+        face = np.argmax(np.abs(directions), axis=1)
+        along = np.take_along_axis(directions, face[:, None], axis=1)[:, 0]
+        if (np.abs(along) > FACE_COSINE).all() and len(set(zip(face.tolist(), (along > 0).tolist(), strict=True))) == 6:
+            return (
+                f"{sensor.where}: all poses lie on the six faces, which leaves the angles between the axes open; add"
+                " poses on edges and corners, or name the faces (imuarray log --phase z_up, [[phase]] in an import's"
+                " map), so that each is known to point up"
+            )
     return f"{sensor.where}: the poses do not separate bias from scale; add poses on other sides"
 
 

@@ -149,6 +149,8 @@ def _repeats(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     """Describe a sensor that is read more often than it measures."""
     place, repeats, rate_hz = (sensor["name"], ""), sensor["timing"]["repeats"], sensor["rate_hz"]
     share = repeats["new_share"]
+    if interpolation := sensor.get("interpolation"):
+        yield _Remark(place, interpolation["sentence"])
     if share is None:
         return
     if rate_hz and share < _SLOW_SHARE:

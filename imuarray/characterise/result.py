@@ -20,6 +20,7 @@ from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
+from imuarray.characterise.interpolation import find_interpolation
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.rails import find_rails
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
@@ -131,6 +132,7 @@ def _sensor(
     per_count = _per_count(sensor, scale)
     rails = find_rails(sensor) if sensor.is_triad else None
     stalls = find_stalls(sensor)
+    interpolation = find_interpolation(sensor)
     return {
         **_identity(sensor, per_count),
         "rows": statistics.rows,
@@ -152,6 +154,7 @@ def _sensor(
         },
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
+        "interpolation": interpolation and asdict(interpolation) | {"sentence": interpolation.sentence},
         "stalls": stalls and asdict(stalls) | {"adaptive_range": stalls.is_adaptive},
         "axes": _axes(sensor, per_count, surveyed, statistics, progress),
     }

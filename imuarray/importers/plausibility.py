@@ -27,6 +27,7 @@ from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.findings import SURE, shares_times
+from imuarray.characterise.interpolation import find_interpolation
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
@@ -245,6 +246,8 @@ def report_of(log: Log) -> Report:
             doubts.add(sensor.name, text)
             is_timed = False
         codes = _Codes(sensor)
+        if (interpolation := find_interpolation(sensor)) is not None:
+            quirks.add(sensor.name, interpolation.sentence)
         for text in codes.quirks():
             quirks.add(sensor.name, text)
         for text in codes.doubts(sensor):

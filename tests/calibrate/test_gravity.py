@@ -350,6 +350,15 @@ def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed:
         fit(write_log, parts, ups, seed)
 
 
+def test_the_six_faces_alone_say_what_they_leave_open(write_log: WriteLog) -> None:
+    """Twelve poses on the faces of a box, as an owner turns it without naming them: the length of gravity along the
+    axes says nothing of the angles between them.
+    """
+    faces = np.concatenate([np.eye(3), -np.eye(3)])
+    with pytest.raises(CalibrationError, match=r"poses lie on the six faces.* edges and corners, or name the faces"):
+        fit(write_log, array(1, np.random.default_rng(1), 0.0), np.concatenate([faces, faces]), 1)
+
+
 @pytest.mark.slow
 def test_the_same_pose_nine_times_is_refused(write_log: WriteLog) -> None:
     with pytest.raises(CalibrationError, match="add poses on other sides"):

@@ -1,0 +1,67 @@
+"""Rows that a program interpolated between readings: they lie on the straight line between their neighbours, while the
+readings scatter by many counts. A phone's or a recorder's resampling does that; the noise of such rows is not that of
+the sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.log import SensorLog
+
+ROUNDED = 2
+"""Largest second difference of three rounded values on a straight line, in counts."""
+
+SCATTER = 6.0
+"""Least second difference (median of the rows that are off the line, of the axis with the largest one) in counts: of
+readings with so much noise a twentieth are on a line by chance, on three axes at once.
+"""
+
+LEAST_SHARE = 0.3
+"""Least share of rows on a line: of two rows for each reading a half is."""
+
+FEWEST_ROWS = 200
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """The `share` of the rows that lie on the line between their neighbours, and the readings per second."""
+
+    share: float
+    rate_hz: float
+
+    @property
+    def sentence(self) -> str:
+        """Describes it for the reader of a log."""
+        return (
+            f"{100 * self.share:.0f} % of its rows lie on the line between their neighbours: a program interpolated"
+            f" them from about {self.rate_hz:.3g} readings a second, and their noise is not that of the sensor"
+        )
+
+
+def find_interpolation(sensor: SensorLog) -> Interpolation | None:
+    """Return how a triad's rows were interpolated; None if they were not. Reads the rows once."""
+    rows = len(sensor)
+    if rows < FEWEST_ROWS or not sensor.is_triad:
+        return None
+    straight = compared = 0
+    scatter = []
+    for block in sensor.blocks():
+        counts = np.asarray(sensor.counts[max(block.start - 2, 0) : block.stop], np.int64)
+        if len(counts) < 3:
+            continue
+        bends = np.abs(np.diff(counts, n=2, axis=0)).max(axis=1)
+        held = (np.diff(counts, axis=0)[1:] == 0).all(axis=1) & (bends == 0)
+        on_line = (bends <= ROUNDED) & ~held
+        straight, compared = straight + int(on_line.sum()), compared + len(bends)
+        if (bends > ROUNDED).any():
+            scatter.append(float(np.median(bends[bends > ROUNDED])))
+    if not scatter or not compared:
+        return None
+    share = straight / compared
+    if share < LEAST_SHARE or float(np.median(scatter)) < SCATTER:
+        return None
+    seconds = (int(sensor.time[rows - 1]) - int(sensor.time[0])) * 1e-9
+    return Interpolation(share, (1 - share) * (rows - 1) / seconds)
