@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse import techniques
@@ -22,7 +23,8 @@ from imuarray.fuse.element_temperature import (
 )
 from imuarray.fuse.faults import FaultEvent, Ranges
 from imuarray.fuse.faults.monitor import NO_RANGES, MaskedPipeline, MonitoredPipeline
-from imuarray.fuse.frames import FusedBlock
+from imuarray.fuse.frame_spool import FrameSpool
+from imuarray.fuse.frames import Frames, FusedBlock
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
@@ -242,29 +244,54 @@ def _smoothed(
     progress: Progress,
     block: int,
 ) -> Iterator[FusedBlock]:
-    """Every frame by what the whole log tells: it is read twice."""
+    """Every frame by what the whole log tells. Rows are aligned once, and their frames are gone through twice."""
     axes, model = array.axes, array.model(temperatures)
     period_s = _period_s(array)
-    passes: list[Pipeline[FrameBlock] | None] = []
+    watched: list[Pipeline[FrameBlock]] = []
 
     def making(period_s: float) -> Pipeline[FrameBlock]:
-        first = passes[0] if passes else None  # what failed is looked for, and told, once
-        if isinstance(first, MonitoredPipeline):
-            return MaskedPipeline(FramePipeline(), first.left_out)
-        return array.watched(FramePipeline(), axes, period_s)
+        watched.append(array.watched(FramePipeline(), axes, period_s))
+        return _SpooledPipeline(watched[0], spool)
 
-    def blocks() -> Iterator[FrameBlock]:
+    def first_pass() -> Iterator[FrameBlock]:
         stream = FusionStream(array.groups, array.calibration, making, temperatures, timeout_s=float("inf"))
-        first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if passes else (0.0, _FIRST_PASS)
-        yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
-        passes.append(stream.pipeline)
+        yield from _replayed(log, stream, block, lambda done: progress(_FIRST_PASS * done))
+
+    def second_pass() -> Iterator[FrameBlock]:
+        first = watched[0]  # what failed is looked for, and told, once
+        inner: Pipeline[FrameBlock] = FramePipeline()
+        again = MaskedPipeline(inner, first.left_out) if isinstance(first, MonitoredPipeline) else inner
+        done = 0
+        for frames, degc in spool.blocks():
+            done += len(next(iter(frames.values())).time)
+            progress(_FIRST_PASS + (1 - _FIRST_PASS) * done / spool.frames)
+            yield from again(frames, degc)
+        yield from again.finish()
 
     def with_remarks(learnt: FusionNotes) -> None:
-        first = passes[0]
+        first = watched[0]
         remarks = first.remarks() if isinstance(first, MonitoredPipeline) else []
         notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
 
-    yield from smoothed(blocks, axes, model, period_s, with_remarks)
+    with FrameSpool() as spool:
+        passes = iter((first_pass, second_pass))
+        yield from smoothed(lambda: next(passes)(), axes, model, period_s, with_remarks)
+
+
+class _SpooledPipeline:
+    """A pipeline whose input is kept on a spool. A `Pipeline`."""
+
+    def __init__(self, inner: Pipeline[FrameBlock], spool: FrameSpool) -> None:
+        self._inner, self._spool = inner, spool
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
+        """See `Pipeline`."""
+        self._spool.add(frames, degc)
+        yield from self._inner(frames, degc)
+
+    def finish(self) -> Iterator[FrameBlock]:
+        """See `Pipeline`."""
+        return self._inner.finish()
 
 
 def _period_s(array: _Array[SensorLog]) -> float:
