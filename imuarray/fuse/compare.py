@@ -89,6 +89,7 @@ def compare(
     `progress` is called with the share of the work that is done. Processes of the `executor` fuse by estimators of the
     whole array beside this one; the result is the same. FusionError without a truth, or with too few frames.
     """
+    log.keep_rows()
     wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
     each_alone = [technique for technique in wanted if technique in TECHNIQUES]
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+from array import array
 from collections.abc import Sequence
 from tempfile import TemporaryFile
 
@@ -28,8 +29,8 @@ from imuarray.fuse.optimal.states import (
     predicted,
 )
 
-_PLACE = struct.Struct("<qq")
-"""Trailer of a group: the length of its head, the shapes, and where the group begins."""
+_LENGTH = struct.Struct("<q")
+"""Begin of a group: the length of its head, the shapes."""
 
 
 class Spool:
@@ -37,7 +38,8 @@ class Spool:
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
-        self._end = 0
+        self._starts = array("q")
+        self._end = self._place = 0
 
     def __bool__(self) -> bool:
         """Return whether there is anything on it."""
@@ -45,29 +47,34 @@ class Spool:
 
     def push(self, arrays: Sequence[Floats]) -> None:
         """Put a group on top."""
-        shapes = [array.shape for array in arrays]
-        parts = [np.ascontiguousarray(array, np.float64).tobytes() for array in arrays]
+        shapes = [rows.shape for rows in arrays]
         head = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
-        self._file.seek(self._end)
-        self._file.write(b"".join((*parts, head, _PLACE.pack(len(head), self._end))))
-        self._end = self._file.tell()
+        if self._place != self._end:  # to seek empties the file's buffer
+            self._file.seek(self._end)
+        self._starts.append(self._end)
+        self._file.write(_LENGTH.pack(len(head)) + head)
+        self._end += _LENGTH.size + len(head)
+        for rows in arrays:
+            self._file.write(np.ascontiguousarray(rows, np.float64).data)
+            self._end += 8 * rows.size
+        self._place = self._end
 
     def pop(self) -> list[Floats]:
         """Take the topmost group; IndexError if there is none."""
         if not self:
             raise IndexError("nothing is on the spool")
-        self._file.seek(self._end - _PLACE.size)
-        head_bytes, start = _PLACE.unpack(self._file.read(_PLACE.size))
+        start = self._starts.pop()
         self._file.seek(start)
-        content = self._file.read(self._end - start - _PLACE.size)
-        head = iter(np.frombuffer(content[len(content) - head_bytes :], np.int64).tolist())
-        arrays, at = [], 0
+        content = self._file.read(self._end - start)
+        self._end, self._place = start, -1
+        at = _LENGTH.size + _LENGTH.unpack_from(content)[0]
+        head = iter(np.frombuffer(content[_LENGTH.size : at], np.int64).tolist())
+        arrays = []
         for dimensions in head:
             shape = tuple(next(head) for _ in range(dimensions))
             size = math.prod(shape)
             arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
             at += 8 * size
-        self._end = start
         return arrays
 
     def close(self) -> None:

@@ -98,7 +98,7 @@ class FeltStates:
 
     def __init__(self, dense: Floats) -> None:
         self.dense = dense
-        flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
+        self._flat = flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
         self._layers: list[_Layer] = []
         rows, columns = np.nonzero(flat)
         place = np.arange(len(rows)) - np.searchsorted(rows, rows)
@@ -113,21 +113,20 @@ class FeltStates:
                 )
             )
 
-    def times(self, matrix: Floats) -> Floats:
-        """(terms r, q) the product with (n, q)."""
-        product = np.zeros((self.dense.shape[0] * self.dense.shape[1], matrix.shape[1]))
-        for rows, columns, entries in self._layers:
-            part = matrix.take(columns, axis=0)
-            product[rows] += part if entries is None else entries * part
-        return product
-
     def of(self, belief: Gaussian, adjoint: Adjoint | None = None) -> tuple[Floats, Floats]:
         """(terms, r) and (terms, r, terms, r) mean and covariance of what the rows feel under a belief, with what came
         after it if `adjoint` is given.
         """
         terms, rows, _ = self.dense.shape
-        felt = self.times(belief.covariance)
-        mean, covariance = self.times(belief.mean[:, None])[:, 0], self.times(felt.T)
+        felt = np.zeros(self._flat.shape)
+        for places, columns, entries in self._layers:
+            part = belief.covariance.take(columns, axis=0)
+            felt[places] += part if entries is None else entries * part
+        covariance = np.zeros((len(felt), len(felt)))
+        for places, columns, entries in self._layers:
+            part = felt.take(columns, axis=1)
+            covariance[:, places] += part if entries is None else entries.T * part
+        mean = self._flat @ belief.mean
         if adjoint is not None:
             mean -= felt @ adjoint.vector
             covariance -= felt @ adjoint.matrix @ felt.T
