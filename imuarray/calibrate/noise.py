@@ -313,6 +313,8 @@ def calibrate_noise(
     by the accelerometers. CalibrationError if there are none. `progress` hears what is done, how many sensors are, and
     of how many.
     """
+    for log in logs:
+        log.keep_rows()
     poses = [pose for log in logs for pose in _still_stretches(log)]
     first = logs[0]
     if not poses:

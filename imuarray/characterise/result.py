@@ -55,6 +55,7 @@ def characterise_log(
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     if not chosen:
         raise LogError(f"{log.path}: it has no accelerometer, gyroscope or magnetometer")
+    log.keep_rows()
     chosen_stretch = choose_stretch(log, None if isinstance(phase, Stretch) else phase)
     if isinstance(phase, Stretch) and chosen_stretch.phase is None:
         chosen_stretch = phase

@@ -107,6 +107,7 @@ def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Cont
             yield content
         return
     with open_log(request.source) as log:
+        log.keep_rows()  # tables read a few rows at a time
         yield _content(log, request, request.units or ("si" if request.calibration else usual))
 
 

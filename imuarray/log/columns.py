@@ -32,7 +32,7 @@ _FEW_ROWS = 1 << 10
 
 
 class RowCache:
-    """The blocks of rows that were used last, of all columns of a log.
+    """The blocks of rows that were used last, of all columns of a log, once it is `used`.
 
     Most analyses read a log several times, and reading means decompressing: reading an hour of nine triads takes a
     fifth as long as fusing it by the mean does.
@@ -41,6 +41,7 @@ class RowCache:
     def __init__(self, limit_bytes: int | None = None) -> None:
         """`limit_bytes` may be kept, by default `CACHED_BYTES`."""
         self._limit_bytes, self._bytes = CACHED_BYTES if limit_bytes is None else limit_bytes, 0
+        self.used = False
         self._blocks: OrderedDict[tuple[str, int], npt.NDArray[Any]] = OrderedDict()
         self._lock = Lock()
 
@@ -98,7 +99,7 @@ class NamedColumn:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
-        if self._cache is not None and isinstance(key, slice) and key.step in (None, 1):
+        if self._cache is not None and self._cache.used and isinstance(key, slice) and key.step in (None, 1):
             start, stop, _ = key.indices(len(self))
             if stop - start >= _FEW_ROWS:
                 with suppress(*UNREADABLE):  # where rows nearby are damaged, those asked for may be intact

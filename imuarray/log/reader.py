@@ -43,6 +43,8 @@ class Log:
     copies of the log in that process share the open file: closing one closes them all.
     """
 
+    _cache: RowCache | None = None
+
     def __init__(self, path: str | PathLike[str], *, thorough: bool = False, journal_fd: int | None = None) -> None:
         """Open and check `path`; LogError states what is missing or wrong. `thorough` reads the whole of an unfinished
         log and checks every block; `journal_fd` is the open journal of a log that its writer is finishing.
@@ -228,6 +230,13 @@ class Log:
     def _track(self, name: str) -> Track | None:
         group = self._group(name)
         return None if group is None else track_of(group, f"{self.path}: group {name}", self._cache)
+
+    def keep_rows(self) -> None:
+        """Keep the rows that are read from now on in memory, the last 64 MB of them: for who reads a log several times.
+        Nothing is kept of a log that is being written.
+        """
+        if self._cache is not None:
+            self._cache.used = True
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
         """An `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where the

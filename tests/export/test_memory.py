@@ -51,7 +51,8 @@ def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix:
     monkeypatch.setattr("imuarray.importers.exported_parquet._ROWS", 2000)
     monkeypatch.setattr("imuarray.importers.cells.TextTable.blocks.__defaults__", (250, None))
     monkeypatch.setattr("imuarray.log.writer.CHUNK", 250)
-    monkeypatch.setattr("imuarray.log.columns.CACHED_BYTES", 1 << 16)
+    monkeypatch.setattr("imuarray.log.columns.CACHED_BYTES", 1 << 14)
+    monkeypatch.setattr("imuarray.log.columns._BLOCK_ROWS", 250)
 
     def peaks(rows: int) -> tuple[int, int]:
         run, out = log_of(tmp_path / f"{rows}.h5", rows), tmp_path / f"{rows}.{suffix}"

@@ -29,9 +29,15 @@ class Counted:
         return self.values[key].copy()
 
 
+def cached(column: Any, name: str, limit_bytes: int | None = None) -> NamedColumn:
+    cache = RowCache(limit_bytes)
+    cache.used = True
+    return NamedColumn(column, name, cache)
+
+
 def test_any_slice_is_that_of_the_column() -> None:
     values = np.random.default_rng(1).integers(-32768, 32767, (ROWS, 3), dtype=np.int16)
-    column = NamedColumn(Counted(values), "counts", RowCache())  # type: ignore[arg-type]
+    column = cached(Counted(values), "counts")
     ends = np.random.default_rng(2).integers(-ROWS, 2 * ROWS, (200, 2))
     for start, stop in [*ends.tolist(), (0, ROWS), (65_536, 131_072), (65_535, 131_073), (5, 5), (9, 3)]:
         np.testing.assert_array_equal(column[start:stop], values[start:stop])
@@ -41,7 +47,7 @@ def test_any_slice_is_that_of_the_column() -> None:
 
 def test_rows_are_read_once_while_there_is_room() -> None:
     counted = Counted(np.arange(ROWS))
-    column = NamedColumn(counted, "time", RowCache(limit_bytes=8 * ROWS))  # type: ignore[arg-type]
+    column = cached(counted, "time", 8 * ROWS)
     for _ in range(3):
         for start in range(0, ROWS, 16_384):
             column[start : start + 16_384]
@@ -50,7 +56,7 @@ def test_rows_are_read_once_while_there_is_room() -> None:
 
 def test_what_was_used_last_stays() -> None:
     counted = Counted(np.arange(ROWS))
-    column = NamedColumn(counted, "time", RowCache(limit_bytes=2 * 8 * 65_536))  # type: ignore[arg-type]
+    column = cached(counted, "time", 2 * 8 * 65_536)
     for start in (0, 65_536, 0, 131_072, 0):  # the third block takes the place of the second
         column[start : start + 65_536]
     assert counted.rows_read == 3 * 65_536
@@ -59,14 +65,14 @@ def test_what_was_used_last_stays() -> None:
 
 
 def test_a_caller_may_change_what_it_got() -> None:
-    column = NamedColumn(Counted(np.arange(ROWS)), "time", RowCache())  # type: ignore[arg-type]
+    column = cached(Counted(np.arange(ROWS)), "time")
     column[0:5000][:] = -1
     assert column[0:5000].tolist() == list(range(5000))
 
 
 def test_few_rows_are_read_by_themselves() -> None:
     counted = Counted(np.arange(ROWS))
-    column = NamedColumn(counted, "time", RowCache())  # type: ignore[arg-type]
+    column = cached(counted, "time")
     assert column[-1:].tolist() == [ROWS - 1] and column[7:71].tolist() == list(range(7, 71))
     assert counted.rows_read == 65
 
@@ -80,8 +86,16 @@ def test_rows_beside_damaged_ones_can_be_read(tmp_path: Path) -> None:
         raw.seek(place + 100)
         raw.write(b"\xff" * 8)
     with h5py.File(tmp_path / "log.h5", "r") as file:
-        column = NamedColumn(file["time"], "time", RowCache())
+        column = cached(file["time"], "time")
         np.testing.assert_array_equal(column[: 2 * chunk], values[: 2 * chunk])
         np.testing.assert_array_equal(column[3 * chunk :], values[3 * chunk :])
         with pytest.raises(LogError, match=r"time: rows 0 to 19999 are damaged"):
             column[:]
+
+
+def test_nothing_is_kept_before_somebody_wants_it(tmp_path: Path) -> None:
+    counted = Counted(np.arange(ROWS))
+    column = NamedColumn(counted, "time", RowCache())  # type: ignore[arg-type]
+    for _ in range(2):
+        column[:5000]
+    assert counted.rows_read == 10_000
