@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.gap.model.base_model import _readings_a_row
+from imuarray.gap.model.base_model import _readings_a_row, _readings_between_polls
+from imuarray.gap.statistics.intervals import IntervalMoments, Intervals
 
 POLLS = 400_000
 
@@ -32,3 +33,22 @@ def test_a_clock_near_the_polls_rate(error: float) -> None:
 def test_even_polls_lack_what_they_repeat() -> None:
     assert _readings_a_row(0.01, 0.0) == pytest.approx(0.99)
     assert _readings_a_row(0.0, 0.003) == 1.0
+
+
+@pytest.mark.parametrize("error", [-0.03, 0.0, 0.025])
+def test_a_clock_that_is_polled_more_often_than_it_measures(error: float) -> None:
+    """Polls of a 200 Hz clock come 2.7 and 5.3 ms apart, in pairs or not: how many readings were missed in the longer
+    intervals is not asked. The share of repeats of 400,000 polls is known to a thousandth.
+    """
+    rng = np.random.default_rng(5)
+    intervals_s = np.where(rng.random(POLLS) < 0.6, 2.7e-3, 5.3e-3) + rng.normal(0, 5e-5, POLLS)
+    newest = np.floor(np.cumsum(intervals_s) * 200 * (1 + error))
+    repeated = float((np.diff(newest) == 0).mean())
+    moments = IntervalMoments(period_s=1 / 200)
+    moments.update(np.rint(np.cumsum(intervals_s) * 1e9).astype(np.int64))
+    assert _readings_between_polls(moments.result(), repeated) / 200 - 1 == pytest.approx(error, abs=3e-3)
+
+
+def test_more_repeats_than_short_intervals_are_no_clock() -> None:
+    intervals = Intervals(100, 5e-3, 0.0, 0, 5e-3, shorter=50, shorter_s=4e-3)
+    assert np.isnan(_readings_between_polls(intervals, 0.6))

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.gap.recording.source import DOUBTFUL
 from imuarray.gap.statistics.intervals import IntervalMoments, StatusTally
-from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
+from imuarray.gap.statistics.probes import PROBES, PhaseProbe
+from imuarray.gap.statistics.summary import Grid, Tally
+from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, Phase, SensorHeader
+from imuarray.log.writer import Block
+
+HEADER = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, rate_hz=100.0)
 
 
 def times(intervals_ns: list[int]) -> np.ndarray:
@@ -52,3 +59,32 @@ def test_flags_and_words() -> None:
     assert tally.flags["stale"] == 2
     assert (tally.flags["saturated"], tally.flags["lost_before"], tally.flags["suspect"]) == (1, 1, 0)
     assert tally.words == 3
+
+
+def test_slips_are_of_several_rows_and_of_several_blocks() -> None:
+    """Rows 3, 5 and 6 are one slip, rows 30 and 33 another, in which a new reading is flagged as none."""
+    status = np.zeros(40, np.uint16)
+    status[[3, 5, 6, 30]] = STALE
+    status[33] = DOUBTFUL
+    tally, counts = StatusTally(), np.arange(120, dtype=np.int16).reshape(40, 3)
+    for part in (slice(5), slice(5, 31), slice(31, 40)):
+        tally.update(status[part], counts[part])
+    assert tally.slips == 2
+    assert (tally.flags["stale"], tally.flags["doubtful"]) == (4, 1)
+
+
+@pytest.mark.parametrize(("doubtful", "is_told"), [(0, True), (1, True), (2, False)])
+def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtful: int, is_told: bool) -> None:
+    """Of ten rows that are flagged as no new reading one may be one."""
+    status = np.zeros(100, np.uint16)
+    status[10:20] = STALE
+    status[10 : 10 + doubtful] = DOUBTFUL
+    counts = np.random.default_rng(1).normal(0, 30, (100, 3)).astype(np.int16)
+    rows = Block(np.arange(100) * 10_000_000, counts, status)
+    tally = Tally(HEADER, Phase(0, 10**9, "static", "+Z"), Grid.of(100))
+    tally.update(rows)
+    summary = tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
+    for name in ("repeats", "stale"):
+        probe = PROBES[name]
+        assert isinstance(probe, PhaseProbe)
+        assert np.isfinite(probe.statistic(summary)).all() == is_told

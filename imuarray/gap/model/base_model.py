@@ -43,7 +43,9 @@ from imuarray.gap.statistics.catalogue import (
     replicate_statistics,
     statistics,
 )
+from imuarray.gap.statistics.intervals import Intervals
 from imuarray.gap.statistics.probes.level import halves
+from imuarray.gap.statistics.probes.timing import is_comparable
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -523,13 +525,15 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
     any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
     longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. A phase
-    in which a reading is held for long tells nothing of the clock, which the other phases may tell. Rows
-    that the recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as
-    overrun there was one reading more than was read. Polls that are early or late at the moment of a new reading find
-    none or two: flags that no single rate explains are those of a chip that is polled at its nominal rate. Where no
-    missed reading is flagged, the share of repeats of polls with that jitter tells the rate (`_readings_a_row`). Where
-    as many readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate. Flags tell
-    this while the box moves, too.
+    in which a reading is held for long tells nothing of the clock, which the other phases may tell. Rows that the
+    recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as overrun
+    there was one reading more than was read, and where polls are much faster than the chip the intervals between them
+    tell the rest (`_readings_between_polls`). Polls that are early or late at the moment of a new reading find none or
+    two: flags that no single rate explains are those of a chip that is polled at its nominal rate. If many readings
+    come while they are read, the polls that find none are no count of what is missing, but one or a few in a row are
+    each slip of one clock against the other. Where no missed reading is flagged, the share of repeats of polls with
+    that jitter tells the rate (`_readings_a_row`). Where as many readings are missed as are repeated, to one or two in
+    a phase, the chip keeps its nominal rate. Flags tell this while the box moves, too.
     """
     is_flagged = _is_flagged(campaign, header)
     name = header.name
@@ -555,11 +559,16 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
             return math.nan
         slips += phase.flags["stale"] > 0 or excess >= _SLIPS
         repeated = _repeated_share(phase, is_flagged)
-        readings_per_s.append(
-            rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows)
-            if is_flagged and flags_missed
-            else rows_per_s * _readings_a_row(repeated, phase.intervals.std_s / phase.intervals.mean_s)
-        )
+        if rows_per_s > _OVERSAMPLED * header.rate_hz:
+            readings_per_s.append(_readings_between_polls(phase.intervals, repeated))
+        elif not is_comparable(phase):
+            is_slow = phase.flags["stale"] + phase.flags["doubtful"] >= phase.flags["overrun"]
+            readings_per_s.append(rows_per_s * (1 + (-1 if is_slow else 1) * phase.slips / phase.rows))
+        elif is_flagged and flags_missed:
+            readings_per_s.append(rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows))
+        else:
+            jitter = phase.intervals.std_s / phase.intervals.mean_s
+            readings_per_s.append(rows_per_s * _readings_a_row(repeated, jitter))
         weight.append(phase.rows)
     if not slips:
         return math.nan
@@ -604,6 +613,18 @@ def _readings_a_row(repeated: float, jitter: float) -> float:
 
     most = _MOST_FAST * jitter
     return 1 + float(brentq(excess, -repeated - most, most)) if excess(most) < 0 else 1 + most
+
+
+def _readings_between_polls(intervals: Intervals, repeated: float) -> float:
+    """Readings of the chip in a second, if it is polled more often than it measures and a share of polls `repeated`
+    finds no new one.
+
+    A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
+    than the period, and 0 else, whatever the phase of the clocks: the mean over the intervals gives f. How many
+    readings were missed in longer intervals does not matter; a reading that comes while it is read may hide that.
+    """
+    share = intervals.shorter / (intervals.count + intervals.gaps)
+    return (share - repeated) / (share * intervals.shorter_s) if share > repeated else math.nan
 
 
 def _equal_in_a_row(by_chance: float, rows: int) -> int:

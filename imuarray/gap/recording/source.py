@@ -45,6 +45,10 @@ class Source(Protocol):
         """The rows with times in [start_ns, end_ns), in order, in blocks of 1 to `CHUNK` rows."""
 
 
+DOUBTFUL = 0x8000
+"""Status of a row that the recorder flags as no new reading, and that is one: set by sources, in no file."""
+
+
 class RecordedSource:
     """A sensor of an open log. A row that is flagged as no new reading and differs from the one before is one: the
     chip made it after its flag was read and before its data were. Its flag is left out.
@@ -167,7 +171,8 @@ class RowFilter:
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
-    """The flags (n,) of rows, without that of a repeated row where a row differs from the one before.
+    """The flags (n,) of rows, with `DOUBTFUL` in place of that of a repeated row where a row differs from the one
+    before.
 
     Such a row was measured while it was read, after the chip's ready bit was: neither was a reading lost beside it,
     whatever the chip says of the rows before and after it.
@@ -176,7 +181,7 @@ def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.ND
     is_adjacent = is_doubtful.copy()
     is_adjacent[1:] |= is_doubtful[:-1]
     is_adjacent[:-1] |= is_doubtful[1:]
-    flags = np.where(is_doubtful, flags & ~np.uint16(STALE), flags)
+    flags = np.where(is_doubtful, flags & ~np.uint16(STALE) | np.uint16(DOUBTFUL), flags)
     return np.where(is_adjacent, flags & ~np.uint16(OVERRUN), flags)
 
 

@@ -166,7 +166,7 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
         elif isinstance(probe, CrossProbe):
             for sensor in crossed:
                 values = np.array([probe.statistic(cross, sensor) for cross in crosses])
-                by_sensor[sensor].append(_ProbeValues(name, values, _any_difference))
+                by_sensor[sensor].append(_ProbeValues(name, values, partial(float, probe.resolution)))
     return by_sensor
 
 

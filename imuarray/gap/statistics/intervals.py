@@ -10,12 +10,18 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
 from imuarray.characterise.stretch import GAP
-from imuarray.log.format import FLAGS
+from imuarray.gap.recording.source import DOUBTFUL
+from imuarray.log.format import FLAGS, STALE
 
 Counts = npt.NDArray[np.int16]
 
 WORDS = (-1, 0)
 """Readings of all axes on a bus that floats high, or is held low (UM10204, 3.1.1)."""
+
+_COUNTED = {**FLAGS, "doubtful": DOUBTFUL}
+
+APART = 16
+"""Rows from which on two rows that are no new reading belong to two slips of the polls against the data clock."""
 
 _QUARTILE = 0.75
 _TYPICAL = 1024
@@ -26,7 +32,8 @@ class Intervals:
     """Intervals between `count + gaps` neighbouring rows: `mean_s` and `std_s` of the `count` that are no gap, and the
     `longest_s` of all; nan without any.
 
-    A gap is longer than 1.5 times the upper quartile of the first 1024 intervals.
+    A gap is longer than 1.5 times the upper quartile of the first 1024 intervals. `shorter` of all intervals are
+    shorter than the period of the sensor's data, with a mean of `shorter_s`.
     """
 
     count: int
@@ -34,14 +41,18 @@ class Intervals:
     std_s: float
     gaps: int
     longest_s: float
+    shorter: int = 0
+    shorter_s: float = 0.0
 
 
 class IntervalMoments:
-    """Accumulates the first and second moments of intervals. `imuarray.characterise.IntervalTally` has their medians
-    too, for 5 times the time and 4 MB.
+    """Accumulates the first and second moments of intervals, for data that come every `period_s` (0: unknown).
+    `imuarray.characterise.IntervalTally` has their medians too, for 5 times the time and 4 MB.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float = 0.0) -> None:
+        self._period_ns = 1e9 * period_s
+        self._shorter, self._shorter_ns = 0, 0.0
         self._last_ns: int | None = None
         self._waiting: list[Floats] = []
         self._typical_ns = self._longest_ns = 0.0
@@ -65,7 +76,8 @@ class IntervalMoments:
         mean = self._sum_ns / self._count
         variance = max(self._squares_ns2 / self._count - mean**2, 0.0)
         seconds = ((mean + self._typical_ns) * 1e-9, variance**0.5 * 1e-9)
-        return Intervals(self._count, *seconds, self._gaps, self._longest_ns * 1e-9)
+        shorter_s = 1e-9 * self._shorter_ns / max(self._shorter, 1)
+        return Intervals(self._count, *seconds, self._gaps, self._longest_ns * 1e-9, self._shorter, shorter_s)
 
     def _add(self) -> None:
         """Separates the pending intervals from gaps and adds them up."""
@@ -75,6 +87,10 @@ class IntervalMoments:
             return
         self._typical_ns = self._typical_ns or _quartile(intervals[:_TYPICAL])
         self._longest_ns = max(self._longest_ns, float(intervals.max()))
+        if self._period_ns:
+            is_shorter = intervals < self._period_ns
+            self._shorter += int(np.count_nonzero(is_shorter))
+            self._shorter_ns += float(intervals[is_shorter].sum())
         from_typical = intervals - self._typical_ns
         if self._longest_ns > GAP * self._typical_ns:
             from_typical = from_typical[intervals <= GAP * self._typical_ns]
@@ -96,8 +112,9 @@ class StatusTally:
     """Counts flags, and rows that are words of `WORDS`."""
 
     def __init__(self) -> None:
-        self._flags = dict.fromkeys(FLAGS, 0)
-        self._words = 0
+        self._flags = dict.fromkeys(_COUNTED, 0)
+        self._words = self._slips = self._rows = 0
+        self._last_stale = -APART
 
     @property
     def flags(self) -> Mapping[str, int]:
@@ -109,11 +126,23 @@ class StatusTally:
         """Number of rows so far whose three axes all read one of `WORDS`."""
         return self._words
 
+    @property
+    def slips(self) -> int:
+        """Number of times that rows are flagged as no new reading, rightly or not, `APART` rows or more after the last
+        ones.
+        """
+        return self._slips
+
     def update(self, status: npt.NDArray[np.uint16], counts: Counts) -> None:
         """Adds flags (n,) and counts (n, 3)."""
         if status.any():
-            for name, flag in FLAGS.items():
+            for name, flag in _COUNTED.items():
                 self._flags[name] += int(np.count_nonzero(status & flag))
+            stale = self._rows + np.flatnonzero(status & (STALE | DOUBTFUL))
+            if len(stale):
+                self._slips += int(np.count_nonzero(np.diff(stale, prepend=self._last_stale) >= APART))
+                self._last_stale = int(stale[-1])
+        self._rows += len(status)
         x, y, z = counts.T
         is_equal = (x == y) & (y == z)
         if is_equal.any():

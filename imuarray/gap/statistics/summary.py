@@ -61,7 +61,8 @@ class Summary:
     `spectrum` in squared counts per cycle per row; `alternating`, the mean of the readings with alternating signs;
     `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared differences of neighbours at lags 0 ...
     3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes, rows with each of the log's `flags`,
-    `words`: rows in which all axes read -1, or all 0, and of a recording its isolated readings `outliers`.
+    `words`: rows in which all axes read -1, or all 0, `slips` of the polls against the data clock, and of a recording
+    its isolated readings `outliers`.
     """
 
     header: SensorHeader
@@ -80,6 +81,7 @@ class Summary:
     repeats: Repeats
     flags: Mapping[str, int]
     words: int
+    slips: int
     outliers: Outliers
 
 
@@ -100,7 +102,7 @@ class Tally:
         self._welch = Welch(1.0, grid.spectrum_rows, columns)
         self._covariance, self._arch = Autocovariance(LAGS, columns), Autocovariance(ARCH_LAGS, columns)
         self._haar = HaarTally(OCTAVES, columns)
-        self._intervals = IntervalMoments()
+        self._intervals = IntervalMoments(1 / header.rate_hz if header.rate_hz > 0 else 0.0)
         self._repeats = [RepeatTally() for _ in range(replicates)]
         self._status = [StatusTally() for _ in range(replicates)]
         self._outliers = [OutlierTally() for _ in range(replicates)]
@@ -168,6 +170,7 @@ class Tally:
                 self._repeats[at].result(),
                 self._status[at].flags,
                 self._status[at].words,
+                self._status[at].slips,
                 self._outliers[at].result(),
             )
             for at in range(replicates)

@@ -268,5 +268,8 @@ COUPLING = CrossProbe(
 )
 _BEND = "artanh of the correlation with the {power} of the rate along the axis, beyond what the others read"
 
-SQUARE = CrossProbe("motion", _BEND.format(power="square"), "", ("nonlinearity",), square, True)
-CUBE = CrossProbe("motion", _BEND.format(power="cube"), "", ("nonlinearity",), cube, True)
+_OF_A_SLIP = 0.03
+"""Correlation with a power of the rate that a delay makes which grows and falls as polls slip against a data clock."""
+
+SQUARE = CrossProbe("motion", _BEND.format(power="square"), "", ("nonlinearity",), square, True, _OF_A_SLIP)
+CUBE = CrossProbe("motion", _BEND.format(power="cube"), "", ("nonlinearity",), cube, True, _OF_A_SLIP)

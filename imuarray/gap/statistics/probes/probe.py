@@ -81,10 +81,13 @@ class LogProbe(Probe):
 
 @dataclass(frozen=True)
 class CrossProbe(Probe):
-    """Probe of one sensor against the others of the array, at rest or (`in_motion`) in motion."""
+    """Probe of one sensor against the others of the array, at rest or (`in_motion`) in motion; `resolution` is the
+    least meaningful difference.
+    """
 
     statistic: Callable[[Cross, str], Floats]
     in_motion: bool = False
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True)

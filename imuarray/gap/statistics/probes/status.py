@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+
+import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, one_row
+from imuarray.gap.statistics.probes.timing import is_comparable
 from imuarray.gap.statistics.summary import Summary
 
 
@@ -14,28 +18,25 @@ def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
     return arcsine(sum(summary.flags[name] for name in names), summary.rows)
 
 
+def stale(summary: Summary) -> Floats:
+    """arcsine of the share of rows that are no new reading; nan if polls do not tell it."""
+    return flagged(("stale",), summary) if is_comparable(summary) else np.full(1, np.nan)
+
+
 def words(summary: Summary) -> Floats:
     """arcsine of the share of rows whose axes all read -1, or all 0."""
     return arcsine(summary.words, summary.rows)
 
 
-def _probe(about: str, moved_by: tuple[str, ...], *flags: str) -> PhaseProbe:
-    return PhaseProbe(
-        "status",
-        f"arcsine of the share of rows {about}",
-        "",
-        moved_by,
-        partial(flagged, flags),
-        True,
-        one_row,
-        by_column=False,
-    )
+def _probe(about: str, moved_by: tuple[str, ...], statistic: Callable[[Summary], Floats]) -> PhaseProbe:
+    about = f"arcsine of the share of rows {about}"
+    return PhaseProbe("status", about, "", moved_by, statistic, True, one_row, by_column=False)
 
 
-STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), "stale")
-SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), "saturated")
-LOST = _probe("before which some were lost", ("dropped_samples",), "lost_before")
-DOUBT = _probe("of a chip in doubt or just set up again", (), "suspect", "reconfigured")
+STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), stale)
+SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), partial(flagged, ("saturated",)))
+LOST = _probe("before which some were lost", ("dropped_samples",), partial(flagged, ("lost_before",)))
+DOUBT = _probe("of a chip in doubt or just set up again", (), partial(flagged, ("suspect", "reconfigured")))
 WORDS = PhaseProbe(
     "status",
     "arcsine of the share of rows that read -1 or 0 on all axes",

@@ -33,8 +33,23 @@ def longest(summary: Summary) -> Floats:
     return np.asarray(log(summary.intervals.longest_s) - log(summary.intervals.mean_s))
 
 
+MOST_DOUBTFUL = 0.1
+"""Rows that the recorder flags wrongly as no new reading, as a share of all that it flags so, up to which repetitions
+are compared. Where many readings come while they are read, some are read half, and fewer are repeated than polls
+repeat.
+"""
+
+
+def is_comparable(summary: Summary) -> bool:
+    """True if the recorder's polls tell how many readings are repeated."""
+    doubtful = summary.flags["doubtful"]
+    return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
+
+
 def repeats(summary: Summary) -> Floats:
-    """arcsine of the share of rows that equal the one before on all axes."""
+    """arcsine of the share of rows that equal the one before on all axes; nan if polls do not tell it."""
+    if not is_comparable(summary):
+        return np.full(1, np.nan)
     share = summary.repeats.repeat_share
     return arcsine(share * (summary.rows - 1), summary.rows - 1)
 
