@@ -42,6 +42,8 @@ def test_of_two_accelerometers_that_disagree_the_noted_faces_tell_the_right_one(
     np.testing.assert_allclose(array_mean(readings), (right + wrong) / 2, atol=1e-12)
     partly = np.where(np.arange(6)[:, None] < 5, FACES, np.nan)
     np.testing.assert_allclose(array_mean(readings, partly), right, atol=1e-12)
+    corrected = right[:, None] + 0.2 * (readings - right[:, None])
+    np.testing.assert_allclose(array_mean(corrected, FACES, readings), right, atol=1e-12)
 
 
 def test_noted_faces_that_no_accelerometer_agrees_with_change_nothing() -> None:

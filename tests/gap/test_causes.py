@@ -391,6 +391,14 @@ def test_no_effect_is_near_that_gains_little_or_only_removes(bench: Bench) -> No
     assert nearest_of(bench, {}, 1) == ()
 
 
+def test_no_effect_is_nearest_of_many_that_are_as_near(bench: Bench) -> None:
+    """Of three each would have a probability of 0.13, of four 0.1."""
+    effects = [Bias((0.1, 0.0, 0.0)), LINE, Quantisation(2.0), GSensitivity((0.1,) * 9), DroppedSamples(0.01)]
+    alike = [confirmed(bench, "G1", effect, 3.0) for effect in effects]
+    assert len(nearest_of(bench, rounds_without_selection(bench, G1=alike[:3]), 1)) == 1
+    assert nearest_of(bench, rounds_without_selection(bench, G1=alike), 1) == ()
+
+
 def test_no_nearest_effect_of_a_sensor_with_an_accepted_one(bench: Bench) -> None:
     accepted = round_of(bench, "G1", confirmed(bench, "G1", LINE, 20.0))
     assert nearest_of(bench, {("G1",): [accepted]}, 1) == ()

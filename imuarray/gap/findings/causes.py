@@ -77,7 +77,7 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
 
 def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
     """Return the effect that comes nearest to explain a gap of which none was accepted: the one with the best odds of
-    those that gain `NEAREST_NATS` on both parts together; nothing if there is none.
+    those that gain `NEAREST_NATS` on both parts together; nothing if there is none, or if too many rivals are as good.
 
     A deviation of five standard deviations in a single statistic is a gap, but is worth less than it costs to choose
     among thousands of moments, lines and axes. Here this cost decides between effects alone.
@@ -97,6 +97,8 @@ def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) 
         rival = offer.evaluation.trial.name, offer.unit
         odds[rival] = max(odds.get(rival, 0.0), math.exp(offer.log_odds - best.log_odds))
     share = 1.0 / sum(odds.values())
+    if NEAREST_RIGHT * share < ALTERNATIVE:
+        return ()
     name = best.evaluation.trial.name
     rivals = tuple(sorted({effect for (effect, _), odd in odds.items() if odd > CONFUSABLE} - {name}))
     before = rounds[best.unit][0].before

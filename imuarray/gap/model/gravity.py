@@ -54,11 +54,10 @@ def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callabl
     rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
     if not rests:
         return {}
-    readings = shared_readings(
-        [rest.attitude for rest in rests], _readings([rest.accelerometers for rest in rests], less)
-    )
+    attitudes, accelerometers = [rest.attitude for rest in rests], [rest.accelerometers for rest in rests]
+    corrected, uncorrected = (shared_readings(attitudes, _readings(accelerometers, of)) for of in (less, mean))
     noted_g = np.array([rest.nominal for rest in rests])
-    return _forces(rests, directions(array_mean(readings, noted_g))[0])
+    return _forces(rests, directions(array_mean(corrected, noted_g, uncorrected))[0])
 
 
 class _Rest(NamedTuple):

@@ -133,12 +133,14 @@ def _with_faces(mean_g: Floats, known_g: Floats, noted_g: Floats) -> Ups:
     return Ups(directions(mean_g - bias)[0], bias)
 
 
-def array_mean(readings: Floats, noted_g: Floats | None = None) -> Floats:
+def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Floats | None = None) -> Floats:
     """Mean reading (k, 3) of s accelerometers from `readings` (k, s, 3) in g in the box frame, nan where there is none.
 
     The median of the accelerometers that read in every pose and are never `GROSS_G` from it (the mean of two), or of
     all if there are none such. With a median, an accelerometer whose bias changed does not tilt the box for the others.
     Where two disagree, the noted faces `noted_g` (k, 3), nan where none is noted, tell which of them is counted.
+    Whether they do is decided by the `uncorrected` readings (k, s, 3), if given: errors that were fitted to a sensor
+    with exchanged axes bring it halfway to the others.
     """
     whole = np.isfinite(readings).all(axis=(0, 2))
     if not whole.any():
@@ -146,9 +148,10 @@ def array_mean(readings: Floats, noted_g: Floats | None = None) -> Floats:
             known = np.isfinite(readings)
             return np.asarray(np.where(known, readings, 0.0).sum(axis=1) / known.sum(axis=1))
     complete = readings[:, whole]
+    as_read = complete if uncorrected is None else uncorrected[:, whole]
     counted = _within(complete, np.median(complete, axis=1), GROSS_G)
-    if noted_g is not None and not counted.any():
-        counted = _within(complete, noted_g, _OFF_FACE_G)
+    if noted_g is not None and not _within(as_read, np.median(as_read, axis=1), GROSS_G).any():
+        counted = _within(as_read, noted_g, _OFF_FACE_G)
     return np.asarray(np.median(complete[:, counted] if counted.any() else complete, axis=1))
 
 
