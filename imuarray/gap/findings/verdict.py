@@ -51,8 +51,8 @@ class Rates(NamedTuple):
 RATES = Rates(0.12, 0.9, 2.3, 0.4)
 """Between the maximum likelihood on 93 causes that the present search reports in opened cases of worlds that others
 generated (0.28, 0.88, 1.5, 0.55; 57 of them right), on 169 causes of five opened halves of such worlds, most by earlier
-versions (0.18, 0.83, 3.7, 0.28; 81 right), and on 160 causes of the emulated plan (0.02, 0.99, 1.6, 0.33; 105 right). On
-the 93 the calibration error is 0.09, as chance makes it, and the Brier score 0.16.
+versions (0.18, 0.83, 3.7, 0.28; 81 right), and on 160 causes of the emulated plan (0.02, 0.99, 1.6, 0.33; 105 right).
+On the 93 the calibration error is 0.09, as chance makes it, and the Brier score 0.16.
 """
 
 
