@@ -121,8 +121,11 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
         click.echo(text, nl=False)
         return
     write_text(output, text, force=force)
+    count = sum(line.startswith("# ? ") for line in text.splitlines())
+    doubts = f", with {counted(count, 'doubt')} at its top" if count else ""
     click.echo(
-        f"imuarray: wrote {output}; read its comments, then imuarray import {source} --map {output} -o RUN.h5", err=True
+        f"imuarray: wrote {output}{doubts}; read its comments, then imuarray import {source} --map {output} -o RUN.h5",
+        err=True,
     )
 
 

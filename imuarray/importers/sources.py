@@ -187,9 +187,20 @@ def reader_of(source: str | PathLike[str]) -> str | None:
             first = file.read(max(map(len, READERS)))
     except OSError as error:
         raise unreadable(path, error) from None
+    packer = next((name for magic, name in PACKERS.items() if first.startswith(magic)), None)
+    if packer is not None:
+        raise SourceError(
+            f"{path}: compressed by {packer}; decompress it first, or give the folder of a ROS 2 bag, not a file in it"
+        )
     module = next((module for magic, module in READERS.items() if first.startswith(magic)), None)
     return ZIP if module == "arrays" and first.startswith(b"PK") and zipped_texts(path) else module
 
+
+PACKERS: Mapping[bytes, str] = {
+    b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ\0": "xz", b"BZh": "bzip2",
+    b"7z\xbc\xaf\x27\x1c": "7-Zip", b"Rar!\x1a\x07": "RAR",
+}  # fmt: skip
+"""First bytes of compressed files that are not read, and what made them."""
 
 ZIP = "zip"
 """A zip file with texts, which is read as their folder is."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from imuarray.cli import main
 from imuarray.errors import SourceError
 from imuarray.importers.guess import guess_map
 from imuarray.importers.plausibility import report_of
@@ -306,3 +307,18 @@ def test_a_row_after_a_clock_was_set_back_is_flagged(tmp_path: Path) -> None:
     with open_log(path) as log:
         for sensor in log.sensors.values():
             assert np.flatnonzero(np.asarray(sensor.status[:]) & LOST_BEFORE).tolist() == [900]
+
+
+@pytest.mark.parametrize(
+    ("head", "packer"), [(b"\x28\xb5\x2f\xfd", "zstd"), (b"BZh91AY", "bzip2"), (b"\xfd7zXZ\0", "xz")]
+)
+def test_a_compressed_file_that_is_not_read_is_named(head: bytes, packer: str, tmp_path: Path) -> None:
+    (tmp_path / "run.db3.zstd").write_bytes(head + bytes(range(256)) * 8)
+    with pytest.raises(SourceError, match=rf"run\.db3\.zstd: compressed by {packer}; decompress it first"):
+        guess_map(tmp_path / "run.db3.zstd")
+
+
+def test_the_command_counts_the_doubts_of_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "data.csv").write_text(table("time (s),ax (g),ay (g),az (g)", "{:.3f}" + ",{:.6f}" * 3, T * 1e3, FORCE))
+    assert main(["import", str(tmp_path / "data.csv"), "--guess", "-o", str(tmp_path / "map.toml")]) == 0
+    assert "map.toml, with 1 doubt at its top; read its comments" in capsys.readouterr().err
