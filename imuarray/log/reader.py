@@ -8,7 +8,7 @@ and length.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -167,6 +167,10 @@ class Log:
                 f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}{guess(name, self.sensors)}"
             )
         return self.sensors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the sensors, as a mapping has them: `name in log`, `list(log)`."""
+        return iter(self.sensors)
 
     def of(self, quantity: str) -> list[SensorLog]:
         """The sensors that measure `quantity`."""

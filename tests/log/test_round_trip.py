@@ -98,6 +98,9 @@ def test_phases_events_and_texts(tmp_path: Path, phases: list[tuple], events: li
         assert log.events == tuple(Event(*event) for event in events)
         assert (log.config, log.source, log.epoch) == (config, "imported", EPOCH)
         assert len(log["S"]) == 0
+        assert list(log) == ["S"]
+        assert "S" in log
+        assert "T" not in log
         assert log.truth is None
         assert log.reference is None
 
