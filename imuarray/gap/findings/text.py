@@ -215,7 +215,9 @@ def _causes(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _closes(cause: Cause) -> str:
-    return "" if cause.closed is None else f"closes {closed_text(cause.closed, cause.closed_ci95)}"
+    if cause.closed is None:
+        return ""
+    return f"{'closes' if cause.is_accepted else 'would close'} {closed_text(cause.closed, cause.closed_ci95)}"
 
 
 def _where(where: Sequence[Where]) -> Iterator[str]:
