@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Floats
-from imuarray.gap.inference.effects.channel_swap import CHANNEL_SWAP
+from imuarray.gap.inference.effects.channel_swap import CHANNEL_SWAP, _gains_of_exchange
 from imuarray.gap.inference.effects.g_sensitivity import G_SENSITIVITY, _unbalance
 from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, REFERENCE, Moments
 from imuarray.gap.inference.effects.nonlinearity import NONLINEARITY
@@ -252,3 +252,15 @@ def test_a_scale_from_some_moment_of_a_motion_on() -> None:
     assert every.begin_bounds_s == one.begin_bounds_s == (5.0, 25.0)
     steady = replace(odd, values={"motion_along": 1.0 + shift[[1, 1]]}, scores={"motion_along": shift[[1, 1]] / 0.01})
     assert not [trial for trial in SCALE.guesses(steady) if trial.when.spans]
+
+
+def test_an_axis_that_never_changes_says_nothing_of_an_exchange() -> None:
+    """A sensor at the end of its range; without a warning of NumPy, which is an error here."""
+    rng = np.random.default_rng(2)
+    own, exchanged = rng.normal(0, 1, (2, 40, 6))
+    own[:, 2] = exchanged[:, 2] = 0.0
+    floor = np.array([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])
+    gains = _gains_of_exchange(own, exchanged, np.full(40, 40), floor)
+    others = [0, 1, 3, 4, 5]
+    without = _gains_of_exchange(own[:, others], exchanged[:, others], np.full(40, 40), floor[others])
+    np.testing.assert_allclose(gains, without)

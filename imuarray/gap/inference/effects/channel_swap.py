@@ -274,10 +274,14 @@ def _chosen(course: _Course, rows: Integers) -> _Course:
     return _Course(log[rows], time_s[rows], face[rows], mean[rows], deviation[rows], noise)
 
 
+_TINY = float(np.finfo(float).tiny)
+
+
 def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Floats) -> Floats:
     """(s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are
-    `exchanged` instead of `own`; their variances are at least `floor` (6,).
+    `exchanged` instead of `own`; their variances are at least `floor` (6,), which is 0 for an axis that never changes.
     """
+    floor = np.maximum(floor, _TINY)
     count, begins = len(own), np.arange(len(own))
     middle = np.median(own, axis=0)
 
