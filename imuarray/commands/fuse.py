@@ -189,8 +189,11 @@ class _Work:
         on_fault: Callable[[FaultEvent], None] = lambda event: None,
         take_notes: Callable[[FusionNotes], None] = lambda notes: None,
         progress: Callable[[float], None] = lambda share: None,
+        average: Callable[[FusedBlock], None] | None = None,
     ) -> Iterator[FusedBlock]:
-        """Yield the result; `on_fault` is called for sensors that fail, `take_notes` at the end."""
+        """Yield the result; `on_fault` is called for sensors that fail, `take_notes` at the end, `average` as by
+        `fuse`.
+        """
         from imuarray.chips import SENSITIVITIES
         from imuarray.fuse import Watch, fuse
 
@@ -203,6 +206,7 @@ class _Work:
             causal=self.causal,
             watch=watch,
             notes=take_notes,
+            average=average,
             progress=progress,
         )
 
@@ -252,6 +256,12 @@ def _measured(
     from imuarray.fuse import TECHNIQUES, ComparisonPipeline
 
     technique = work.technique
+    if technique not in TECHNIQUES and not work.causal and not work.watch:  # it smooths
+        average: Callable[[FusedBlock], None] = lambda block: quality.add({_MEAN: block})  # noqa: E731
+        for block in work.fused(technique, on_fault, take_notes, progress, average):
+            quality.add({technique: block})
+            yield block
+        return
     if technique == _MEAN or technique not in TECHNIQUES or work.watch:
         before = 0.0 if technique == _MEAN else _AVERAGE
         if technique != _MEAN:

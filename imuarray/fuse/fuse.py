@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -98,6 +98,7 @@ def fuse(  # noqa: PLR0913
     causal: bool = False,
     watch: Watch = WATCH,
     notes: Callable[[FusionNotes], None] = lambda notes: None,
+    average: Callable[[FusedBlock], None] | None = None,
     progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
@@ -107,7 +108,8 @@ def fuse(  # noqa: PLR0913
     Biases follow the temperature of the log where the calibration has slopes; covariances include what a calibration at
     another temperature leaves unknown. `causal`: each frame is estimated from what was known when it was read, as by
     `live`; otherwise `optimal` smooths: it estimates every frame from the whole log. `notes` is called after the last
-    block with what the technique has learnt about the sensors.
+    block with what the technique has learnt about the sensors. `average` is called with blocks of the simple average of
+    the same frames, before they are smoothed; no technique but a smoothing `optimal` calls it.
 
     >>> from imuarray import load_calibration, open_log
     >>> with open_log("run.h5") as log:
@@ -127,7 +129,7 @@ def fuse(  # noqa: PLR0913
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         temperatures = TemperatureSources(of_all, {}, {})
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, temperatures, notes, progress, block)
+        yield from _smoothed(log, array, temperatures, _Callbacks(notes, average, progress), block)
         return
     stream = FusionStream(array.groups, calibration, array.making(temperatures), temperatures, timeout_s=float("inf"))
     yield from _replayed(log, stream, block, progress)
@@ -236,26 +238,30 @@ class _Array(Generic[_Sensor]):
         return MonitoredPipeline(pipeline, axes, period_s, self.watch.ranges, self.watch.on_fault)
 
 
+class _Callbacks(NamedTuple):
+    """What `fuse` calls besides giving blocks."""
+
+    notes: Callable[[FusionNotes], None]
+    average: Callable[[FusedBlock], None] | None
+    progress: Progress
+
+
 def _smoothed(
-    log: Log,
-    array: _Array[SensorLog],
-    temperatures: TemperatureSources,
-    notes: Callable[[FusionNotes], None],
-    progress: Progress,
-    block: int,
+    log: Log, array: _Array[SensorLog], temperatures: TemperatureSources, callbacks: _Callbacks, block: int
 ) -> Iterator[FusedBlock]:
     """Every frame by what the whole log tells. Rows are aligned once, and their frames are gone through twice."""
     axes, model = array.axes, array.model(temperatures)
     period_s = _period_s(array)
     watched: list[Pipeline[FrameBlock]] = []
+    average = None if callbacks.average is None else _Average(axes, callbacks.average)
 
     def making(period_s: float) -> Pipeline[FrameBlock]:
         watched.append(array.watched(FramePipeline(), axes, period_s))
-        return _SpooledPipeline(watched[0], spool)
+        return _SpooledPipeline(watched[0], spool, average)
 
     def first_pass() -> Iterator[FrameBlock]:
         stream = FusionStream(array.groups, array.calibration, making, temperatures, timeout_s=float("inf"))
-        yield from _replayed(log, stream, block, lambda done: progress(_FIRST_PASS * done))
+        yield from _replayed(log, stream, block, lambda done: callbacks.progress(_FIRST_PASS * done))
 
     def second_pass() -> Iterator[FrameBlock]:
         first = watched[0]  # what failed is looked for, and told, once
@@ -264,29 +270,42 @@ def _smoothed(
         done = 0
         for frames, degc in spool.blocks():
             done += len(next(iter(frames.values())).time)
-            progress(_FIRST_PASS + (1 - _FIRST_PASS) * done / spool.frames)
+            callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * done / spool.frames)
             yield from again(frames, degc)
         yield from again.finish()
 
     def with_remarks(learnt: FusionNotes) -> None:
         first = watched[0]
         remarks = first.remarks() if isinstance(first, MonitoredPipeline) else []
-        notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
+        callbacks.notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
 
     with FrameSpool() as spool:
         passes = iter((first_pass, second_pass))
         yield from smoothed(lambda: next(passes)(), axes, model, period_s, with_remarks)
 
 
-class _SpooledPipeline:
-    """A pipeline whose input is kept on a spool. A `Pipeline`."""
+class _Average:
+    """Gives the simple average of frames to `heard`."""
 
-    def __init__(self, inner: Pipeline[FrameBlock], spool: FrameSpool) -> None:
-        self._inner, self._spool = inner, spool
+    def __init__(self, axes: Mapping[str, Sequence[Axis]], heard: Callable[[FusedBlock], None]) -> None:
+        self._pipeline, self._heard = QuantityPipeline(axes, AVERAGE), heard
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
+        for block in self._pipeline(frames, degc):
+            self._heard(block)
+
+
+class _SpooledPipeline:
+    """A pipeline whose input is kept on a spool, and is averaged too. A `Pipeline`."""
+
+    def __init__(self, inner: Pipeline[FrameBlock], spool: FrameSpool, average: _Average | None) -> None:
+        self._inner, self._spool, self._average = inner, spool, average
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
         """See `Pipeline`."""
         self._spool.add(frames, degc)
+        if self._average is not None:
+            self._average(frames, degc)
         yield from self._inner(frames, degc)
 
     def finish(self) -> Iterator[FrameBlock]:

@@ -64,6 +64,20 @@ def test_every_technique_beside_the_average(run: Path) -> None:
 
 
 @pytest.mark.slow
+def test_optimal_gives_the_average_of_the_same_frames(run: Path) -> None:
+    averages: list[FusedBlock] = []
+    with open_log(run) as log:
+        known = calibration(parts())
+        smoothed = FusedBlock.joined(list(fuse(log, known, "optimal", average=averages.append)))
+        mean = FusedBlock.joined(list(fuse(log, known, "mean")))
+    average = FusedBlock.joined(averages)
+    for time in (average.time, smoothed.time):
+        np.testing.assert_array_equal(time, mean.time)
+    for quantity, triads in mean.triads.items():
+        np.testing.assert_allclose(average.triads[quantity], triads, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.slow
 def test_another_process_makes_the_same_figures(run: Path) -> None:
     shares, told = list[float](), list[float]()
     with open_log(run) as log, processes(1) as executor:
