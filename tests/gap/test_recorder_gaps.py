@@ -151,3 +151,23 @@ def test_a_row_in_the_middle_of_a_stall_is_not_compared(tmp_path: Path) -> None:
     for source in sources_of(recording).values():
         compared = np.concatenate([block.time for block in source.blocks(0, 20 * SECOND)])
         np.testing.assert_array_equal(compared, np.delete(time, [301, 302]))
+
+
+def test_a_late_row_of_a_busy_host_takes_a_wrong_flag_with_it(tmp_path: Path) -> None:
+    """Rows come up to 12 ms late; row 501 comes 1 ms before row 502, which is flagged as if rows had been lost. No
+    timeline that follows such times has a gap.
+    """
+    rng, path = np.random.default_rng(1), tmp_path / "log.h5"
+    time = np.arange(ROWS) * SECOND // RATE_HZ + rng.integers(0, 12_000_000, ROWS)
+    time[501] = time[502] - 1_000_000
+    status = np.zeros(ROWS, np.uint16)
+    status[502] = LOST_BEFORE
+    with LogWriter(path, SENSORS, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor, level in zip(SENSORS, (2048, 0), strict=True):
+            counts = np.rint(rng.normal((0, 0, level), 5, (ROWS, 3))).astype(np.int16)
+            log.append(sensor.name, Block(time, counts, status))
+        log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
+    recording = recording_of(open_log(path))
+    blocks = list(sources_of(recording)["Acc"].blocks(0, 20 * SECOND))
+    assert sum(len(block.time) for block in blocks) == ROWS
+    assert not any((block.status & LOST_BEFORE).any() for block in blocks)

@@ -289,10 +289,8 @@ def sources_of(recording: Recording) -> dict[str, Source]:
         loss_ends_ns = np.array([end_ns for _, end_ns, _ in lost_rows(line)], np.int64)
         if not recording.experiment.plan.flags & LOST_BEFORE:
             loss_ends_ns = loss_ends_ns[:0]
-        strange = source.header.has_temperature and not header.has_temperature
-        if strange or len(gap_ends_ns) or len(loss_ends_ns):
-            early_ns = EARLY * usual_interval_ns(recording.log[name])
-            source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns, early_ns)
+        early_ns = EARLY * usual_interval_ns(recording.log[name])
+        source = _Comparable(source, header.has_temperature, gap_ends_ns, loss_ends_ns, early_ns)
         sources[name] = recording.experiment.comparable_rows(name, source)
     return sources
 
