@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from firmware_emulator.array import EmulatedBus
-    from firmware_emulator.description import ArrayLike
+    from firmware_emulator.board import ArrayLike
 
 __all__ = ["open_bus"]
 

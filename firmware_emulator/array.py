@@ -1,6 +1,6 @@
 """A whole emulated array: a wire per bus, the multiplexer, chips with their units' imperfections, one world, one clock.
 
-The description of the array is duck-typed (`firmware_emulator.description`).
+The description of the array is duck-typed (`firmware_emulator.board`).
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import Any, Self
 
-from firmware_emulator.board import Board, BoardKind, named
+from firmware_emulator.board import ArrayLike, Board, BoardKind, SensorLike, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
 from firmware_emulator.chips.mpu_queue import MpuFamily
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
-from firmware_emulator.description import ArrayLike, SensorLike
 from firmware_emulator.element import stream
 from firmware_emulator.six_axis import SixAxis
 from firmware_emulator.spi import DIALECTS, ChipSelect, Port

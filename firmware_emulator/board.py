@@ -2,22 +2,84 @@
 
 `Board` gives what the array's description says. A board whose parts differ (`firmware_emulator.mechanisms`) overrides
 the piece in which they do; the array is then put together and polled in the same way.
+
+`ArrayLike` is the description of an array as the emulator needs it; `imuarray.array` satisfies it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock
-from firmware_emulator.description import SensorLike
-from firmware_emulator.element import IDENTITY, SensingElement
+from firmware_emulator.element import IDENTITY, Matrix, SensingElement
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.units import unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import World
+
+
+class MuxLike(Protocol):
+    """A multiplexer in the description of an array."""
+
+    @property
+    def chip(self) -> str:
+        """The chip: only "pca9544a"."""
+
+    @property
+    def address(self) -> int:
+        """The address on the trunk."""
+
+
+class SensorLike(Protocol):
+    """A sensor in the description of an array."""
+
+    @property
+    def name(self) -> str:
+        """The name, unique in the array."""
+
+    @property
+    def chip(self) -> str:
+        """A key of `CHIPS`."""
+
+    @property
+    def channel(self) -> int | None:
+        """The channel of the multiplexer; None for one on a trunk."""
+
+    @property
+    def bus(self) -> str | None:
+        """Another trunk than the array's own: a channel that the kernel drives."""
+
+    @property
+    def address(self) -> int:
+        """Seven bits."""
+
+    @property
+    def range(self) -> float | None:
+        """Full scale in g, dps or gauss; None for a chip without."""
+
+    @property
+    def orientation(self) -> Matrix:
+        """box = orientation @ sensor."""
+
+
+class ArrayLike(Protocol):
+    """The description of an array."""
+
+    @property
+    def name(self) -> str:
+        """ "martin2013" for the paper's, whose units are known."""
+
+    @property
+    def mux(self) -> MuxLike | None:
+        """The multiplexer on the trunk, if any."""
+
+    @property
+    def sensors(self) -> Sequence[SensorLike]:
+        """Every chip."""
+
 
 T = TypeVar("T")
 MUXES = {"pca9544a": Pca9544a}

@@ -27,7 +27,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from firmware_emulator.description import ArrayLike
+from firmware_emulator.board import ArrayLike
 from firmware_emulator.faulty_parts import LAYOUTS, TEARS, Times
 
 CHIP_FAULTS = MappingProxyType(

@@ -10,10 +10,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from firmware_emulator.board import MUXES, Board, BoardKind, named
+from firmware_emulator.board import MUXES, Board, BoardKind, SensorLike, named
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.clock import Clock
-from firmware_emulator.description import SensorLike
 from firmware_emulator.faults import BUS_FAULTS, CHIP_FAULTS, Fault
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
 from firmware_emulator.mux import NO_CHANNEL, Pca9544a

@@ -17,11 +17,19 @@ from functools import cached_property
 from itertools import accumulate
 from typing import Any, Self
 
-from firmware_emulator.attitude import cross, scaled, seen_after_turn
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.experiments import Experiment
-from firmware_emulator.world import FIELD_UPRIGHT, ROOM_DEGC, STANDARD_GRAVITY, Phase, Stimulus
+from firmware_emulator.world import (
+    FIELD_UPRIGHT,
+    ROOM_DEGC,
+    STANDARD_GRAVITY,
+    Phase,
+    Stimulus,
+    cross,
+    scaled,
+    seen_after_turn,
+)
 
 UPWARDS: Triple = (0.0, 0.0, 1.0)
 RAMP_S = 1.0

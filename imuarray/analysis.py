@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from imuarray.fuse.fused_result import FusedResult
     from imuarray.simulate import Model
     from imuarray.simulate.effect import Effect
-    from imuarray.simulate.experiments import ExperimentOptions
-    from imuarray.simulate.series import BootRun
+    from imuarray.simulate.experiments import BootRun, ExperimentOptions
 
 LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
@@ -161,10 +160,10 @@ def fuse(  # noqa: PLR0913
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse import FusedBlock, Watch, evaluate
     from imuarray.fuse.faults import FaultEvent
+    from imuarray.fuse.fuse import complete_responses, prepare_inputs, require_known_sensors
     from imuarray.fuse.fuse import fuse as fused_blocks
     from imuarray.fuse.fused_result import FusedResult
-    from imuarray.fuse.fusion_notes import FusionNotes
-    from imuarray.fuse.inputs import complete_responses, prepare_inputs, require_known_sensors
+    from imuarray.fuse.pipeline import FusionNotes
     from imuarray.units import INERTIAL
 
     name = str(calibration) if isinstance(calibration, str | PathLike) else ""
@@ -253,8 +252,8 @@ def simulate(  # noqa: PLR0913
     (200, 'simulated')
     """
     from imuarray.simulate import Simulation, effects_of, write_log
+    from imuarray.simulate.experiments import remarks_on, run_of, with_effects
     from imuarray.simulate.record import EPOCH, Origin
-    from imuarray.simulate.series import remarks_on, run_of, with_effects
 
     with ExitStack() as stack:
         recorded = _recorded(source, stack)
@@ -287,7 +286,7 @@ def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack)
 
 def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions: Conditions) -> BootRun:
     from imuarray.errors import ConfigError
-    from imuarray.simulate.series import run_like
+    from imuarray.simulate.experiments import run_like
 
     if conditions:
         raise ConfigError(

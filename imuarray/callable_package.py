@@ -38,10 +38,13 @@ class CallablePackage(ModuleType):
 
 
 def public_name(package: str, modules: Mapping[str, str], name: str) -> Any:
-    """Import a public name of a package on first use, from the module that `modules` names; AttributeError."""
-    if name not in modules:
-        raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    return getattr(import_module(f"{package}.{modules[name]}"), name)
+    """Import a public name of a package on first use, from the module for which `modules` lists it, between spaces;
+    AttributeError.
+    """
+    for module, names in modules.items():
+        if name in names.split():
+            return getattr(import_module(f"{package}.{module}"), name)
+    raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
 
 def make_callable(package: str, functions: Collection[str] = ()) -> None:

@@ -19,8 +19,8 @@ import pytest
 
 from imuarray.acquire import Summary
 from imuarray.cli import COMMANDS, main
-from imuarray.commands.interruptible import Interruptible
-from imuarray.commands.log_screen import LogScreen
+from imuarray.commands.log import Interruptible
+from imuarray.commands.log_page import LogScreen
 from imuarray.log import open_log
 from imuarray.log.format import Event
 from tests.selection import some
@@ -446,7 +446,7 @@ def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
 
 def test_how_far_it_is_stands_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("imuarray.commands.log_screen._PAUSE_S", 0)
+    monkeypatch.setattr("imuarray.commands.log_page._PAUSE_S", 0)
     _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
     shown = "\n".join(err).split("\x1b[K")
     assert "r.h5: 100 frames, 2 of 3 s, 0 readings lost" in [line.strip() for line in shown]

@@ -18,7 +18,7 @@ import pytest
 from imuarray.calibrate import calibrate_tumble, load_calibration
 from imuarray.cli import main
 from imuarray.fuse import aligned, axes_of, fuse
-from imuarray.fuse.axes import directions
+from imuarray.fuse.frames import directions
 from imuarray.fuse.least_squares import weighted
 from imuarray.log import open_log
 

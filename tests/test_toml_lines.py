@@ -13,7 +13,7 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.toml_lines import Place, key_lines
+from imuarray.toml_files import Place, key_lines
 from tests.selection import examples
 
 _TEXTS = st.text(alphabet="a#[]{}=,.'\"\\\n é", max_size=8)

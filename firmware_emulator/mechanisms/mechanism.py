@@ -25,7 +25,7 @@ from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld, World
 
 if TYPE_CHECKING:
-    from firmware_emulator.description import ArrayLike, SensorLike
+    from firmware_emulator.board import ArrayLike, SensorLike
 
 
 @dataclass(frozen=True)

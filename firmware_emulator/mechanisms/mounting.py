@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from firmware_emulator.attitude import cross, seen_after_turn
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
 from firmware_emulator.mechanisms.site import ACCELEROMETERS, Site, plus
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import Stimulus, cross, seen_after_turn
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from firmware_emulator.mechanisms import MECHANISMS
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, chosen, sites_of
 
 if TYPE_CHECKING:
-    from firmware_emulator.board import BoardKind
-    from firmware_emulator.description import ArrayLike
+    from firmware_emulator.board import ArrayLike, BoardKind
     from firmware_emulator.world import World
 
 

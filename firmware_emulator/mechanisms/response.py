@@ -7,12 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from firmware_emulator.attitude import cross
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import applied, transposed
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import GYROSCOPES, Site, Stopwatch, plus
-from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
+from firmware_emulator.world import STANDARD_GRAVITY, Stimulus, cross
 
 
 @dataclass(frozen=True)

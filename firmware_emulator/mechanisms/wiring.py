@@ -16,7 +16,7 @@ from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site, plus
 from firmware_emulator.world import Stimulus
 
 if TYPE_CHECKING:
-    from firmware_emulator.description import SensorLike
+    from firmware_emulator.board import SensorLike
 
 
 @dataclass(frozen=True)

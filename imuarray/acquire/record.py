@@ -20,11 +20,10 @@ import numpy as np
 from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment, ConfigurationReadback, Polling
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingOptions, Service, Summary
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
 from imuarray.acquire.sensor_routes import SensorRoute, connect, there_and_back
-from imuarray.acquire.service import Service
 from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig

@@ -20,8 +20,7 @@ from imuarray.drivers.iio import IioCapture, IioSensor, iio_sensor
 from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts.registers import Setting
-from imuarray.log.format import SensorHeader
-from imuarray.log.preamble import header_of
+from imuarray.log.format import SensorHeader, header_of
 
 
 def _nobody_asks() -> None:

@@ -12,31 +12,22 @@ from imuarray.callable_package import public_name
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
     from imuarray.calibrate.disturbed import Exclusion
-    from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+    from imuarray.calibrate.model import Calibration, SensorCalibration, load_calibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
-    from imuarray.calibrate.stored import load_calibration
     from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
     from imuarray.calibrate.tumble import Tumble, calibrate_tumble
     from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
     from imuarray.calibrate.turns import TurnFit
 
 _PUBLIC = {
-    "Calibration": "model",
-    "CalibrationComparison": "comparison",
-    "Exclusion": "disturbed",
-    "SensorCalibration": "model",
-    "ThermalResult": "thermal",
-    "Tumble": "tumble",
-    "TurnFit": "turns",
-    "TurnOnResult": "turn_on",
-    "calibrate_noise": "noise",
-    "calibrate_thermal": "thermal",
-    "calibrate_tumble": "tumble",
-    "calibrate_turn_on": "turn_on",
-    "compare_calibrations": "comparison",
-    "holm": "turn_on",
-    "load_calibration": "stored",
-    "nominal": "model",
+    "comparison": "CalibrationComparison compare_calibrations",
+    "disturbed": "Exclusion",
+    "model": "Calibration SensorCalibration load_calibration nominal",
+    "noise": "calibrate_noise",
+    "thermal": "ThermalResult calibrate_thermal",
+    "tumble": "Tumble calibrate_tumble",
+    "turn_on": "TurnOnResult calibrate_turn_on holm",
+    "turns": "TurnFit",
 }
 
 __all__ = [

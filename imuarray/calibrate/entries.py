@@ -14,7 +14,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
-from imuarray.toml_lines import Place
+from imuarray.toml_files import Place
 
 Table = Mapping[str, object]
 

@@ -1,4 +1,4 @@
-"""Parameters of each sensor, and the calibration file that keeps them (`imuarray.calibrate.stored` reads it back).
+"""Parameters of each sensor, and the calibration file that stores them, which is validated when it is read.
 
 Measurement model of a triad, counts of one reading::
 
@@ -15,9 +15,11 @@ origin.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -28,12 +30,36 @@ import tomli_w
 from imuarray import __version__
 from imuarray.arrays import Floats
 from imuarray.atomic import write_text
-from imuarray.calibrate.entries import to_table
-from imuarray.calibrate.stability import Drift, NoiseLine, Provenance, Thermal, TurnOn
+from imuarray.calibrate.entries import (
+    EntryPlace,
+    Reader,
+    covariance,
+    named_tables,
+    number,
+    numbers,
+    read_table,
+    table,
+    tables,
+    text,
+    to_table,
+)
+from imuarray.calibrate.stability import (
+    DRIFT,
+    NOISE_LINE,
+    PROVENANCE,
+    THERMAL,
+    TURN_ON,
+    Drift,
+    NoiseLine,
+    Provenance,
+    Thermal,
+    TurnOn,
+)
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
-from imuarray.spelling import guess
+from imuarray.spelling import guess, guess_file
+from imuarray.toml_files import key_lines, no_text
 from imuarray.units import SI_PER_UNIT
 
 if TYPE_CHECKING:
@@ -329,3 +355,73 @@ def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibratio
 def _on_a_line(entries: str) -> str:
     """A list whose entries stand on a line each."""
     return "[" + re.sub(r",\n *", ", ", entries) + "]"
+
+
+_UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
+
+
+def load_calibration(path: str | PathLike[str]) -> Calibration:
+    """Read a calibration file; CalibrationError names the file, the line, the sensor and the key.
+
+    >>> calibration = load_calibration("cal.toml")
+    >>> calibration.sensors["Gyro1"].bias_lsb.shape
+    (3,)
+    """
+    try:
+        content = Path(path).read_text(encoding="utf-8")
+        file = tomllib.loads(content)
+    except (OSError, ValueError, RecursionError) as error:
+        near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
+        other = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
+        raise CalibrationError(f"{path}: {getattr(error, 'strerror', None) or other}{near}") from None
+    head = file.get("calibration")
+    version = head.get("format_version") if isinstance(head, dict) else None
+    if version != FORMAT_VERSION or not isinstance(head, dict):
+        raise CalibrationError(f"{path}: calibration format_version is {version}; this software reads {FORMAT_VERSION}")
+    sources, entries = head.get("sources", []), file.get("sensor", [])
+    if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
+        raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are required")
+    sensors: dict[str, SensorCalibration] = {}
+    array = EntryPlace(str(path), key_lines(content), ("sensor",), "sensor")
+    for index, entry in enumerate(entries, start=1):
+        sensor = _from_table(entry, array.entry(index))
+        if sensor.name in sensors:
+            raise CalibrationError(f"{array.entry(index).key('name')}: {sensor.name!r} appears twice")
+        sensors[sensor.name] = sensor
+    return Calibration(sensors, tuple(sources))
+
+
+def _from_table(entry: object, where: EntryPlace) -> SensorCalibration:
+    sensor = read_table(entry, where, SensorCalibration, _SENSOR)
+    if _UNITS.get(sensor.quantity) != sensor.unit:
+        allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
+        raise CalibrationError(f"{where.key('unit')}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {allowed}")
+    if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
+        raise CalibrationError(f"{where.key('response_lsb_per_unit')}: can't be inverted")
+    return sensor
+
+
+_SENSOR: Mapping[str, Reader] = {
+    "name": text(),
+    "quantity": text(),
+    "unit": text(),
+    "bias_lsb": numbers(3),
+    "response_lsb_per_unit": numbers(3, 3),
+    "bias_sem_lsb": numbers(3, lowest=0.0),
+    "bias_covariance_lsb2": covariance(3),
+    "response_covariance_lsb2_per_unit2": covariance(9),
+    "response_sem_lsb_per_unit": numbers(3, lowest=0.0),
+    "g_sensitivity_lsb_per_g": numbers(3, 3),
+    "g_sensitivity_sem_lsb_per_g": numbers(3, 3, lowest=0.0),
+    "noise_lsb": numbers(3, lowest=0.0),
+    "noise_sem_lsb": numbers(3, lowest=0.0),
+    "noise_correlation": numbers(3, lowest=-1.0, highest=1.0),
+    "noise_lines": tables(NoiseLine, NOISE_LINE),
+    "drift": table(Drift, DRIFT),
+    "temperature_degc": number(),
+    "range": number(),
+    "chip": text(),
+    "thermal": table(Thermal, THERMAL),
+    "turn_on": table(TurnOn, TURN_ON),
+    "provenance": named_tables(Provenance, PROVENANCE, tuple(GROUPS)),
+}

@@ -1,30 +1,33 @@
-"""Orientation of every sensor as signed axes, from a few poses held by hand, so that nobody has to fill in a sign.
+"""Orientation of every sensor as signed axes, from a few poses held by hand, and its entry in the text of a
+configuration.
 
 The axes that a log states are ignored. Of the 24 proper rotations of a sensor in the box (no chip is a mirror image)
-the one that explains the data best is taken
+the one that explains the data best is chosen
 
-* for an accelerometer: gravity in the poses, of which it is known which box axis was up;
-* for a gyroscope: how it turned from one pose to the next, carrying gravity with it;
-* for a magnetometer: a field that is fixed in the world while the box turns as the gyroscopes say, and an offset.
+* for an accelerometer: by gravity in the poses, of which it is known which box axis was up;
+* for a gyroscope: by how it turned from one pose to the next, carrying gravity with it;
+* for a magnetometer: by a field that is fixed in the world while the box turns as the gyroscopes state, and an offset.
 
 The second best rotation must explain the data clearly worse; otherwise the sensor's orientation is not reported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise, permutations, product
+from typing import Any
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, orientation_of, up_vector
-from imuarray.calibrate.labels import axes_text
+from imuarray.calibrate.faces import axes_text
 from imuarray.calibrate.pose_readings import Pose, find_poses, named_faces
-from imuarray.errors import CalibrationError
+from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Log, SensorLog
+from imuarray.printable import printable
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
 HELD = ("+Z", "+X", "+Y")
@@ -227,3 +230,36 @@ def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
             sensor.name, sensor.chip, "", best, second, f"{axes_text(TURNS[order[1]])} is as good as {axes}"
         )
     return Pointing(sensor.name, sensor.chip, axes, best, second)
+
+
+_LONGEST = 1 << 20
+"""Characters of a configuration; one with a hundred sensors has thirty thousand."""
+
+
+def with_axes(text: str, pointings: Sequence[Pointing], where: str) -> str:
+    """The text of a configuration with the axes that were determined; all else, comments included, is unchanged.
+
+    ConfigError, beginning with the log that it came from (`where`), for a text that is no configuration.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    if len(text) > _LONGEST:
+        raise ConfigError(f"{where}: its configuration has {len(text)} characters; at most {_LONGEST}")
+    axes = {pointing.sensor: pointing.axes for pointing in pointings if pointing.axes}
+    try:
+        file: Any = tomlkit.parse(text)
+        for sensor in _sensors(file, where):
+            if str(sensor.get("name")) in axes:
+                sensor["axes"] = axes[str(sensor["name"])]
+        return tomlkit.dumps(file)
+    except (TOMLKitError, RecursionError) as error:
+        raise ConfigError(f"{where}: its configuration is not TOML: {printable(str(error))[:200]}") from None
+
+
+def _sensors(file: Any, where: str) -> list[Any]:
+    """The [[sensor]] tables of a configuration; ConfigError."""
+    sensors = file.get("sensor", [])
+    if not isinstance(sensors, list) or not all(isinstance(sensor, MutableMapping) for sensor in sensors):
+        raise ConfigError(f"{where}: its configuration has no list of [[sensor]] tables")
+    return sensors

@@ -17,17 +17,11 @@ if TYPE_CHECKING:
     from imuarray.characterise.result import characterise_log
 
 _PUBLIC = {
-    "AllanCurve": "allan",
-    "AllanStream": "allan",
-    "Characterisation": "characterisation",
-    "Coefficient": "characterisation",
-    "NoiseFit": "allan_fit",
-    "NoiseStatistics": "noise",
-    "allan_deviation": "allan",
-    "characterise_log": "result",
-    "fit_noise": "allan_fit",
-    "noise_statistics": "noise",
-    "render_text": "characterisation",
+    "allan": "AllanCurve AllanStream allan_deviation",
+    "allan_fit": "NoiseFit fit_noise",
+    "characterisation": "Characterisation Coefficient render_text",
+    "noise": "NoiseStatistics noise_statistics",
+    "result": "characterise_log",
 }
 
 __all__ = [

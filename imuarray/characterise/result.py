@@ -3,13 +3,17 @@
 Values are in counts; `unit_per_count` turns them into the sensor's unit and `si_per_count` into SI, by a calibration or
 else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients are given in all
 three.
+
+`Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
+chip gives nothing new for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
+all axes.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -19,12 +23,14 @@ import numpy.typing as npt
 from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
-from imuarray.characterise.columns import column_of, spectrum_of, timing_of
+from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+from imuarray.characterise.bands import find_bands
+from imuarray.characterise.codes import Histogram, code_density, find_rails
 from imuarray.characterise.interpolation import find_interpolation
+from imuarray.characterise.lines import aliases, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
-from imuarray.characterise.rails import find_rails
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
-from imuarray.characterise.stalls import find_stalls
+from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
 from imuarray.errors import LogError
@@ -32,6 +38,164 @@ from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
+
+FILTER_TIMES = 5.0
+"""A chip's low-pass filter shapes the shortest taus: noise is fitted from this many of its time constants on."""
+
+HARMONICS = 8
+"""The multiples of a line's frequency that are searched for."""
+
+CHANCE = 0.02
+"""Share of the distance of two harmonics, over their order, within which a line is taken for one."""
+
+_LISTED_CODES = 4096
+_ALIASES_TO_HZ = 500.0
+
+
+def timing_of(survey: Survey, rate_hz: float) -> dict[str, Any]:
+    """Intervals, their jitter and gaps; how often a reading repeats the one before, at `rate_hz` rows per second (the
+    intervals do not say the rate of rows that arrive in bursts).
+    """
+    intervals = asdict(survey.intervals) | {"longest": [gap._asdict() for gap in survey.intervals.longest]}
+    repeats = asdict(survey.repeats)
+    return {**intervals, "repeats": repeats | {"update_rate_hz": survey.repeats.update_rate_hz(rate_hz)}}
+
+
+def spectrum_of(survey: Survey) -> dict[str, Any]:
+    """Return what the spectra of all columns have in common."""
+    spectrum = survey.spectrum
+    return {
+        "frequency_hz": spectrum.frequency_hz,
+        "freedom": spectrum.freedom[len(spectrum.freedom) // 2],
+        "segment_rows": spectrum.segment_rows,
+        "segments": spectrum.segments,
+        "resolution_hz": spectrum.resolution_hz,
+    }
+
+
+def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
+    """One column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
+    correlation = survey.correlation
+    seen = survey.histograms[column]
+    return {
+        "fit": _fit(survey, column, sensor),
+        "density": survey.spectrum.density[:, column],
+        **_lines(survey.spectrum, column),
+        "autocorrelation": {
+            "correlation": correlation.correlation[:, column],
+            "error": correlation.error[:, column],
+            "p_value": correlation.p_value[column],
+        },
+        "codes": asdict(code_density(seen)) if seen.counts.sum() else None,
+        "histogram": _histogram(seen),
+    }
+
+
+def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
+    """White noise, flicker and random walk of the Allan curve; None for a curve that tells nothing."""
+    if survey.curve is None:
+        return None
+    shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0
+    fit = fit_noise(survey.curve, column, unit="counts", shortest_s=shortest_s)
+    return None if fit is None else _fit_table(fit)
+
+
+def _fit_table(fit: NoiseFit) -> dict[str, Any]:
+    table = asdict(fit)
+    terms = table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
+    for name, item in terms.items():  # coloured noise looks like flicker or random walk, and is neither
+        item["doubtful"] = bool(fit.verdict) and name != "white"
+    return table
+
+
+def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
+    """The lines of one column, the noise floor below them, and the level that a line has to pass."""
+    search = find_lines(spectrum, column)
+    bands = find_bands(spectrum, column, search.lines)
+    lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in search.lines]
+    lines += [_line(asdict(band), spectrum.rate_hz) for band in bands]
+    return {
+        "lines": _with_harmonics(sorted(lines, key=lambda line: -line["amplitude"]), spectrum.resolution_hz),
+        "line_search": {
+            "first_hz": search.frequency_hz[0] if len(search.frequency_hz) else math.nan,
+            "false_alarm": search.false_alarm,
+            "floor": search.floor,
+            "level_over_floor": float(np.median(search.level / search.floor)) if len(search.floor) else math.nan,
+        },
+    }
+
+
+def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
+    return dict(line) | {"aliases_hz": aliases(min(line["frequency_hz"], rate_hz / 2), rate_hz, _ALIASES_TO_HZ)}
+
+
+def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
+    """The lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
+    for line in lines:
+        line["fundamental_hz"] = None
+        for other in sorted(lines, key=lambda line: line["frequency_hz"]):
+            order = round(line["frequency_hz"] / other["frequency_hz"])
+            apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
+            sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])
+            if 2 <= order <= HARMONICS and apart < min(sure, resolution_hz) and _fits_by_reason(order, other, apart):
+                line["fundamental_hz"] = other["frequency_hz"]
+                break
+    return lines
+
+
+def _fits_by_reason(order: int, other: Mapping[str, Any], apart: float) -> bool:
+    """Return whether a multiple is hardly met by chance: the distance is small against that of multiples."""
+    return bool(apart < CHANCE * other["frequency_hz"] / order)
+
+
+def _histogram(seen: Histogram) -> dict[str, Any] | None:
+    """Codes and how often they came; None for so many that it would be no histogram of noise."""
+    return asdict(seen) if len(seen.codes) <= _LISTED_CODES else None
+
+
+THRESHOLD_DPS = 100.0
+LEAST_STALLS = 3
+LEAST_SHARE = 0.5
+"""The least number of passages with a stall, and their least share of all, that are reported: equal rows also occur by
+chance.
+"""
+
+_BLOCK_ROWS = 4096
+
+
+@dataclass(frozen=True)
+class Stalls:
+    """Counts of passages of an axis through 100 dps from one row to the next, and of those before which the reading
+    stood still.
+    """
+
+    passages: int
+    stalled: int
+
+    @property
+    def is_adaptive(self) -> bool:
+        """True if that is more than chance."""
+        return self.stalled >= LEAST_STALLS and self.stalled >= LEAST_SHARE * self.passages
+
+
+def find_stalls(sensor: SensorLog) -> Stalls | None:
+    """Look for stalls in all rows of a log; None of a chip that has none. Rows of which one is missing in between
+    count as neighbours: that makes no reading stand still.
+    """
+    if sensor.quantity != "angular_rate" or not sensor.chip.lower().startswith("icm42688") or not sensor.sensitivity:
+        return None
+    threshold = THRESHOLD_DPS * sensor.sensitivity
+    passages = stalled = 0
+    before = np.empty((0, 3), np.int64)
+    for block in sensor.blocks(_BLOCK_ROWS):
+        rows = np.concatenate([before, np.asarray(sensor.counts[block], np.int64)])
+        inside = np.abs(rows) < threshold
+        passed = (inside[2:] != inside[1:-1]).any(axis=1)
+        passages += int(np.count_nonzero(passed))
+        stalled += int(np.count_nonzero(passed & (rows[1:-1] == rows[:-2]).all(axis=1)))
+        before = rows[-2:]
+    return Stalls(passages, stalled)
+
 
 Progress = Callable[[], None]
 

@@ -3,6 +3,15 @@
 Rows are cut into runs wherever one doesn't continue the one before: at a gap, where readings were lost, where the chip
 was set up again or is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats never reach across a
 cut.
+
+Sampling times (`Intervals`) are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval (1 ns
+at least) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper
+quartile is about the median, but for alternating intervals the longer of the two, however short the other is.
+
+Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
+correlate by a^2 at even lags and -a^2 at odd ones. Neither independent jitter of the intervals nor of the stamps, which
+correlates neighbouring intervals only, reaches beyond lag 1: a^2 is half the difference of the covariances at lags 2
+and 3.
 """
 
 from __future__ import annotations
@@ -10,20 +19,172 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from heapq import nlargest
+from math import nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats, Times
 from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation_of_runs
 from imuarray.characterise.allan_stream import AllanStream
 from imuarray.characterise.codes import NOTHING, Histogram, histogram
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
-from imuarray.characterise.intervals import Intervals, IntervalTally
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
-from imuarray.characterise.stretch import LEAST_RUN, Spans, Timing, broken_rows, flags_of
+from imuarray.characterise.stretch import GAP, LEAST_RUN, Spans, Timing, broken_rows, flags_of
 from imuarray.log import SensorLog
 from imuarray.log.format import SUSPECT
+from imuarray.robust import MEDIAN_ABSOLUTE
+
+PLACES = 5
+"""The number of longest gaps that are named."""
+
+_TYPICAL = 1024
+"""The typical interval is the upper quartile of this many first intervals."""
+
+_QUARTILE = 0.75
+
+_FINENESS = 16
+_BINS = 4 << _FINENESS
+_SURE = 4.0
+"""Standard errors that the square of an alternation must have: a chance of 3e-5."""
+
+
+class RowGap(NamedTuple):
+    """No row for `length_s` after the one at `after_ns`; `row` is the first one after it, counted from 0."""
+
+    length_s: float
+    after_ns: int
+    row: int
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Times of `rows` rows; nan with too few of them.
+
+    `median_s`; `mean_s` of the intervals that are no gaps. `alternation_s` is a if intervals are mean - a and mean + a
+    in turn, 0 if they aren't. `jitter_rms_s` is the standard deviation of the intervals without that, and
+    `jitter_robust_s` the same from the median of how they differ from those two before (no outlier, no slow change).
+    `gaps` of `gaps_s` in all, the longest of them `longest`.
+    """
+
+    rows: int
+    median_s: float
+    mean_s: float
+    alternation_s: float
+    jitter_rms_s: float
+    jitter_robust_s: float
+    gaps: int
+    gaps_s: float
+    longest: tuple[RowGap, ...]
+
+
+class IntervalTally:
+    """Counts the intervals between times in ns."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Times] = []
+        self._typical = self._bin_ns = 0
+        self._counts = np.zeros(_BINS + 1, np.int64)
+        self._changes = np.zeros(_BINS + 1, np.int64)
+        self._beyond_ns = 0
+        self._before = np.full(3, nan)
+        self._products = np.zeros((2, 2))
+        self._rows = self._first_ns = self._last_ns = 0
+        self._longest: list[RowGap] = []
+
+    def update(self, time_ns: Times) -> None:
+        """The next times (n,), ascending; ValueError if they aren't."""
+        if len(time_ns) == 0:
+            return
+        times = np.asarray(time_ns, np.int64)
+        known = [np.array([self._last_ns])] if self._rows else []
+        intervals = np.diff(np.concatenate([*known, times]))
+        if len(intervals) and intervals.min() <= 0:
+            row = self._rows + 1 - len(known) + int(intervals.argmin())
+            raise ValueError(f"time does not increase at row {row}")
+        first_row = self._rows + 1 - len(known)
+        self._first_ns = self._first_ns if known else int(times[0])
+        self._rows, self._last_ns = self._rows + len(times), int(times[-1])
+        self._name(intervals, times, first_row)
+        self._waiting.append(intervals)
+        if self._typical or sum(map(len, self._waiting)) >= _TYPICAL:
+            self._count()
+
+    def result(self) -> Intervals:
+        """Return the statistics of all times so far."""
+        self._count()
+        if not self._counts.any():
+            return Intervals(self._rows, nan, nan, nan, nan, nan, 0, 0.0, ())
+        values = np.asarray(np.arange(_BINS + 1) * float(self._bin_ns) + (self._bin_ns - 1) / 2, np.float64)
+        median = _quantile(values, self._counts, 0.5)
+        limit = GAP * _quantile(values, self._counts, _QUARTILE)
+        is_gap = values > limit
+        is_gap[-1] = True
+        gaps_ns = float(values[:-1] @ np.where(is_gap, self._counts, 0)[:-1]) + self._beyond_ns
+        counts = np.where(is_gap, 0, self._counts)
+        number = int(counts.sum())
+        mean = (self._last_ns - self._first_ns - gaps_ns) / number
+        variance = float(counts @ (values - float(counts @ values) / number) ** 2) / number
+        square = self._alternation(variance)
+        robust = _quantile(values, self._changes, 0.5) / MEDIAN_ABSOLUTE / sqrt(2) if self._changes.any() else nan
+        jitter = sqrt(max(variance - square, 0.0))
+        longest = tuple(gap for gap in self._longest if gap.length_s * 1e9 > limit)
+        seconds = (median * 1e-9, mean * 1e-9, sqrt(square) * 1e-9, jitter * 1e-9, robust * 1e-9)
+        return Intervals(self._rows, *seconds, int(self._counts[is_gap].sum()), gaps_ns * 1e-9, longest)
+
+    def _name(self, intervals: Times, times: Times, first_row: int) -> None:
+        """Keeps the longest intervals with their places."""
+        count = min(PLACES, len(intervals))
+        before = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
+        for at in np.argpartition(-intervals, count - 1)[:count].tolist() if count else ():
+            self._longest.append(RowGap(float(intervals[at]) * 1e-9, int(before[at]), first_row + at))
+        self._longest = nlargest(PLACES, self._longest)
+
+    def _count(self) -> None:
+        """Add the intervals that wait to the histograms and the products."""
+        intervals = np.concatenate(self._waiting) if self._waiting else np.zeros(0, np.int64)
+        self._waiting = []
+        if len(intervals) == 0:
+            return
+        if not self._typical:
+            self._typical = int(np.quantile(intervals[:_TYPICAL], _QUARTILE))
+            self._bin_ns = max(1, self._typical >> _FINENESS)
+        self._counts += self._binned(intervals)
+        self._beyond_ns += int(intervals[intervals >= _BINS * self._bin_ns].sum())
+        apart = np.where(intervals > GAP * self._typical, nan, intervals - float(self._typical))
+        line = np.concatenate([self._before, apart])
+        unbroken = 0 * line[2:-1]
+        self._add(0, line[3:] * line[1:-2] + unbroken)
+        self._add(1, line[3:] * line[:-3] + unbroken + 0 * line[1:-2])
+        changes = np.abs(line[3:] - line[1:-2] + unbroken)
+        self._changes += self._binned(changes[np.isfinite(changes)])
+        self._before = line[-3:]
+
+    def _add(self, which: int, products: Floats) -> None:
+        known = products[np.isfinite(products)]
+        self._products[which] += len(known), known.sum()
+
+    def _binned(self, lengths_ns: Times | Floats) -> Times:
+        return np.bincount(np.minimum(lengths_ns // self._bin_ns, _BINS).astype(np.int64), minlength=_BINS + 1)
+
+    def _alternation(self, variance: float) -> float:
+        """a^2 in ns^2, 0 if it is not sure; the covariances have a standard error of variance / sqrt(n) each."""
+        (pairs, second), (others, third) = self._products.tolist()
+        if others == 0:
+            return 0.0
+        square = (second / pairs - third / others) / 2
+        error = max(variance - square, 0.0) / sqrt(2 * others)
+        return float(square) if square > max(_SURE * error, self._bin_ns**2 / 12) else 0.0
+
+
+def _quantile(values: Floats, counts: Times, share: float) -> float:
+    """The least of `values` (b,), ascending, that come `counts` (b,) times, with `share` of all up to it."""
+    total = np.cumsum(counts)
+    return float(values[np.searchsorted(total, share * total[-1])])
+
 
 MIN_ROWS = LEAST_RUN
 """A run shorter than this gives no Allan deviation: not even two octaves."""

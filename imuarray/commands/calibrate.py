@@ -176,8 +176,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     imuarray calibrate axes poses.h5 -o array.toml --force
     """
     from imuarray.atomic import write_text
-    from imuarray.calibrate.configuration_axes import with_axes
-    from imuarray.calibrate.pointing import find_pointing, held_poses
+    from imuarray.calibrate.pointing import find_pointing, held_poses, with_axes
     from imuarray.commands.calibrate_axes import print_report, report_of
     from imuarray.log import open_log
 

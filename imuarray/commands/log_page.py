@@ -1,20 +1,84 @@
-"""Serves the page of a log that this process writes, in a process of its own at low priority, which ends with this one.
+"""Shows a running recording: on the terminal (every event, and the progress), and as a page.
 
-Nothing of it is loaded here: what a page needs would take a logger longer to load than everything else.
+The page is served by a process of its own at low priority, which ends with this one. Its modules are not loaded here:
+that would take a logger longer than everything else.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
 
 from imuarray.errors import MissingExtraError
+from imuarray.printable import printable
+
+if TYPE_CHECKING:
+    from imuarray.acquire import Summary
+    from imuarray.log.format import Event
+
+_PAUSE_S = 0.5
+"""Between two counter lines."""
+_CLEAR = "\r\x1b[K"
+
+
+class LogScreen:
+    """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
+
+    def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:
+        """`more` returns a text to append to the progress line."""
+        self._more = more
+        self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
+        self._terminal = sys.stderr.isatty()
+        self._counted_s = -_PAUSE_S
+        self._line = ""
+
+    def event(self, event: Event) -> None:
+        """One line: seconds of the log, sensor, kind, message."""
+        about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
+        self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(about)}\n{self._line}")
+
+    def remark(self, text: str) -> None:
+        """A line about something else than the log."""
+        self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
+
+    def counted(self, summary: Summary) -> None:
+        """Show the progress now and then in a line that is written over; only on a terminal."""
+        now_s = time.monotonic()
+        if not self._terminal or now_s - self._counted_s < _PAUSE_S:
+            return
+        self._counted_s = now_s
+        whole = "" if self._seconds is None else f" of {self._seconds:g}"
+        lasted_s = (summary.frames + summary.missed) / self._rate_hz
+        lost = sum(summary.lost.values())
+        self._line = f"{printable(self._label)}: {summary.frames} frames, {lasted_s:.0f}{whole} s, {lost} readings lost"
+        if more := self._more():
+            self._line += f"; {printable(more)}"
+        self._write(_CLEAR + self._line)
+
+    def close(self) -> None:
+        """Remove the progress line."""
+        if self._line:
+            self._write(_CLEAR)
+        self._line = ""
+
+    def _clear(self) -> str:
+        return _CLEAR if self._line else ""
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            click.echo(text, err=True, nl=False, color=self._terminal or None)
+
 
 _PATIENCE_S = 8.0
 """An open page is served for three more seconds after the end."""

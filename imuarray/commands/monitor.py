@@ -1,13 +1,20 @@
-"""`imuarray monitor`."""
+"""`imuarray monitor`.
+
+With `--text` on a terminal each screen overwrites the last one in one piece, so that nothing flickers.
+"""
 
 from __future__ import annotations
 
+import shutil
+import signal
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 
@@ -17,6 +24,53 @@ from imuarray.spelling import guess_file
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.monitor import LogMonitor, Snapshot
+
+_HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
+_NAP_S = 0.1
+
+
+class MonitorScreen:
+    """Standard output; a context manager, which notices when the terminal changes its size."""
+
+    def __init__(self) -> None:
+        self.is_terminal = sys.stdout.isatty()
+        self.resized = False
+        self._before: Any = None
+
+    @property
+    def columns(self) -> int:
+        """The columns of a line: the last one stays free, as some terminals wrap otherwise."""
+        return shutil.get_terminal_size().columns - 1 if self.is_terminal else 80
+
+    def show(self, lines: Sequence[str]) -> None:
+        """Print over the previous output of a terminal, as many lines as fit."""
+        if not self.is_terminal:
+            click.echo("\n".join(lines))
+            return
+        room = shutil.get_terminal_size()
+        shown = [line[: room.columns - 1] + _REST_OF_LINE + "\n" for line in lines[: room.lines - 1]]
+        click.echo(_HOME + "".join(shown) + _REST_OF_SCREEN, nl=False, color=True)
+
+    def rest(self, seconds: float) -> None:
+        """Wait; no longer than until the size changes."""
+        end_s = time.monotonic() + seconds
+        while not self.resized and (left_s := end_s - time.monotonic()) > 0:
+            time.sleep(min(_NAP_S, left_s))
+        self.resized = False
+
+    def __enter__(self) -> Self:
+        if self.is_terminal and hasattr(signal, "SIGWINCH"):
+            self._before = signal.signal(signal.SIGWINCH, self._resize)
+        return self
+
+    def _resize(self, number: int, frame: Any) -> None:
+        self.resized = True
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGWINCH, self._before)
 
 
 @click.command("monitor")
@@ -126,7 +180,6 @@ def _calibration(path: Path | None) -> Calibration | None:
 
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
     """Look and show, again and again until the log has ended, or Ctrl-C."""
-    from imuarray.commands.monitor_screen import MonitorScreen
     from imuarray.monitor.text import text_lines
 
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on

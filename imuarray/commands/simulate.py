@@ -26,7 +26,7 @@ from imuarray.shipped import find_config, find_model
 if TYPE_CHECKING:
     from imuarray.log import Log
     from imuarray.simulate import Model, Plan, Written
-    from imuarray.simulate.series import BootRun
+    from imuarray.simulate.experiments import BootRun
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 """Experiments of `imuarray.simulate.experiments`, repeated here because that module imports NumPy."""
@@ -202,7 +202,7 @@ class SimulateOptions:
 def _run(options: SimulateOptions) -> None:
     """Write the logs, and print what was written."""
     from imuarray.simulate import Simulation, effects_of
-    from imuarray.simulate.series import remarks_on
+    from imuarray.simulate.experiments import remarks_on
 
     if (options.config is None) == (options.like is None):
         raise click.UsageError("give either a CONFIG or --like RUN.h5")
@@ -260,8 +260,7 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
     from imuarray.array import load_array
     from imuarray.errors import ConfigError
     from imuarray.log import open_log
-    from imuarray.simulate.experiments import ExperimentOptions
-    from imuarray.simulate.series import run_like, run_of, turn_on_series
+    from imuarray.simulate.experiments import ExperimentOptions, run_like, run_of, turn_on_series
 
     if options.like is not None:
         log = stack.enter_context(open_log(options.like))

@@ -12,7 +12,7 @@ from imuarray.errors import LogError
 from imuarray.printable import counted
 
 if TYPE_CHECKING:
-    from imuarray.log.verify import Verification
+    from imuarray.log.reader import Verification
 
 
 @click.command("verify")
@@ -27,7 +27,7 @@ def command(run: Path, as_json: bool) -> None:
     imuarray verify run.h5
     """
     from imuarray.log import Log
-    from imuarray.log.verify import verify
+    from imuarray.log.reader import verify
 
     with Log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())

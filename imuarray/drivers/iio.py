@@ -23,8 +23,7 @@ import numpy as np
 
 from imuarray.array import SensorConfig
 from imuarray.axes import orientation_of
-from imuarray.bus.iio import IioDevice
-from imuarray.bus.iio_scan import ScanElement, ScanLayout
+from imuarray.bus.iio import IioDevice, ScanElement, ScanLayout
 from imuarray.clock import Clock
 from imuarray.drivers.driver import Bytes, DecodedBursts, Registers, SelfTest, carry_out
 from imuarray.drivers.fifo_clock import FifoClock

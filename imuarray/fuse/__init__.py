@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any
 from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
-    from imuarray.fuse.axes import Axis, axes_of
     from imuarray.fuse.coasting import Coasting, Errors, coasting
-    from imuarray.fuse.compare import Comparison, Score, compare, technique_names
-    from imuarray.fuse.consistency import Consistency, consistency
+    from imuarray.fuse.compare import Comparison, Consistency, Score, compare, consistency, technique_names
     from imuarray.fuse.element_temperature import (
         causal_temperatures,
         element_temperatures,
@@ -29,15 +27,19 @@ if TYPE_CHECKING:
         Error,
         ErrorFrames,
         Evaluation,
+        Gain,
         QuietNoise,
+        Ratio,
         error_frames,
         error_of,
         errors_of,
         evaluate,
+        gains,
         quiet_noise,
+        ratio_of,
     )
     from imuarray.fuse.faults import FaultEvent
-    from imuarray.fuse.frames import Estimate, Frames, FusedBlock
+    from imuarray.fuse.frames import Axis, Estimate, Frames, FusedBlock, axes_of
     from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
     from imuarray.fuse.fused_file import (
         FusedEvent,
@@ -48,71 +50,36 @@ if TYPE_CHECKING:
         write_fused,
     )
     from imuarray.fuse.fused_result import FusedResult
-    from imuarray.fuse.fusion_notes import FusionNotes, notes_of
-    from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
-    from imuarray.fuse.pipeline import ComparisonPipeline, Pipeline, PipelineFactory, QuantityPipeline, fused_block
+    from imuarray.fuse.pipeline import (
+        ComparisonPipeline,
+        FusionNotes,
+        Pipeline,
+        PipelineFactory,
+        QuantityPipeline,
+        fused_block,
+        notes_of,
+    )
     from imuarray.fuse.stream import FusionStream
     from imuarray.fuse.techniques import TECHNIQUES, changes
 
 _PUBLIC = {
-    "Axis": "axes",
-    "Coasting": "coasting",
-    "Comparison": "compare",
-    "ComparisonPipeline": "pipeline",
-    "Consistency": "consistency",
-    "Error": "evaluation",
-    "ErrorFrames": "evaluation",
-    "Errors": "coasting",
-    "Estimate": "frames",
-    "Evaluation": "evaluation",
-    "FaultEvent": "faults",
-    "Frames": "frames",
-    "FusedBlock": "frames",
-    "FusedEvent": "fused_file",
-    "FusedHead": "fused_file",
-    "FusedResult": "fused_result",
-    "FusionNotes": "fusion_notes",
-    "FusionStream": "stream",
-    "Gain": "gains",
-    "NAMES": "fuse",
-    "NEEDS_NOISE": "fuse",
-    "OPTIMAL": "fuse",
-    "Pipeline": "pipeline",
-    "PipelineFactory": "pipeline",
-    "QuantityPipeline": "pipeline",
-    "QuietNoise": "evaluation",
-    "Ratio": "gains",
-    "Score": "compare",
-    "TECHNIQUES": "techniques",
-    "Watch": "fuse",
-    "aligned": "fuse",
-    "axes_of": "axes",
-    "causal_temperatures": "element_temperature",
-    "changes": "techniques",
-    "coasting": "coasting",
-    "compare": "compare",
-    "consistency": "consistency",
-    "element_temperatures": "element_temperature",
-    "error_frames": "evaluation",
-    "error_of": "evaluation",
-    "errors_of": "evaluation",
-    "evaluate": "evaluation",
-    "fuse": "fuse",
-    "fused_block": "pipeline",
-    "gains": "gains",
-    "live": "fuse",
-    "mismatch_sentences": "element_temperature",
-    "notes_of": "fusion_notes",
-    "quiet_noise": "evaluation",
-    "ratio_of": "gains",
-    "read_fused": "fused_file",
-    "read_fused_events": "fused_file",
-    "read_fused_head": "fused_file",
-    "slopes_of": "element_temperature",
-    "technique_names": "compare",
-    "temperature_mismatch": "element_temperature",
-    "with_mismatch": "element_temperature",
-    "write_fused": "fused_file",
+    "coasting": "Coasting Errors coasting",
+    "compare": "Comparison Consistency Score compare consistency technique_names",
+    "element_temperature": (
+        "causal_temperatures element_temperatures mismatch_sentences slopes_of temperature_mismatch with_mismatch"
+    ),
+    "evaluation": (
+        "Error ErrorFrames Evaluation Gain QuietNoise Ratio error_frames error_of errors_of evaluate gains "
+        "quiet_noise ratio_of"
+    ),
+    "faults": "FaultEvent",
+    "frames": "Axis Estimate Frames FusedBlock axes_of",
+    "fuse": "NAMES NEEDS_NOISE OPTIMAL Watch aligned fuse live",
+    "fused_file": "FusedEvent FusedHead read_fused read_fused_events read_fused_head write_fused",
+    "fused_result": "FusedResult",
+    "pipeline": "ComparisonPipeline FusionNotes Pipeline PipelineFactory QuantityPipeline fused_block notes_of",
+    "stream": "FusionStream",
+    "techniques": "TECHNIQUES changes",
 }
 
 __all__ = [
@@ -182,4 +149,4 @@ def __getattr__(name: str) -> Any:
     return public_name(__name__, _PUBLIC, name)
 
 
-make_callable(__name__, _PUBLIC)
+make_callable(__name__, __all__)

@@ -19,7 +19,7 @@ from imuarray.fuse.evaluation import Error
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.fuse.fused_file import UNITS, write_fused
-from imuarray.fuse.fusion_notes import FusionNotes
+from imuarray.fuse.pipeline import FusionNotes
 from imuarray.log.datasets import BOX_AXIS, dataset, table
 from imuarray.units import READABLE_SI
 

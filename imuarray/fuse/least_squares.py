@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, entries
+from imuarray.fuse.frames import Axis, Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 19

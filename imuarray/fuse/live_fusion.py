@@ -28,7 +28,7 @@ from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fuse import Patience, Watch, live
 from imuarray.fuse.fused_file import LiveFused
-from imuarray.fuse.fusion_notes import FusionNotes, notes_of
+from imuarray.fuse.pipeline import FusionNotes, notes_of
 from imuarray.fuse.stream import FusionStream
 from imuarray.log import Block
 from imuarray.log.disk_space import WATERMARK, free_bytes

@@ -31,9 +31,8 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, AlignedSensor, Grid, RowWindow, align, choose
-from imuarray.fuse.axes import axes_of, directions
 from imuarray.fuse.element_temperature import TemperatureSources
-from imuarray.fuse.frames import Estimate, Frames
+from imuarray.fuse.frames import Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import ConstantGain, consensus, frame_gains
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
 from imuarray.log import Block

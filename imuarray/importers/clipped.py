@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.rails import SPAN, Rails, find_rails
+from imuarray.characterise.codes import SPAN, Rails, find_rails
 from imuarray.log import LogWriter
 from imuarray.log.format import SATURATED, SensorHeader
 from imuarray.log.layout import Columns

@@ -20,9 +20,8 @@ from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
 from imuarray.importers import ImportSummary
 from imuarray.log import Block, LogWriter, Stimulus
-from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, Preamble, SensorHeader
 from imuarray.log.layout import COMPENSATED_UNITS, STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
-from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
 

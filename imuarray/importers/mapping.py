@@ -139,7 +139,7 @@ class TimeTable(BaseModel):
     (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row before: the clock was set back
     (the end of daylight saving time, a leap second), or the recorder started again. A unit with `%` is the format of
     dates, as `datetime.strptime` has them; a time of day alone goes on after midnight. `stamps = "arrival"`: the times
-    are those at which rows arrived in bursts; the log's times are then reconstructed (`imuarray.importers.arrival`),
+    are those at which rows arrived in bursts; the log's times are then reconstructed (`imuarray.importers.row_order`),
     and the delays are stored.
     """
 

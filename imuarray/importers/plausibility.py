@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.knocks import find_knocks, knock_sentence
-from imuarray.calibrate.labels import axes_text
+from imuarray.calibrate.faces import axes_text
+from imuarray.calibrate.motion import find_knocks, knock_sentence
 from imuarray.calibrate.pointing import TURNS
 from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Times
 from imuarray.errors import ConfigError, SourceError
 from imuarray.importers import NO_WALL_TIME, ImportSummary, importer
-from imuarray.importers.arrival import count_out
 from imuarray.importers.cells import (
     INT16,
     INT32,
@@ -46,7 +45,7 @@ from imuarray.importers.mapping import (
     load_map,
 )
 from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
-from imuarray.importers.row_order import Blocks, RowOrder
+from imuarray.importers.row_order import Blocks, RowOrder, count_out
 from imuarray.importers.sources import RecordingRows, Reference, open_rows
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ARRIVAL, LOST_BEFORE, SATURATED, Event, Phase, SensorHeader, ThermometerScale

@@ -3,24 +3,29 @@
 The physical values of an accelerometer, gyroscope or magnetometer are in the box frame under the name of their
 quantity, computed with the data sheet's sensitivity or a calibration; the raw counts along the sensor's own axes are
 included. A column that the log lacks is missing.
+
+`log_figure` plots every sensor over time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imuarray.arrays import Floats, Times
+from imuarray.arrays import Floats, Reals, Times
 from imuarray.errors import MissingExtraError
+from imuarray.figures import time_series_figure
 from imuarray.log.format import FLAGS, TIME_UNCERTAINTY
 from imuarray.log.layout import TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from imuarray.calibrate import Calibration
     from imuarray.log.columns import Track
     from imuarray.log.reader import Log
@@ -177,3 +182,22 @@ def optional_package(name: str) -> Any:
         return import_module(name)
     except ImportError:
         raise MissingExtraError(name, "analysis") from None
+
+
+_SI = {"specific_force": "m/s²", "angular_rate": "rad/s", "magnetic_field": "T"}
+
+
+def log_figure(sensors: Sequence[SensorLog], calibration: Calibration | None = None) -> Figure:
+    """Draw a panel for each sensor that has rows: physical values in the box frame, or counts; MissingExtraError."""
+    panels: dict[str, tuple[Reals, Reals]] = {}
+    for sensor in sensors:
+        if not len(sensor):
+            continue
+        time_s = np.asarray(sensor.time[:]) * 1e-9
+        if sensor.has_compensated("pressure"):
+            panels[f"{sensor.name} (Pa)"] = time_s, np.asarray(sensor.compensated("pressure")[:])
+            continue
+        values = physical_values(sensor, calibration) if sensor.is_triad else None
+        unit = "counts" if values is None else _SI[sensor.quantity]
+        panels[f"{sensor.name} ({unit})"] = time_s, np.asarray(sensor.counts[:], float) if values is None else values
+    return time_series_figure(panels)

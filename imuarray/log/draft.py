@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log.disk_space import Allowance, write_errors
-from imuarray.log.format import CACHE_BYTES, Event, Phase
+from imuarray.log.format import CACHE_BYTES, Event, Phase, Preamble
 from imuarray.log.layout import (
     CHUNK,
     COMPRESSED,
@@ -36,7 +36,6 @@ from imuarray.log.layout import (
     write_plots,
     write_table,
 )
-from imuarray.log.preamble import Preamble
 from imuarray.log.text_checksums import CHECK_SUMS, check_sums
 
 if sys.platform != "win32":

@@ -21,7 +21,7 @@ from h5py import h5a, h5d, h5fd, h5g, h5i, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, MOST_SENSORS, PLOTS
-from imuarray.log.hdf5_heaps import HeapCheckedFile
+from imuarray.log.hdf5_superblock import HeapCheckedFile
 from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, read_texts
 from imuarray.printable import printable
 

@@ -25,7 +25,7 @@ from imuarray.errors import LogError
 from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
 from imuarray.log.draft import Draft
-from imuarray.log.format import Event, Phase
+from imuarray.log.format import PREAMBLE, PREAMBLE_CRC, Event, Phase, Preamble
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import inspect, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
@@ -39,7 +39,6 @@ from imuarray.log.layout import (
     log_attributes,
     sensor_attributes,
 )
-from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 from imuarray.log.untrusted_input import DAMAGE
 
 _SENSORS = "sensors/"
@@ -202,7 +201,7 @@ def stored_preamble(path: Path) -> Preamble | None:
     """Return the preamble in the unfinished file at `path`; None if it is damaged or missing. On damage h5py may raise
     its own errors.
 
-    Its heap of texts is checked before HDF5 reads it (`imuarray.log.hdf5_heaps`).
+    Its heap of texts is checked before HDF5 reads it (`imuarray.log.hdf5_superblock`).
     """
     with h5py.File(UnclosedFile(path), "r") as inspected:
         text = inspected.attrs.get(PREAMBLE)

@@ -26,8 +26,8 @@ import numpy as np
 
 from imuarray.arrays import Integers
 from imuarray.errors import LogBusyError, LogError
+from imuarray.log.format import Preamble
 from imuarray.log.layout import Columns, Group, groups_of
-from imuarray.log.preamble import Preamble
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
 
 if sys.platform != "win32":  # logs are read there, not recorded

@@ -29,9 +29,9 @@ from imuarray.log.format import (
     ClockRow,
     Event,
     Phase,
+    Preamble,
     SensorHeader,
 )
-from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import check_note
 from imuarray.units import SI_NAME, SI_PER_UNIT
 

@@ -245,7 +245,7 @@ class SensorLog(CountScale):
         """Draw the physical values in the box frame over time, or the counts where no unit is known; MissingExtraError
         without matplotlib (extra "report").
         """
-        from imuarray.log.plots import log_figure
+        from imuarray.log.datasets import log_figure
 
         return log_figure([self], calibration)
 

@@ -47,7 +47,17 @@ from imuarray.log.disk_space import (
 )
 from imuarray.log.draft import Draft
 from imuarray.log.finish import finish
-from imuarray.log.format import CACHE_BYTES, MOST_SENSORS, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.format import (
+    CACHE_BYTES,
+    MOST_SENSORS,
+    PREAMBLE,
+    PREAMBLE_CRC,
+    ClockRow,
+    Event,
+    Phase,
+    Preamble,
+    SensorHeader,
+)
 from imuarray.log.journal import JournalLock, JournalWriter, Mark, is_running
 from imuarray.log.layout import (
     CHUNK,
@@ -65,7 +75,6 @@ from imuarray.log.layout import (
     log_attributes,
     note_columns,
 )
-from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 from imuarray.log.sensor_log import SensorLog
 
 QUEUE_BLOCKS = 1024

@@ -27,9 +27,8 @@ from imuarray.log.format import FLAGS
 from imuarray.log.health import Observations, health_of
 from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
 from imuarray.monitor.log_source import Source
-from imuarray.monitor.memory_log import MemoryLog
 from imuarray.monitor.snapshot import INTERRUPTED, WRITTEN, Disk, FusedView, SensorView, Snapshot
-from imuarray.monitor.window import Gaps, LatestRows, Rows
+from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000

@@ -2,25 +2,37 @@
 
 It only reads, follows a log that is split into parts from one to the next, and starts again where another log takes the
 name.
+
+All pages share snapshots, which are taken on request and at most once per interval. Bokeh draws the figures in the
+browser: axes and colours are defined here, the data are in the snapshots. The page labels the curves next to the
+numbers above, in the same colours.
 """
 
 from __future__ import annotations
 
+import asyncio
+import json
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import count, takewhile
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from imuarray.calibrate import Calibration
-from imuarray.errors import ImuArrayError, reason_of
+from imuarray.errors import ImuArrayError, MissingExtraError, reason_of
 from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.composition import snapshot_of
 from imuarray.monitor.log_source import Growing, ReadRows, Source, Whole, look
+from imuarray.monitor.payload import drawn
 from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
+from imuarray.units import READABLE, READABLE_SI
 
 SPAN_S = 10.0
 """The last seconds that are shown."""
@@ -169,3 +181,145 @@ def _epoch(path: Path) -> str:
     whole = Whole(path, ReadRows(0))
     whole.close()
     return whole.epoch
+
+
+COLOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"light": ("#0072B2", "#B94E00", "#007F5C"), "dark": ("#56B4E9", "#F0A03C", "#2BD1A0")}
+)
+"""Colours of x, y and z by theme, after Okabe and Ito's palette for all kinds of colour vision."""
+
+_HEIGHT, _RIGHT = 150, 12
+"""Height of a figure and its right margin, in pixels."""
+
+
+class Theme(NamedTuple):
+    """Colours of the figure around the curves."""
+
+    text: str
+    grid: str
+
+
+THEMES: Mapping[str, Theme] = MappingProxyType(
+    {"light": Theme("#3d4653", "#dfe3e8"), "dark": Theme("#b9c2cf", "#333c48")}
+)
+
+
+class FigureKind(NamedTuple):
+    """Figures that differ by their data alone: "trace" over time or "density" over frequency, what the columns are
+    called, the unit.
+    """
+
+    plot: str
+    columns: tuple[str, ...]
+    unit: str
+
+    @property
+    def key(self) -> str:
+        """The key by which the page requests it."""
+        return "|".join((self.plot, ",".join(self.columns), self.unit))
+
+
+def figures(kinds: Iterable[FigureKind], theme: str, span_s: float) -> dict[str, Any]:
+    """Every kind as a JSON object for BokehJS's `embed_item`, by its key; MissingExtraError without Bokeh."""
+    try:
+        from bokeh.embed import json_item
+    except ModuleNotFoundError:
+        raise MissingExtraError("bokeh", "monitor") from None
+    return {kind.key: json_item(_figure(kind, theme, span_s)) for kind in kinds}
+
+
+def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
+    """An empty figure; its data source is called "source"."""
+    from bokeh.models import BasicTickFormatter, ColumnDataSource, FixedTicker, Range1d
+    from bokeh.plotting import figure
+
+    over_time = kind.plot == "trace"
+    over = "t" if over_time else "f"
+    axes: dict[str, Any] = {"x_range": Range1d(start=-span_s, end=0)}
+    if not over_time:  # the page sets them to whole decades
+        axes = {name: Range1d(start=0.1, end=10, name=name[0]) for name in ("x_range", "y_range")}
+        axes |= {"x_axis_type": "log", "y_axis_type": "log"}
+    plot = figure(height=_HEIGHT, sizing_mode="stretch_width", tools="", toolbar_location=None, **axes)
+    plot.min_border_right = _RIGHT
+    if not over_time:
+        plot.xaxis.ticker = plot.xgrid.ticker = FixedTicker(ticks=_ticks((1, 2, 5)))
+        plot.axis.formatter = BasicTickFormatter(use_scientific=False)
+        plot.yaxis.ticker = plot.ygrid.ticker = FixedTicker(ticks=_ticks((1, 3)))
+    source = ColumnDataSource({name: [] for name in (over, *kind.columns)}, name="source")
+    for name, colour in zip(kind.columns, COLOURS[theme], strict=False):
+        plot.line(over, name, source=source, color=colour, line_width=1.4)
+    plot.xaxis.axis_label = "s before the newest row" if over_time else "Hz"
+    plot.yaxis.axis_label = kind.unit if over_time else f"{kind.unit}/√Hz"
+    _dress(plot, THEMES[theme])
+    return plot
+
+
+def _ticks(steps: tuple[int, ...]) -> list[float]:
+    """The ticks of a logarithmic axis."""
+    return [step * 10.0**decade for decade in range(-6, 7) for step in steps]
+
+
+def _dress(plot: Any, theme: Theme) -> None:
+    """Quiet surroundings in the colours of the page."""
+    plot.background_fill_alpha = plot.border_fill_alpha = 0.0
+    plot.outline_line_color = None
+    plot.grid.grid_line_color = theme.grid
+    for axis in (*plot.xaxis, *plot.yaxis):
+        axis.axis_label_text_color = axis.major_label_text_color = theme.text
+        axis.axis_line_color = axis.major_tick_line_color = theme.grid
+        axis.minor_tick_line_color = None
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = axis.major_label_text_font_size = "11px"
+
+
+_XYZ = ("x", "y", "z")
+
+
+class SharedSnapshots:
+    """Snapshots of one log, shared by all clients; taken in a thread of their own, one at a time."""
+
+    def __init__(self, monitor: LogMonitor, every_s: float) -> None:
+        self.every_s = every_s
+        self._monitor = monitor
+        self._thread = ThreadPoolExecutor(1, "snapshot")
+        self._lock = asyncio.Lock()
+        self._snapshot: Snapshot | None = None
+        self._text = b"{}"
+        self._is_closed = False
+        self._refreshed_s = self.asked_s = float("-inf")
+
+    async def text(self) -> bytes:
+        """The last snapshot as JSON; a new one if it is older than `every_s` and this is not closed."""
+        self.asked_s = time.monotonic()
+        async with self._lock:
+            if not self._is_closed and time.monotonic() - self._refreshed_s > 0.8 * self.every_s:
+                self._refreshed_s = time.monotonic()
+                await asyncio.get_running_loop().run_in_executor(self._thread, self._refresh)
+        return self._text
+
+    def _refresh(self) -> None:
+        self._snapshot = self._monitor.refresh(time.monotonic())
+        self._text = json.dumps(drawn(self._snapshot), allow_nan=False, separators=(",", ":")).encode()
+
+    async def figures(self, theme: str) -> dict[str, Any]:
+        """The figures that this log needs."""
+        await self.text()
+        views = self._snapshot.sensors if self._snapshot else ()
+        shown = {(view.columns, view.unit) for view in views}
+        kinds = {FigureKind("trace", columns, unit) for columns, unit in shown}
+        kinds |= {
+            FigureKind("density", _XYZ, READABLE.get(unit, (1.0, unit))[1])
+            for columns, unit in shown
+            if columns == _XYZ
+        }
+        kinds |= {FigureKind("trace", _XYZ, unit) for _, unit in READABLE_SI.values()}
+        make = partial(figures, sorted(kinds), theme if theme in THEMES else "light", SPAN_S)
+        if self._is_closed:
+            return make()
+        return await asyncio.get_running_loop().run_in_executor(self._thread, make)
+
+    def close(self) -> None:
+        """Take no more snapshots: further requests get the last one."""
+        self._is_closed = True
+        self._thread.shutdown()
+        self._monitor.close()

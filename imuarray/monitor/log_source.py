@@ -20,17 +20,15 @@ import numpy as np
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.commits import COMMITS, Commit, read_commits
+from imuarray.log.format import Preamble
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import refuse_hostile
 from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import NOTES, Group, sensor_attributes
-from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import DAMAGE
-from imuarray.monitor.event_counts import EventCounts
-from imuarray.monitor.memory_log import Attributes
-from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN
-from imuarray.monitor.window import STRIDE, Gaps, LatestRows, gaps_of
+from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN, EventCounts
+from imuarray.monitor.window import STRIDE, Attributes, Gaps, LatestRows, gaps_of
 from imuarray.units import INERTIAL
 
 AT_ONCE = 1 << 19

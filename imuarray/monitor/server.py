@@ -1,27 +1,176 @@
-"""The page's server, on Tornado: it reads the log only when a client asks, and at most once per interval.
+"""The page's server and its HTTP handlers, on Tornado: it reads the log only when a client asks, and at most once per
+interval.
 
 The page polls (it needs no lasting connection, so that none can be lost); several pages share a snapshot. Nothing is
 written.
+
+Access: clients on this machine or with the token, and no request that another page makes a browser send.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
+import ipaddress
+import json
 import os
+import secrets
 import signal
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from bokeh.util.paths import bokehjs_path
+from tornado.escape import url_escape
+from tornado.template import Template
+from tornado.web import Application, HTTPError, RequestHandler
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError, MissingExtraError
-from imuarray.monitor.access import is_own, new_token
-from imuarray.monitor.log_monitor import LogMonitor
-from imuarray.monitor.shared_snapshots import SharedSnapshots
+from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots
+
+HEADERS: Mapping[str, str] = MappingProxyType(
+    {
+        "Content-Security-Policy": (
+            "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:;"
+            " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        ),
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",  # the address holds the token
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Cache-Control": "no-store",
+    }
+)
+"""Headers of every response. Bokeh styles what it draws in the page, hence 'unsafe-inline' for styles alone."""
+
+_OWN_SITE = frozenset({"", "none", "same-origin"})
+_TOKEN_BYTES = 24
+
+
+def is_own(host: str) -> bool:
+    """Return whether only this machine can reach an address."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def new_token() -> str:
+    """Return a new secret token that fits into a URL."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> str | None:
+    """Return why a request is refused; None: it is not. `token` "" is for pages that only this machine can reach: then
+    `host`, the name under which it was asked for, has to be one of its own, or else a foreign name was made to lead
+    here.
+    """
+    if headers.get("Sec-Fetch-Site", "") not in _OWN_SITE:
+        return "requested by another page"
+    origin = headers.get("Origin")
+    if origin is not None and origin.split("://")[-1] != host:
+        return "requested by another page"
+    if token:
+        given_right = hmac.compare_digest(given.encode(), token.encode())
+        return None if given_right else "the token is missing or wrong: use the address that imuarray printed"
+    name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
+    return None if is_own(name) else "requested under another host name: use http://127.0.0.1"
+
+
+_PARTS = {"page.css": "text/css; charset=utf-8", "page.js": "text/javascript; charset=utf-8"}
+_BOKEH = "bokeh.min.js"
+
+
+class _CheckedHandler(RequestHandler):
+    """GET and HEAD, for whom the page is. A subclass has `get`; of its answer to HEAD, Tornado sends the headers."""
+
+    SUPPORTED_METHODS = ("GET", "HEAD")
+
+    def head(self, *names: str) -> Awaitable[None] | None:
+        answer: Awaitable[None] | None = self.get(*names)
+        return answer
+
+    def initialize(self, snapshots: SharedSnapshots, token: str, parts: Traversable) -> None:
+        self.snapshots, self.token, self.parts = snapshots, token, parts
+
+    def set_default_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+        self.clear_header("Server")
+
+    def prepare(self) -> None:
+        given = self.get_query_argument("token", "") or ""
+        why = refusal(self.token, given, self.request.host, dict(self.request.headers.get_all()))
+        if why is not None:
+            raise HTTPError(403, reason=why)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code} {self._reason}\n")
+
+
+class _Page(_CheckedHandler):
+    def get(self) -> None:
+        query = f"?token={url_escape(self.token)}" if self.token else ""
+        template = Template(self.parts.joinpath("page.html").read_text(encoding="utf-8"), autoescape="xhtml_escape")
+        self.finish(template.generate(query=query, every_ms=round(self.snapshots.every_s * 1e3)))
+
+
+class _Part(_CheckedHandler):
+    def get(self, name: str) -> None:
+        if name == _BOKEH:
+            content, kind = (Path(bokehjs_path()) / "js" / _BOKEH).read_bytes(), _PARTS["page.js"]
+            self.set_header("Cache-Control", "private, max-age=86400")
+        else:
+            content, kind = self.parts.joinpath(name).read_bytes(), _PARTS[name]
+        self.set_header("Content-Type", kind)
+        self.finish(content)
+
+
+class _Snapshot(_CheckedHandler):
+    async def get(self) -> None:
+        self.set_header("Content-Type", "application/json")
+        self.finish(await self.snapshots.text())
+
+
+class _Figures(_CheckedHandler):
+    async def get(self) -> None:
+        figures = await self.snapshots.figures(self.get_query_argument("theme", "light") or "light")
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(figures))
+
+
+def application(snapshots: SharedSnapshots, token: str, parts: Traversable) -> Application:
+    """The server's answers; every request needs `token`, if there is one. `parts` holds the page."""
+    shared = {"snapshots": snapshots, "token": token, "parts": parts}
+    names = "|".join((*_PARTS, _BOKEH)).replace(".", r"\.")
+    return Application(
+        [
+            (r"/", _Page, shared),
+            (rf"/({names})", _Part, shared),
+            (r"/snapshot\.json", _Snapshot, shared),
+            (r"/figures\.json", _Figures, shared),
+        ],
+        default_handler_class=_MissingPage,
+        default_handler_args=shared,
+        compress_response=True,
+        log_function=lambda handler: None,
+    )
+
+
+class _MissingPage(_CheckedHandler):
+    def prepare(self) -> None:
+        super().prepare()
+        raise HTTPError(404)
+
 
 PORT = 8765
 NICENESS = 10
@@ -90,8 +239,6 @@ def _socket(host: str, port: int) -> socket.socket:
 
 async def _serve(path: Path, listening: socket.socket, token: str, options: PageOptions) -> None:
     from tornado.httpserver import HTTPServer
-
-    from imuarray.monitor.handlers import application
 
     monitor = LogMonitor(path, calibration=options.calibration, result=options.result)
     snapshots = SharedSnapshots(monitor, options.every_s)

@@ -24,10 +24,9 @@ from imuarray.fuse import read_fused_head
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, open_log
 from imuarray.report.calibration_sheet import calibration_sections, calibration_summary, residual_section
-from imuarray.report.fused_sheet import fused_sections, fused_summary
+from imuarray.report.fused_sheet import fused_sections, fused_summary, techniques_section
 from imuarray.report.log_sheet import log_sections, log_summary
 from imuarray.report.page import Section, Verdict, write_page
-from imuarray.report.techniques_sheet import techniques_section
 from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
 from imuarray.spelling import guess_file
 

@@ -20,8 +20,7 @@ from imuarray.report import gap_tables as tables
 from imuarray.report.gap_figures import can_compare, farthest, outside, overlay_figure, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure
 from imuarray.report.gap_sheet import SmallFigure
-from imuarray.report.gap_tables import overlays_table
-from imuarray.report.gap_words import MEANINGS
+from imuarray.report.gap_tables import MEANINGS, overlays_table
 from imuarray.report.page import Figure, Level, Section, Table, Verdict, write_page
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."

@@ -1,25 +1,104 @@
-"""One HTML file that needs nothing else: no script, no font, no image from elsewhere; every name escaped. Only a page
-that shows a recording has scripts, which zoom it, and it is whole without them.
+"""A report as one HTML file without external scripts, fonts or images; every name is escaped. Only a page that shows a
+recording has scripts, which zoom it, and it is complete without them.
+
+Drawings follow the colour scheme of the page: dark curves on white, or light ones on a dark page. Matplotlib writes
+colours into the SVG; here each becomes a CSS variable with two values, of which the reader's browser takes the one that
+fits. A print is always light.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.resources import files
 from os import PathLike
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from imuarray.atomic import draw_figure, write_text
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
-from imuarray.report.colour_scheme import follow_scheme
 from imuarray.report.recording import RecordingFigure, scripts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
+
+PAPER, INK = "#14191d", "#e4e8eb"
+"""Background and text of a dark page (page.html): white becomes the first, black the second."""
+
+_SHAPE = 0.55
+"""Exponent of the scale of lightness on dark: below 1, as mid-tones on dark need more lightness to be as distinct."""
+
+_LMS = np.array(
+    [
+        [0.4122214708, 0.5363325363, 0.0514459929],
+        [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ]
+)
+_LAB = np.array(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ]
+)
+"""Matrices from linear sRGB to the response of the cones, and from its cube root to OKLab (B. Ottosson, A perceptual
+color space for image processing, 2020).
+"""
+
+_COLOUR = re.compile(r"(?<=[:\s])#[0-9a-f]{6}\b")
+_STYLED = re.compile(r'style="[^"]*"')
+
+
+def follow_scheme(svg: str) -> str:
+    """Return the SVG with each colour of its `style` attributes in a light and a dark version."""
+    colours: dict[str, None] = {"#000000": None}
+
+    def named(match: re.Match[str]) -> str:
+        colours[match[0]] = None
+        return f"var(--{match[0][1:]})"
+
+    body = _STYLED.sub(lambda style: _COLOUR.sub(named, style[0]), svg)
+    light = ";".join(f"--{colour[1:]}:{colour}" for colour in colours)
+    dark = ";".join(f"--{colour[1:]}:{on_dark(colour)}" for colour in colours)
+    sheet = (
+        # Glyphs and filled shapes of black have no colour of their own in Matplotlib's SVG: they inherit this one.
+        f"<style>svg{{{light};fill:var(--000000)}}"
+        f"@media screen and (prefers-color-scheme:dark){{svg{{{dark}}}}}</style>"
+    )
+    return re.sub(r"(<svg\b[^>]*>)", lambda tag: tag[1] + sheet, body, count=1)
+
+
+@lru_cache(maxsize=4096)
+def on_dark(colour: str) -> str:
+    """Return the counterpart of a colour (#rrggbb) on a dark page: of the same hue, the darker the lighter it was."""
+    lightness, *chroma = _oklab(colour)
+    (low, *tint), high = _oklab(PAPER), _oklab(INK)[0]
+    target = low + (high - low) * max(0.0, 1 - lightness) ** _SHAPE
+    for share in np.linspace(1, 0, 21):  # less colour where no screen can show all of it at this lightness
+        linear = _linear([target, *(share * part + own for part, own in zip(chroma, tint, strict=True))])
+        if np.all(np.abs(linear - 0.5) <= 0.5):
+            break
+    linear = np.clip(linear, 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return "#" + "".join(f"{round(255 * float(part)):02x}" for part in encoded)
+
+
+def _oklab(colour: str) -> list[float]:
+    encoded = np.array([int(colour[first : first + 2], 16) for first in (1, 3, 5)]) / 255
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    return [float(part) for part in _LAB @ np.cbrt(_LMS @ linear)]
+
+
+def _linear(lab: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Linear sRGB (3,) of an OKLab colour; outside of 0 to 1 where no screen has it."""
+    return np.asarray(np.linalg.solve(_LMS, np.linalg.solve(_LAB, np.asarray(lab)) ** 3))
 
 
 @dataclass(frozen=True)

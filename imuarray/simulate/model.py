@@ -35,8 +35,7 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.parameters import from_table, spelled
 from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams
-from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
-from imuarray.toml_lines import Place
+from imuarray.toml_files import Mistake, Place, parse_toml, read_text, refusal
 
 TRIADS = {name: spec for name, spec in CHIPS.items() if spec.sensitivity}
 """The chips whose readings pass through effects."""

@@ -14,9 +14,8 @@ import numpy.typing as npt
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.errors import ConfigError, LogError
 from imuarray.log import Log
-from imuarray.log.format import SATURATED, SensorHeader
+from imuarray.log.format import SATURATED, SensorHeader, header_of
 from imuarray.log.missed_frames import frames_in
-from imuarray.log.preamble import header_of
 from imuarray.log.sensor_log import recorded_header
 from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect

@@ -14,8 +14,8 @@ import pytest
 
 from imuarray.acquire import connect, record
 from imuarray.acquire.record import Poll
+from imuarray.acquire.recording import Service
 from imuarray.acquire.sensor_routes import routes_of, there_and_back
-from imuarray.acquire.service import Service
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError

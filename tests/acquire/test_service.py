@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from imuarray.acquire.service import Service
+from imuarray.acquire.recording import Service
 from imuarray.commands.log import command
 
 UNIT = Path(__file__).parents[2] / "configs" / "imuarray-log@.service"

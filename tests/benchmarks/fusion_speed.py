@@ -29,8 +29,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.fuse import axes_of, fuse, live
 from imuarray.fuse.alignment import cut
-from imuarray.fuse.axes import directions
-from imuarray.fuse.frames import Estimate
+from imuarray.fuse.frames import Estimate, directions
 from imuarray.fuse.fuse import aligned
 from imuarray.fuse.least_squares import ConstantGain, whole_gain
 from imuarray.fuse.optimal import error_model

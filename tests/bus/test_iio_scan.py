@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.bus.iio_scan import ScanElement, ScanLayout
+from imuarray.bus.iio import ScanElement, ScanLayout
 from tests.bus.iio_machine import scan
 
 

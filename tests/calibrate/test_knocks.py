@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.calibrate.knocks import find_knocks, knock_sentence
-from imuarray.calibrate.motion import longest_rest
+from imuarray.calibrate.motion import find_knocks, knock_sentence, longest_rest
 from imuarray.calibrate.pose_readings import rest_windows
 from imuarray.characterise import characterise_log
 from imuarray.importers.plausibility import report_of

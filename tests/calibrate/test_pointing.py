@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.calibrate.configuration_axes import with_axes
-from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, held_poses
+from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, held_poses, with_axes
 from imuarray.commands.calibrate_axes import print_report, report_of
 from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log

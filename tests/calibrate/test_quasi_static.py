@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.quasi_static import STRETCH_S, _middle
+from imuarray.calibrate.tumble import STRETCH_S, _middle
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log

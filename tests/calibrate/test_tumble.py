@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.array import load_array
 from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.bundle import in_box_frame, solve
+from imuarray.calibrate.gravity import in_box_frame, solve
 from imuarray.log import open_log
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect

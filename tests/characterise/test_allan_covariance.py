@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan_covariance import TERMS, Term, covariance, variances
-from imuarray.characterise.freedom import Noise, degrees_of_freedom
+from imuarray.characterise.allan_curve import Noise, degrees_of_freedom
+from imuarray.characterise.allan_fit import TERMS, Term, covariance, variances
 
 FACTORS = (1, 2, 5, 16, 60, 200)
 

@@ -17,8 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan_covariance import TERMS, Term
-from imuarray.characterise.allan_fit import UNITS, USUAL, NoiseFit, fit_noise
+from imuarray.characterise.allan_fit import TERMS, UNITS, USUAL, NoiseFit, Term, fit_noise
 from tests.selection import examples
 
 INTERVAL_S = 0.0025

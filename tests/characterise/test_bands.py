@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from imuarray.characterise.bands import RISES, SLACK, WIDTHS, find_bands
-from imuarray.characterise.columns import _with_harmonics
 from imuarray.characterise.lines import FALSE_ALARM, find_lines
+from imuarray.characterise.result import _with_harmonics
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 
 RATE_HZ = 100.0

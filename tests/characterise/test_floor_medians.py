@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.characterise.noise_floor import _GUARD, _joined_medians, _sides
+from imuarray.characterise.lines import _GUARD, _joined_medians, _sides
 
 
 @pytest.mark.parametrize("last", [64, 257, 2048])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from imuarray.characterise.freedom import Noise, degrees_of_freedom, identify_noise, interval
+from imuarray.characterise.allan_curve import Noise, degrees_of_freedom, identify_noise, interval
 from tests.selection import some
 
 with warnings.catch_warnings():

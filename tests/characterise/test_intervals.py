@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.characterise.intervals import Intervals, IntervalTally
+from imuarray.characterise.survey import Intervals, IntervalTally
 from tests.selection import examples
 
 MEAN_NS = 2_500_000

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from imuarray.characterise.lines import aliases, find_lines
-from imuarray.characterise.noise_floor import FIRST_BIN, noise_floor
+from imuarray.characterise.lines import FIRST_BIN, aliases, find_lines, noise_floor
 from imuarray.characterise.spectrum import Spectrum, Welch
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imuarray.characterise import characterise_log
+from imuarray.characterise.codes import find_rails
 from imuarray.characterise.findings import findings
-from imuarray.characterise.rails import find_rails
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 

@@ -13,8 +13,7 @@ from firmware_emulator.array import open_array
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.units import unit_of
 from firmware_emulator.world import Still
-from imuarray.acquire.detect import explore
-from imuarray.acquire.propose import propose, tell_apart
+from imuarray.acquire.detect import explore, propose, tell_apart
 from imuarray.acquire.record import record
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, SensorConfig, parse_array

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from imuarray.calibrate import Calibration, calibrate_noise, calibrate_tumble
 from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
 from imuarray.fuse import compare, fuse
-from imuarray.fuse.axes import axes_of
-from imuarray.fuse.frames import matrices
+from imuarray.fuse.frames import axes_of, matrices
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader

@@ -15,8 +15,8 @@ from imuarray.cli import main
 from imuarray.commands.fuse_report import print_evaluation
 from imuarray.fuse import ErrorFrames, FusedBlock, compare, fuse, technique_names
 from imuarray.fuse.compare import both
+from imuarray.fuse.evaluation import ratio_of
 from imuarray.fuse.fuse import fuse_together
-from imuarray.fuse.gains import ratio_of
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.gap.model.workers import processes
 from imuarray.log import open_log

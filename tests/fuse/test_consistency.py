@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from imuarray.fuse.consistency import Consistency, consistency
+from imuarray.fuse.compare import Consistency, consistency
 from imuarray.fuse.frames import entries
 from tests.fuse.conftest import Floats
 from tests.selection import some

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from imuarray.characterise import bands, columns, rails
+from imuarray.characterise import bands, codes, result
 from imuarray.importers import arrays, plausibility, resolution, table
 
 CHOSEN = {
@@ -20,18 +20,18 @@ CHOSEN = {
     (plausibility, "SAME_SCALE"): 1.4,
     (plausibility, "STALE_SHARE"): 0.015,
     (plausibility, "LISTED"): 3,
-    (rails, "LEAST_PILE"): 5,
-    (rails, "BEFORE"): 8,
-    (rails, "SURE"): 1e-6,
-    (rails, "NOMINAL"): 2,
-    (rails, "NEAR_RANGE"): 0.1,
-    (rails, "MOVING_STEPS"): 20,
+    (codes, "LEAST_PILE"): 5,
+    (codes, "BEFORE"): 8,
+    (codes, "SURE"): 1e-6,
+    (codes, "NOMINAL"): 2,
+    (codes, "NEAR_RANGE"): 0.1,
+    (codes, "MOVING_STEPS"): 20,
     (resolution, "NEAR"): 3e-4,
     (resolution, "SAMPLE_ROWS"): 20_000,
     (table, "VANISHED"): 0.3,
     (arrays, "MOST_COLUMNS"): 64,
-    (columns, "HARMONICS"): 8,
-    (columns, "CHANCE"): 0.02,
+    (result, "HARMONICS"): 8,
+    (result, "CHANCE"): 0.02,
     (bands, "RISES"): 1.35,
     (bands, "SLACK"): 1.08,
 }

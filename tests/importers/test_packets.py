@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.importers.packets import read_packets
+from imuarray.importers.mimu4444 import read_packets
 
 FIRST = bytes.fromhex(
     "aa19746471"

@@ -11,7 +11,7 @@ import pytest
 from imuarray.log import draft
 from imuarray.log.disk_space import Allowance
 from imuarray.log.draft import Draft
-from imuarray.log.preamble import Preamble
+from imuarray.log.format import Preamble
 from tests.log.conftest import EPOCH, GYRO
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
-from imuarray.log.verify import verify
+from imuarray.log.reader import verify
 
 EPOCH = "2013-09-16T08:30:00.000000Z"
 

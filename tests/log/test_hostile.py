@@ -18,10 +18,9 @@ import pytest
 from imuarray.cli import main
 from imuarray.errors import LogError
 from imuarray.log import LogWriter, open_log
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import Preamble, SensorHeader
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import groups_of
-from imuarray.log.preamble import Preamble
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile import KINDS, built

@@ -26,7 +26,7 @@ from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalReader, journal_of
-from imuarray.log.verify import verify
+from imuarray.log.reader import verify
 from tests.selection import examples, some
 
 HEADERS = (

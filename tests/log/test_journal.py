@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 import imuarray.log.salvage as salvage
 from imuarray.errors import LogError
-from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.format import Event, Phase, Preamble, SensorHeader
 from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, Mark, journal_of
 from imuarray.log.layout import Notes, OpenPhase, groups_of, note_columns
-from imuarray.log.preamble import Preamble
 from tests.selection import examples, some
 
 SENSORS = (

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
-from imuarray.monitor.figures import THEMES
+from imuarray.monitor.log_monitor import THEMES
 from tests.monitor.chromium import CHROMIUM, browser
 from tests.monitor.conftest import ACC, EPOCH, HEADERS, Logger, rows
 from tests.monitor.served import served

@@ -22,7 +22,7 @@ from imuarray.log import LogWriter, RotatingWriter
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase
 from imuarray.monitor import LogMonitor, SensorView, Snapshot
-from imuarray.monitor.event_counts import KEPT
+from imuarray.monitor.snapshot import KEPT
 from tests.monitor.conftest import EPOCH, HEADERS, Logger, rows
 from tests.selection import some
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import imuarray.monitor
-from imuarray.monitor.figures import COLOURS, THEMES
+from imuarray.monitor.log_monitor import COLOURS, THEMES
 
 CSS = (Path(imuarray.monitor.__file__).parent / "page.css").read_text()
 TEXT = ("text", "soft", "x", "y", "z", "good", "warn", "bad")

@@ -14,10 +14,8 @@ from typing import NamedTuple
 
 import pytest
 
-from imuarray.monitor.access import HEADERS, is_own, new_token, refusal
-from imuarray.monitor.log_monitor import LogMonitor
-from imuarray.monitor.server import address_of
-from imuarray.monitor.shared_snapshots import SharedSnapshots
+from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots
+from imuarray.monitor.server import HEADERS, address_of, is_own, new_token, refusal
 from tests.monitor.served import served
 
 

@@ -23,8 +23,8 @@ from imuarray.cli import main
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
 from imuarray.monitor import LogMonitor, payload
-from imuarray.monitor.event_counts import RepeatedEvent
 from imuarray.monitor.payload import DRAWN, described, drawn
+from imuarray.monitor.snapshot import RepeatedEvent
 from imuarray.monitor.text import duration, text_lines
 from tests.monitor.conftest import EPOCH, HEADERS, Logger
 

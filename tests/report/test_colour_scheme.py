@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from imuarray.report.colour_scheme import INK, PAPER, follow_scheme, on_dark
+from imuarray.report.page import INK, PAPER, follow_scheme, on_dark
 
 SVG = '<svg width="1"><path style="fill: #ffffff; stroke: #0072b2; opacity: 0.5"/><a href="#000000"/></svg>'
 

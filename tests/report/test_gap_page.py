@@ -20,8 +20,7 @@ from imuarray.report import gap_page
 from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure, top_of
 from imuarray.report.gap_page import MOST_OVERLAYS, NO_FIGURES, curves_section, write_gap_page
-from imuarray.report.gap_tables import MOST_ROWS, pulls_table
-from imuarray.report.gap_words import MEANINGS
+from imuarray.report.gap_tables import MEANINGS, MOST_ROWS, pulls_table
 from imuarray.simulate import EFFECTS
 from tests.report.made_diagnosis import (
     CAUSES,

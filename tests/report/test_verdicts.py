@@ -13,8 +13,7 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.fuse import FusedHead
 from imuarray.fuse.compare import Comparison, Score
-from imuarray.fuse.evaluation import Error
-from imuarray.fuse.gains import Ratio
+from imuarray.fuse.evaluation import Error, Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from imuarray.report import Verdict, write_page

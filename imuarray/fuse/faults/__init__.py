@@ -6,7 +6,7 @@
                      -> hypotheses (one axis? a whole sensor? by likelihood ratio) -> judge -> masked frames, events
 """
 
-from imuarray.fuse.faults.events import FaultEvent
+from imuarray.fuse.faults.exclusions import FaultEvent
 from imuarray.fuse.faults.kinds import Ranges
 from imuarray.fuse.faults.monitor import ExclusionMasks, FaultMonitor
 

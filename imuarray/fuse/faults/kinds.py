@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.normal import NormalModel
 from imuarray.fuse.faults.window import DecisionWindow, WindowResiduals
+from imuarray.fuse.frames import Axis
 
 Ranges = Mapping[str, Mapping[float, float]]
 """Keyed by name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""

@@ -20,16 +20,14 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.faults.events import FaultEvent
+from imuarray.fuse.faults.exclusions import FaultEvent
 from imuarray.fuse.faults.fast_path import WindowSeries
 from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from imuarray.fuse.faults.kinds import Ranges
 from imuarray.fuse.faults.window import DecisionWindow, lever_arms
-from imuarray.fuse.frames import Frames
-from imuarray.fuse.fusion_notes import FusionNotes, notes_of
+from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import consensus
-from imuarray.fuse.pipeline import Pipeline
+from imuarray.fuse.pipeline import FusionNotes, Pipeline, notes_of
 
 WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""

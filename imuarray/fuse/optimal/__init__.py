@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from imuarray.fuse.fusion_notes import LearnedBias
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import SEGMENT_S, Optimal, Temperatures
+from imuarray.fuse.pipeline import LearnedBias
 
 __all__ = [
     "SEGMENT_S",

@@ -28,7 +28,7 @@ from imuarray.calibrate.model import Described
 from imuarray.calibrate.stability import BIAS, TurnOn
 from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis, response_shares
+from imuarray.fuse.frames import Axis, response_shares
 from imuarray.units import STANDARD_GRAVITY
 
 

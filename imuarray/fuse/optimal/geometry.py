@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
-from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Frames
+from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.optimal.error_model import ErrorModel
 

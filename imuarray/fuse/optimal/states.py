@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats, Indices
-from imuarray.fuse.axes import Axis
+from imuarray.fuse.frames import Axis
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
 
 

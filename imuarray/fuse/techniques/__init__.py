@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-from imuarray.fuse.axes import Axis
+from imuarray.fuse.frames import Axis
 from imuarray.fuse.techniques import opposed as _opposed
 from imuarray.fuse.techniques import planes as _planes
 from imuarray.fuse.techniques import ranges as _ranges

@@ -34,8 +34,7 @@ from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.stability import BIAS
-from imuarray.fuse.axes import Axis, axes_of, directions
-from imuarray.fuse.frames import Estimate, Frames
+from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import solve_frames
 from imuarray.fuse.techniques.technique import Technique, mean
 from imuarray.log import SensorLog

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Frames
+from imuarray.fuse.frames import Axis, Estimate, Frames, directions
 from imuarray.fuse.least_squares import SlowErrors, solve_frames
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 from imuarray.units import READABLE_SI

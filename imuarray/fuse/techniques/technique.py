@@ -9,8 +9,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Frames
+from imuarray.fuse.frames import Axis, Estimate, Frames, directions
 from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]

@@ -22,8 +22,7 @@ from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.errors import ConfigError
 from imuarray.fuse import fuse
-from imuarray.fuse.evaluation import errors_of
-from imuarray.fuse.gains import ten_second_means
+from imuarray.fuse.evaluation import errors_of, ten_second_means
 from imuarray.log import open_log
 from imuarray.shipped import configs
 from imuarray.simulate import Simulation, effects_of, load_model, plan_of, write_log

@@ -15,8 +15,8 @@ from imuarray.calibrate.start_up import came_up
 from imuarray.errors import LogError
 from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import errors_of, fuse, technique_names
+from imuarray.fuse.evaluation import ten_second_means
 from imuarray.fuse.fuse import AVERAGE
-from imuarray.fuse.gains import ten_second_means
 from imuarray.log import open_log
 from imuarray.printable import counted
 from imuarray.report import Figure, Section, Table, Verdict, write_page

@@ -24,10 +24,9 @@ from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import came_up
 from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
-from imuarray.fuse.compare import both
-from imuarray.fuse.consistency import consistency
+from imuarray.fuse.compare import both, consistency
+from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
 from imuarray.fuse.fuse import AVERAGE
-from imuarray.fuse.gains import Ratio, ratio_of, ten_second_means
 from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.printable import percent

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import Frames
-from imuarray.fuse.axes import directions
 from imuarray.fuse.faults import FaultEvent, FaultMonitor
-from imuarray.fuse.faults.events import State
+from imuarray.fuse.faults.exclusions import State
+from imuarray.fuse.frames import directions
 from imuarray.fuse.least_squares import weighted
 from tests.fuse.faults.conftest import (
     ACCELEROMETERS,

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames
+from imuarray.fuse.frames import Axis, Frames
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel
 
 Floats = npt.NDArray[np.float64]

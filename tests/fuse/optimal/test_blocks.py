@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames, matrices
+from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, blocks_of, frames_of, model_of, times, triad
 

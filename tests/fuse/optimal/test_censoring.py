@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames, matrices
+from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, ErrorModel, Optimal
 from imuarray.fuse.optimal.frame_solution import truncated
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, model_of, times, triad

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames
+from imuarray.fuse.frames import Axis, Frames
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal, compiled_segments
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, Floats, blocks_of, times, triad
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames, matrices
+from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal
 from imuarray.fuse.techniques import TECHNIQUES
 from tests.fuse.optimal.conftest import (

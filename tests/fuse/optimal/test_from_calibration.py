@@ -12,7 +12,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BiasState, Drift, Provenance, Thermal, TurnOn
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import axes_of
+from imuarray.fuse.frames import axes_of
 from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
 from imuarray.log import SensorLog, open_log
 from tests.fuse.conftest import DPS, G, Part, WriteRun, calibration

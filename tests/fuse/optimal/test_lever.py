@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames, matrices
+from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import ErrorModel, Optimal
 from tests.fuse.optimal.conftest import FORCE, Floats, model_of, times, triad
 

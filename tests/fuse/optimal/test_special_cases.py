@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames, matrices
+from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, Floats, frames_of, model_of, times, triad
 from tests.selection import examples

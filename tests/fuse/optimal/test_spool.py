@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.fuse.optimal.smoother import Spool
+from imuarray.fuse.optimal.filter import Spool
 
 
 def test_what_goes_in_last_comes_out_first() -> None:

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.motion import HandShake, Heating, Motion, Still, Tumble, turn_on_run
 from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.posed import Steady
 from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
 from imuarray.simulate.motion.vehicle import Vehicle
-from imuarray.simulate.motion.world import Steady
 
 S = 10**9
 ROWS_NS = np.arange(12) * S // 2

@@ -17,7 +17,7 @@ from imuarray.log import Log
 from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.world import Stimulus, World
+from imuarray.simulate.motion.posed import Stimulus, World
 from tests.selection import some
 
 G = 9.80665

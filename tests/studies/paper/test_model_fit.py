@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from imuarray.array import load_array
 from imuarray.axes import orientation_of
-from imuarray.log.preamble import header_of
+from imuarray.log.format import header_of
 from imuarray.simulate.model import parse_model
 from imuarray.simulate.streams import Streams
 from imuarray.studies.paper.array_model import (

@@ -18,13 +18,17 @@ from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.replica import Replica, Statistic, render_text, replicate
 from imuarray.studies.paper.replica.comparison import autocorrelation, line_hz, period
 from imuarray.studies.paper.replica.simulation import line, run_temperatures, windows
-from imuarray.studies.paper.replica.statistic import combined, effective_degrees, linear, logarithmic, summary
-from imuarray.studies.paper.replica.uncertainty import (
+from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
+    combined,
     day_to_day,
+    effective_degrees,
     face_residual,
     levels,
+    linear,
     log_deviation,
+    logarithmic,
+    summary,
 )
 
 AT = ("Table 0", "BMA1 x", "mean")

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats
-from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Frames, entries
+from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
 from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
 from imuarray.fuse.techniques.ranges.relative import GAP_S, DifferenceStates, TrackedFrames, Tracker

@@ -15,8 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
-from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Frames
+from imuarray.fuse.frames import Axis, Frames
 
 TAPER = (0.75, 0.95)
 """Share of the measuring range at which a low-range sensor begins to be trusted less, and at which it is not used at

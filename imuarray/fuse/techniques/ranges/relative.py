@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
-from imuarray.fuse.axes import Axis, directions
+from imuarray.fuse.frames import Axis, directions
 from imuarray.fuse.least_squares import whole_gain
 from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
 from imuarray.units import READABLE_SI

@@ -37,14 +37,17 @@ from imuarray.studies.paper.replica.simulation import (
     high_rate_s,
     observe,
 )
-from imuarray.studies.paper.replica.statistic import Replica, Statistic, linear, logarithmic
-from imuarray.studies.paper.replica.uncertainty import (
+from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
+    Replica,
+    Statistic,
     axis_of,
     between_units,
     face_residual,
     level_parts,
+    linear,
     log_deviation,
+    logarithmic,
     noise_residual,
     own,
     part_steps,
