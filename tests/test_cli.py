@@ -176,7 +176,7 @@ def test_detect_tells_what_is_wrong_and_exits_2(run: Run, here: Path) -> None:
     assert "NO  trunk address 0x53" in out
     assert "no chip acknowledges this address" in out
     assert "?   trunk address 0x1d       not in the configuration     adxl345" in out
-    assert out.splitlines()[-1] == "1 as configured, 1 not"
+    assert out.splitlines()[-1] == "1 of 2 as configured, 1 not"
     code, out, _ = run("detect", "one.toml", "--bus", "emulated:?board=board.toml", "--json")
     assert code == 2
     assert json.loads(out)["ok"] is False

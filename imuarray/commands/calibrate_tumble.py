@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 _METHODS = {
-    "faces": "named faces (Appendix B)",
+    "faces": "named faces",
     "gravity": "static poses found in the log",
     "path": "stretches of a path without stops, each by how much it moved",
 }
@@ -158,8 +158,8 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
         axes = ", ".join(turns["untold"])
         missing = f"; response about box {axes} not determined, data-sheet value kept; add turns about box {axes}"
         click.echo(
-            f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
-            f"{missing if turns['untold'] else ''}"
+            f"{'':14} {turns['used']} turns, which end within {turns['residual_deg']:.2f} deg rms of gravity's"
+            f" direction{missing if turns['untold'] else ''}"
         )
         for each in turns["left_out"]:
             click.echo(printable(f"{'':14} left out: {each['phase']}: {each['reason']}"))

@@ -122,7 +122,7 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
     _print_firmware(firmware)
     expected = sum(bool(detection.expected) for detection in detections)
     more = f", {unknown} undetermined" if unknown else ""
-    click.echo(f"{expected - wrong - unknown} as configured, {wrong} not{more}")
+    click.echo(f"{expected - wrong - unknown} of {expected} as configured, {wrong} not{more}")
     return exit_code
 
 

@@ -28,8 +28,8 @@ _WIDTH = 110
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="map that says what each column means, for text, .npz, .mat, .parquet or a ROS bag: a file, or a map"
-    " that comes with the package",
+    help="map that says what each column means, of any SOURCE but a known format: a file, or a map that"
+    " comes with the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
 @click.option(
@@ -44,9 +44,10 @@ _WIDTH = 110
 def command(**options: Any) -> None:
     """Convert a recording made by other software into a log: a known format, or any table of numbers with a map.
 
-    Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are restored without loss.
-    After every import a short report describes the recording (~) and lists what is doubtful (?): units, range, rate,
-    clipping, stalls, times in bursts. `--guess` examines a recording and proposes a map.
+    SOURCE is a text (also .gz, or a folder or zip file with a text for each sensor), .npz, .npy, .mat, .parquet, a ROS
+    bag or an MCAP file. Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are
+    restored without loss. After every import a short report describes the recording (~) and lists what is doubtful (?):
+    units, range, rate, clipping, stalls, times in bursts. `--guess` examines a recording and proposes a map.
 
     \b
     imuarray import data.csv --guess -o map.toml

@@ -200,7 +200,7 @@ def test_an_undetermined_self_test_is_neither_good_nor_bad(
     said = capsys.readouterr().out
     assert "  ?   channel 1 address 0x40   B (bma180)" in said
     assert "self-test undetermined" in said
-    assert said.splitlines()[-1] == "2 as configured, 0 not, 1 undetermined"
+    assert said.splitlines()[-1] == "2 of 3 as configured, 0 not, 1 undetermined"
 
 
 def test_an_adaptive_range_that_is_on_is_said_and_not_wrong() -> None:

@@ -101,7 +101,7 @@ def test_tumble_tells_gyroscopes_residuals_and_what_was_left_out(
         assert report["residual_steady_mg"][name] == pytest.approx(residual)  # nothing drifts
     assert main(["calibrate", "tumble", str(path), "-o", output, "--force"]) == 0
     out = capsys.readouterr().out
-    assert "13 turns, missed by" in out and "g-sensitivity (LSB/g)" in out and "over noise" in out
+    assert "13 turns, which end within" in out and "g-sensitivity (LSB/g)" in out and "over noise" in out
     known = load_calibration(output).sensors["Gyro1"]
     assert known.provenance["response"].logs == (str(path),)
 

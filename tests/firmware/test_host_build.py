@@ -186,7 +186,7 @@ def test_detect_tells_what_the_firmware_has_counted(
     said = capsys.readouterr().out
     assert f"{counts['sent']} frames sent, 0 skipped for lack of time, 0 dropped because the line was full" in said
     assert f"{counts['failures']} requests failed, 5 bytes not understood" in said
-    assert "1 as configured, 0 not" in said
+    assert "1 of 1 as configured, 0 not" in said
 
 
 @pytest.mark.slow
