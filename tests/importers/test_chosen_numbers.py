@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from imuarray.characterise import bands, codes, result
-from imuarray.importers import arrays, plausibility, resolution, table
+from imuarray.calibrate import gravity
+from imuarray.characterise import bands, codes, interpolation, rails, rate_changes, result
+from imuarray.importers import arrays, cells, guess, plausibility, resolution, sphere, table
 
 CHOSEN = {
     (plausibility, "WINDOW_S"): 0.5,
@@ -32,6 +33,17 @@ CHOSEN = {
     (arrays, "MOST_COLUMNS"): 64,
     (result, "HARMONICS"): 8,
     (result, "CHANCE"): 0.02,
+    (plausibility, "TURN_WINDOW_S"): 0.125,
+    (sphere, "SPANS_DIRECTIONS"): 0.1,
+    (sphere, "ON_SPHERE"): 0.03,
+    (guess, "_OPENED"): 0.25,
+    (cells, "MOST_RESTARTS"): 1000,
+    (rails, "TURNING"): 1 / 3,
+    (interpolation, "SCATTER"): 6.0,
+    (interpolation, "LEAST_SHARE"): 0.3,
+    (rate_changes, "PIECE_ROWS"): 64,
+    (rate_changes, "CHANGED"): 1.25,
+    (gravity, "FACE_COSINE"): 0.97,
     (bands, "RISES"): 1.35,
     (bands, "SLACK"): 1.08,
 }
