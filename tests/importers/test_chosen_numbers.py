@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.calibrate import gravity
-from imuarray.characterise import bands, codes, interpolation, rails, rate_changes, result
+from imuarray.characterise import bands, codes, interpolation, rate_changes, result
 from imuarray.importers import arrays, cells, guess, plausibility, resolution, sphere, table
 
 CHOSEN = {
@@ -38,7 +38,7 @@ CHOSEN = {
     (sphere, "ON_SPHERE"): 0.03,
     (guess, "_OPENED"): 0.25,
     (cells, "MOST_RESTARTS"): 1000,
-    (rails, "TURNING"): 1 / 3,
+    (codes, "TURNING"): 1 / 3,
     (interpolation, "SCATTER"): 6.0,
     (interpolation, "LEAST_SHARE"): 0.3,
     (rate_changes, "PIECE_ROWS"): 64,
