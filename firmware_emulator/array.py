@@ -21,7 +21,7 @@ from firmware_emulator.chips.mpu_queue import MpuFamily
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
 from firmware_emulator.element import stream
 from firmware_emulator.six_axis import SixAxis
-from firmware_emulator.spi import DIALECTS, ChipSelect, Port
+from firmware_emulator.spi import DIALECTS, ChipSelect, SpiPort
 from firmware_emulator.tolerances import typical
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
@@ -118,7 +118,7 @@ class EmulatedBus:
             raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
         return self.wires[bus]
 
-    def spi_port(self, path: str, mode: int, clock_hz: int) -> Port:
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
         """The chip select with this name; OSError, as for a missing device file, if it has no sensor."""
         if path not in self.selects:
             raise FileNotFoundError(2, "no emulated sensor on this chip select", path)

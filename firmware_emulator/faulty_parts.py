@@ -48,7 +48,7 @@ class Times:
         return self.begun(at_ns - self.length_ns)
 
 
-class Layout(NamedTuple):
+class ReadyLayout(NamedTuple):
     """The place of a chip's triad; which bits of which register, and of which bytes of the triad, say it is new."""
 
     first: int
@@ -59,16 +59,16 @@ class Layout(NamedTuple):
 
 LAYOUTS = MappingProxyType(
     {
-        "adxl345": Layout(0x32, 0x30, 0x80),  # ADX-27, ADX-50
-        "bma180": Layout(0x02, -1, 0, (0, 2, 4)),  # BMA-12, BMA-62
-        "l3g4200d": Layout(0x28, 0x27, 0x0F),  # L3G-44, L3G-52
-        **{chip: Layout(half.first.address, -1, 0) for chip, half in HALVES.items()},
-        "hmc5883": Layout(0x03, -1, 0),  # HMC-15
-        "hmc5883l": Layout(0x03, -1, 0),
-        "mmc5983": Layout(0x00, -1, 0),  # MMC-11
-        "ak8963": Layout(0x03, 0x02, 0x01),  # AKM-11, AKM-12
-        "ak8975": Layout(0x03, 0x02, 0x01),  # AKM-22, AKM-23
-        "lis3mdl": Layout(0x28, 0x27, 0x0F),  # LIS-12, LIS-14
+        "adxl345": ReadyLayout(0x32, 0x30, 0x80),  # ADX-27, ADX-50
+        "bma180": ReadyLayout(0x02, -1, 0, (0, 2, 4)),  # BMA-12, BMA-62
+        "l3g4200d": ReadyLayout(0x28, 0x27, 0x0F),  # L3G-44, L3G-52
+        **{chip: ReadyLayout(half.first.address, -1, 0) for chip, half in HALVES.items()},
+        "hmc5883": ReadyLayout(0x03, -1, 0),  # HMC-15
+        "hmc5883l": ReadyLayout(0x03, -1, 0),
+        "mmc5983": ReadyLayout(0x00, -1, 0),  # MMC-11
+        "ak8963": ReadyLayout(0x03, 0x02, 0x01),  # AKM-11, AKM-12
+        "ak8975": ReadyLayout(0x03, 0x02, 0x01),  # AKM-22, AKM-23
+        "lis3mdl": ReadyLayout(0x28, 0x27, 0x0F),  # LIS-12, LIS-14
     }
 )
 TRIAD = 6

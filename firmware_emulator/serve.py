@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Self
 
-from firmware_emulator.usbip import Conversation, Export, Identity, ProtocolError, Setup
+from firmware_emulator.usbip import Conversation, Export, ProtocolError, Setup, UsbIdentity
 from firmware_emulator.wire import Wire
 
 ECHO, GET_FUNCTIONALITY, SET_DELAY, GET_STATUS, I2C_IO = 0, 1, 2, 3, 4
@@ -38,7 +38,7 @@ FUNCTIONALITY = 0x0EFF0009
 
 DIRECTION_IN, KIND = 0x80, 0x60
 STANDARD, CLASS, VENDOR = 0x00, 0x20, 0x40
-IDENTITY = Identity(0x0403, 0xC631, 0x0201, (0xFF, 0, 0), (0xFF, 0, 0))
+IDENTITY = UsbIdentity(0x0403, 0xC631, 0x0201, (0xFF, 0, 0), (0xFF, 0, 0))
 DEVICE_DESCRIPTOR = struct.pack("<BBHBBBBHHHBBBB", 18, 1, 0x0110, 0xFF, 0, 0, 64, *IDENTITY[:3], 1, 2, 3, 1)
 CONFIGURATION_DESCRIPTOR = struct.pack("<BBHBBBBB", 9, 2, 18, 1, 1, 0, 0x80, 50)  # bus powered, 100 mA
 INTERFACE_DESCRIPTOR = bytes([9, 4, 0, 0, 0, 0xFF, 0, 0, 0])

@@ -50,7 +50,7 @@ def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
 
 
 @dataclass(frozen=True)
-class Pose:
+class RestPose:
     """The box at rest for `hold_s`; `up` is the unit vector upwards, box frame."""
 
     up: Triple
@@ -58,7 +58,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class TemperatureStretch:
     """`seconds` during which the temperature goes to `towards_degc` with a time constant."""
 
     seconds: float
@@ -67,7 +67,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Rocking:
     """A motion: from `start_s` to `end_s` the box is rocked by `angle_rad` about `axis`, and shaken along it by
     `peak_g`, both at `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`.
     Gravity is followed.
@@ -106,7 +106,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Vibration:
+class TableVibration:
     """The vibration of a table by a fridge or a fan: a line of `hz`, `peak_g` along and `peak_dps` about each axis as
     `direction` says. It runs for `share` of every `cycle_s`.
     """
@@ -130,13 +130,13 @@ class Room:
     degc: float = ROOM_DEGC
     drift_degc_per_s: float = 0.0
     draught_degc: float = 0.0
-    vibrations: tuple[Vibration, ...] = ()
+    vibrations: tuple[TableVibration, ...] = ()
     """Four at most."""
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Self:
         """The room of a table; ValueError for an unknown key."""
-        vibrations = [of_table(Vibration, entry) for entry in table.get("vibrations", ())]
+        vibrations = [of_table(TableVibration, entry) for entry in table.get("vibrations", ())]
         return cls(**{**table, "vibrations": tuple(vibrations)})
 
 
@@ -172,10 +172,10 @@ class Recorder:
 class Course:
     """A world: the box goes from pose to pose by turns of `turn_s`, is heated and moved, in a room of that seed."""
 
-    poses: tuple[Pose, ...]
+    poses: tuple[RestPose, ...]
     turn_s: float
-    stretches: tuple[Stretch, ...]
-    motions: tuple[Motion, ...]
+    stretches: tuple[TemperatureStretch, ...]
+    motions: tuple[Rocking, ...]
     room: Room
     seed: int
     phases: tuple[Phase, ...] = ()
@@ -298,10 +298,10 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
     ]
     try:
         course = Course(
-            tuple(of_table(Pose, entry) for entry in table["poses"]),
+            tuple(of_table(RestPose, entry) for entry in table["poses"]),
             float(table.get("turn_s", 2.0)),
-            tuple(of_table(Stretch, entry) for entry in table.get("stretches", ())),
-            tuple(of_table(Motion, entry) for entry in table.get("motions", ())),
+            tuple(of_table(TemperatureStretch, entry) for entry in table.get("stretches", ())),
+            tuple(of_table(Rocking, entry) for entry in table.get("motions", ())),
             room,
             seed,
             tuple(phases),

@@ -16,7 +16,7 @@ NEVER_NS = 1 << 62
 
 
 @dataclass
-class Grid:
+class SampleGrid:
     """The grid on which samples fall: at `start_ns` + n * `period_ns` for n from 1 on; `index` counts the latest from
     0.
     """

@@ -48,7 +48,7 @@ class Setup:
     length: int
 
 
-class Identity(NamedTuple):
+class UsbIdentity(NamedTuple):
     """An entry in a list of devices; class triplets are (class, subclass, protocol)."""
 
     vendor: int
@@ -61,7 +61,7 @@ class Identity(NamedTuple):
 class UsbDevice(Protocol):
     """A device with one configuration, one interface and endpoint 0."""
 
-    identity: Identity
+    identity: UsbIdentity
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
         """One control transfer: `data` is its data stage if that goes out, the answer if it comes in; None stalls."""

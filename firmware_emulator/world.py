@@ -217,7 +217,7 @@ class Tumble:
         )
 
 
-class Stretch(NamedTuple):
+class ProfileStretch(NamedTuple):
     """A part of a temperature profile: its phase's name, minutes, degC that it tends to, time constant in minutes."""
 
     name: str
@@ -226,10 +226,10 @@ class Stretch(NamedTuple):
     constant_min: float
 
 
-def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> Stretch:
+def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> ProfileStretch:
     """A stretch of heating at whose end exactly `degc` is reached."""
     remaining = math.exp(-minutes / constant_min)
-    return Stretch("heat", minutes, (degc - from_degc * remaining) / (1 - remaining), constant_min)
+    return ProfileStretch("heat", minutes, (degc - from_degc * remaining) / (1 - remaining), constant_min)
 
 
 COOLING_MIN = 20.0
@@ -238,11 +238,11 @@ PROFILE_START_DEGC = 24.0
 WARM_DEGC = 24.0 + (42.5 - 24.0) * math.exp(-5.0 / COOLING_MIN)
 """Temperature after five minutes of cooling from 42.5 degC."""
 PROFILE = (
-    Stretch("room", 5.0, PROFILE_START_DEGC, COOLING_MIN),
+    ProfileStretch("room", 5.0, PROFILE_START_DEGC, COOLING_MIN),
     heating_to(42.5, PROFILE_START_DEGC, 5.0, HEATING_MIN),
-    Stretch("cool", 5.0, 24.0, COOLING_MIN),
+    ProfileStretch("cool", 5.0, 24.0, COOLING_MIN),
     heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
-    Stretch("cool", 90.0, 25.0, COOLING_MIN),
+    ProfileStretch("cool", 90.0, 25.0, COOLING_MIN),
 )
 """Times and peaks of the paper's section 5.2.5, which ended a little warmer than it began. Time constants are ours."""
 

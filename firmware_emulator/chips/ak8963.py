@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import ClassVar
 
 from firmware_emulator.chips.akm_family import FAR_NS, SELF_TEST, SINGLE, AkmFamily
-from firmware_emulator.six_axis import Grid
+from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import ak8963 as facts
 
 SLOW, FAST = 0b0010, 0b0110  # AKM-13
@@ -35,7 +35,7 @@ class Ak8963(AkmFamily):
         """Reset values, powered down."""
         super().power_on(at_ns)
         self.page[facts.INFO.address] = 0x9A
-        self._grid = Grid()
+        self._grid = SampleGrid()
         self._once_ns = FAR_NS
         self._reading = False
 

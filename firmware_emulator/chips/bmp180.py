@@ -30,7 +30,7 @@ _CONTROL, _OUT, _RESET = facts.CTRL_MEAS.address, facts.OUT_MSB.address, facts.S
 STEPS_PER_DEGC = 160  # B5 is the temperature in sixteenths of 0.1 degC: BMP-60
 
 
-class Words(NamedTuple):
+class Bmp180Words(NamedTuple):
     """Calibration words of one part, signed as BMP-20 ... BMP-30 say; defaults: the data sheet's example."""
 
     AC1: int = 408
@@ -46,13 +46,13 @@ class Words(NamedTuple):
     MD: int = 2868
 
 
-def b5_of(words: Words, ut: int) -> int:
+def b5_of(words: Bmp180Words, ut: int) -> int:
     """BMP-60; ZeroDivisionError for a word far outside the sensor's range (BMP-66)."""
     x1 = (ut - words.AC6) * words.AC5 >> 15
     return x1 + words.MC * 2048 // (x1 + words.MD)
 
 
-def pressure_function(words: Words, b5: int, oss: int) -> tuple[int, Callable[[int], int]]:
+def pressure_function(words: Bmp180Words, b5: int, oss: int) -> tuple[int, Callable[[int], int]]:
     """The lowest word that makes sense, and the function from a word to Pa (BMP-61 ... BMP-63)."""
     b6 = b5 - 4000
     square = b6 * b6 >> 12
@@ -70,13 +70,13 @@ def pressure_function(words: Words, b5: int, oss: int) -> tuple[int, Callable[[i
     return max(0, b3), pressure
 
 
-def ut_of(words: Words, degc: float) -> int:
+def ut_of(words: Bmp180Words, degc: float) -> int:
     """UT at a temperature; 16 bits."""
     coldest = words.AC6 - words.MD * 32768 // words.AC5 + 2  # below, X1 + MD is no longer positive
     return nearest(lambda ut: b5_of(words, ut), max(0, coldest), 0xFFFF, degc * STEPS_PER_DEGC)
 
 
-def up_of(words: Words, ut: int, oss: int, pascal: float) -> int:
+def up_of(words: Bmp180Words, ut: int, oss: int, pascal: float) -> int:
     """UP at a pressure, for a part that is as warm as `ut` says; 16 + oss bits."""
     lowest, pressure = pressure_function(words, b5_of(words, ut), oss)
     return nearest(pressure, lowest, (1 << 16 + oss) - 1, pascal)
@@ -86,7 +86,7 @@ class Bmp180(BoschBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts
-    words = Words()
+    words = Bmp180Words()
     word_bytes: ClassVar[Sequence[int]] = (2,) * 11
     byte_order: ClassVar[Literal["little", "big"]] = "big"
 

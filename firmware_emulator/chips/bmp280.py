@@ -23,7 +23,7 @@ from imuarray.facts import bmp280 as facts
 BITS = 20
 
 
-class Words(NamedTuple):
+class Bmp280Words(NamedTuple):
     """Calibration words of one part, signed as BMP-103 says; defaults: the data sheet's example."""
 
     T1: int = 27504
@@ -40,13 +40,13 @@ class Words(NamedTuple):
     P9: int = 6000
 
 
-def fine_of(words: Words, adc: float) -> float:
+def fine_of(words: Bmp280Words, adc: float) -> float:
     """The temperature in 5120ths of a degC."""
     away = adc / 16384 - words.T1 / 1024
     return away * words.T2 + (away / 8) ** 2 * words.T3
 
 
-def pascal_of(words: Words, fine: float, adc: float) -> float:
+def pascal_of(words: Bmp280Words, fine: float, adc: float) -> float:
     """The pressure in Pa; inf for words far outside the sensor's range."""
     warm = fine / 2 - 64000
     offset = (warm * warm * words.P6 / 32768 + warm * words.P5 * 2) / 4 + words.P4 * 65536
@@ -57,12 +57,12 @@ def pascal_of(words: Words, fine: float, adc: float) -> float:
     return p + (words.P9 * p * p / 2147483648 + p * words.P8 / 32768 + words.P7) / 16
 
 
-def ut_of(words: Words, degc: float) -> int:
+def ut_of(words: Bmp280Words, degc: float) -> int:
     """UT at a temperature; 20 bits."""
     return nearest(lambda adc: fine_of(words, adc), 0, (1 << BITS) - 1, degc * 5120)
 
 
-def up_of(words: Words, ut: int, pascal: float) -> int:
+def up_of(words: Bmp280Words, ut: int, pascal: float) -> int:
     """UP at a pressure, for a part that is as warm as `ut` says; 20 bits."""
     fine = fine_of(words, ut)
     return nearest(lambda adc: -pascal_of(words, fine, adc), 0, (1 << BITS) - 1, -pascal)
@@ -82,7 +82,7 @@ class Bmp280(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts
-    words = Words()
+    words = Bmp280Words()
     word_bytes: ClassVar[Sequence[int]] = (2,) * 12
     control = _CONTROL
 

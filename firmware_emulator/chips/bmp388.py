@@ -23,7 +23,7 @@ from imuarray.facts import bmp388 as facts
 BITS = 24
 
 
-class Words(NamedTuple):
+class Bmp388Words(NamedTuple):
     """Calibration words of one part, signed as BMP-203 says; defaults: the example of BMP-220."""
 
     T1: int = 27427
@@ -42,13 +42,13 @@ class Words(NamedTuple):
     P11: int = -60
 
 
-def degc_of(words: Words, raw: float) -> float:
+def degc_of(words: Bmp388Words, raw: float) -> float:
     """The temperature in degC."""
     away = raw - words.T1 * 2.0**8
     return away * words.T2 / 2.0**30 + away * away * words.T3 / 2.0**48
 
 
-def pascal_of(words: Words, degc: float, raw: float) -> float:
+def pascal_of(words: Bmp388Words, degc: float, raw: float) -> float:
     """The pressure in Pa."""
     offset = words.P5 * 2.0**3 + (words.P6 / 2.0**6 + (words.P7 / 2.0**8 + words.P8 / 2.0**15 * degc) * degc) * degc
     slope = (words.P1 - 2.0**14) / 2.0**20 + (
@@ -58,12 +58,12 @@ def pascal_of(words: Words, degc: float, raw: float) -> float:
     return offset + (slope + (curve + words.P11 / 2.0**65 * raw) * raw) * raw
 
 
-def ut_of(words: Words, degc: float) -> int:
+def ut_of(words: Bmp388Words, degc: float) -> int:
     """UT at a temperature; 24 bits."""
     return nearest(lambda raw: degc_of(words, raw), 0, (1 << BITS) - 1, degc)
 
 
-def up_of(words: Words, ut: int, pascal: float) -> int:
+def up_of(words: Bmp388Words, ut: int, pascal: float) -> int:
     """UP at a pressure, for a part that is as warm as `ut` says; 24 bits."""
     degc = degc_of(words, ut)
     return nearest(lambda raw: -pascal_of(words, degc, raw), 0, (1 << BITS) - 1, -pascal)
@@ -81,7 +81,7 @@ class Bmp388(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts
-    words = Words()
+    words = Bmp388Words()
     word_bytes: ClassVar[Sequence[int]] = WORD_BYTES
     control = _POWER
 

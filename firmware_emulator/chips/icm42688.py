@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple, registers_of
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, Grid, SixAxis, clipped
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, SampleGrid, SixAxis, clipped
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register
@@ -52,7 +52,7 @@ class _Half:
     rate: Field
     startup_ns: int
     place: slice
-    grid: Grid
+    grid: SampleGrid
     zero_bits: int
     """The lowest bits that are always 0 of its 20 in packets of high resolution (TDK-89)."""
     valid_ns: int = NEVER_NS
@@ -93,8 +93,8 @@ class Icm42688(SixAxis):
         for register in (facts.XG_ST_DATA, facts.XA_ST_DATA):
             self.banks[register.bank][register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._halves = {  # start-up times: TDK-21
-            ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), Grid(), 2),
-            GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), Grid(), 1),
+            ACCELEROMETER: _Half(facts.ACCEL_MODE, facts.ACCEL_RATE, 20_000_000, slice(0x1F, 0x25), SampleGrid(), 2),
+            GYROSCOPE: _Half(facts.GYRO_MODE, facts.GYRO_RATE, 60_000_000, slice(0x25, 0x2B), SampleGrid(), 1),
         }
         self._flags = facts.INT_STATUS.reset
         self._clear_queue()

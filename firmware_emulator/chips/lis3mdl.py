@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from firmware_emulator.chip import Chip, Element
-from firmware_emulator.six_axis import Grid, clipped
+from firmware_emulator.six_axis import SampleGrid, clipped
 from imuarray.facts import lis3mdl as facts
 
 CONTINUOUS, SINGLE, DOWN, DOWN_TOO = range(4)  # LIS-12
@@ -44,7 +44,7 @@ class Lis3mdl(Chip):
         super().power_on(at_ns)
         self.page[facts.WHO_AM_I.address] = self._identity
         self._increment = False
-        self._grid = Grid()
+        self._grid = SampleGrid()
         self._settings = _Settings(DOWN, 0.0)
         self._held: dict[int, int] = {}
 

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import ClassVar
 
 from firmware_emulator.chip import Triple
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, Grid, SixAxis, clipped
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SampleGrid, SixAxis, clipped
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import lsm6dso as facts
 from imuarray.facts.registers import Field, Register
@@ -57,7 +57,7 @@ class _Half:
     rate: Field
     first: Register
     ready: Field
-    grid: Grid
+    grid: SampleGrid
 
 
 class Lsm6dso(SixAxis):
@@ -76,8 +76,8 @@ class Lsm6dso(SixAxis):
         """Both halves off, every register at its reset value (LSM-10)."""
         super().power_on(at_ns)
         self._halves = {
-            ACCELEROMETER: _Half(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY, Grid()),
-            GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, Grid()),
+            ACCELEROMETER: _Half(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY, SampleGrid()),
+            GYROSCOPE: _Half(facts.GYRO_RATE, facts.OUTX_L_G, facts.GYRO_READY, SampleGrid()),
         }
         self._held: dict[int, int] = {}
         self._timestamp_from_ns = at_ns

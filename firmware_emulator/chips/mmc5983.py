@@ -7,7 +7,7 @@ Not modelled: interrupts, the three-wire SPI, magnetisation by strong fields.
 from __future__ import annotations
 
 from firmware_emulator.chip import Chip, Element, Triple
-from firmware_emulator.six_axis import Grid
+from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import mmc5983 as facts
 
 FAR_NS = 1 << 62
@@ -48,7 +48,7 @@ class Mmc5983(Chip):
         self.page[_STATUS] = facts.OTP_READ_DONE.mask
         self._control = bytearray(4)
         self._sign = 1.0
-        self._grid = Grid()
+        self._grid = SampleGrid()
         self._field_ns = self._temperature_ns = FAR_NS
         self._ready_ns = at_ns + RESET_NS
 

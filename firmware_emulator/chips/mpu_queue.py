@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Target
-from firmware_emulator.six_axis import Grid, SixAxis
+from firmware_emulator.six_axis import SampleGrid, SixAxis
 from imuarray.facts import mpu6500 as facts
 
 SLOTS = 4
@@ -137,7 +137,7 @@ class MpuFamily(SixAxis):
         super().power_on(at_ns)
         self._queue.clear()
         self._last_byte = self._count = self._flags = 0
-        self._grid = Grid(period_ns=BASE_PERIOD_NS)
+        self._grid = SampleGrid(period_ns=BASE_PERIOD_NS)
         self._queued = -1
 
     def _convert(self, at_ns: int) -> None:

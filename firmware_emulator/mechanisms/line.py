@@ -1,7 +1,7 @@
 """The line between a chip's converter and the two wires: the output latch, the contacts, the cable.
 
-`Line` takes the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27, BMA-12,
-BMA-60, L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
+`ChipLine` takes the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27,
+BMA-12, BMA-60, L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Codes = tuple[int, int, int]
 WORDS = Struct("<3h")
 
 
-class Layout(NamedTuple):
+class TriadLayout(NamedTuple):
     """The place of a chip's triad: its first register, how far its codes are shifted up, and their width in bits."""
 
     first: int
@@ -27,7 +27,7 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = MappingProxyType(
-    {"adxl345": Layout(0x32, 0, 13), "bma180": Layout(0x02, 2, 14), "l3g4200d": Layout(0x28, 0, 16)}
+    {"adxl345": TriadLayout(0x32, 0, 13), "bma180": TriadLayout(0x02, 2, 14), "l3g4200d": TriadLayout(0x28, 0, 16)}
 )
 """Layouts by chip; inertial chips only."""
 
@@ -56,7 +56,7 @@ class Links:
         return not (self.latches or self.contacts or self.cables or self.resets)
 
 
-class Line:
+class ChipLine:
     """A chip of that `kind`, seen through `links`."""
 
     def __init__(self, chip: Chip, kind: str, links: Links, powered_on_ns: int = 0) -> None:

@@ -16,7 +16,7 @@ from firmware_emulator.clock import Clock
 from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit, stream
 from firmware_emulator.mechanisms.element import MountedElement
 from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
-from firmware_emulator.mechanisms.line import Line
+from firmware_emulator.mechanisms.line import ChipLine
 from firmware_emulator.mechanisms.site import INERTIAL, Site
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.tolerances import Spread, typical
@@ -259,7 +259,7 @@ class FittedBoard(Board):
         site = self._sites.get(sensor.name)
         if site is None or site.links.idle:
             return chip
-        return Line(chip, sensor.chip, site.links, self.powered_on_ns)
+        return ChipLine(chip, sensor.chip, site.links, self.powered_on_ns)
 
     def host_clock(self, clock: Clock) -> Clock:
         """The world's clock, or what the host takes for it."""

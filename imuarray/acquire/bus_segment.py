@@ -1,7 +1,7 @@
 """One segment of the bus (a multiplexer channel, or a separate bus): its adapter, its sensors, and its identity.
 
-`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one of
-its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
+`AdapterState` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one
+of its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
 answer in between are attributed to the bus and not to a sensor; the bus is then tried at growing intervals until
 something answers. An unplugged adapter ends every transaction with ENODEV and is looked for at a constant rate.
 
@@ -194,7 +194,7 @@ SLACK_NS = 1_000_000
 """A reading that took so much longer than its bits need was interrupted: its time is not known better than that."""
 
 
-class Adapter:
+class AdapterState:
     """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` are True while it hangs or is
     unplugged.
     """
@@ -349,7 +349,7 @@ class Polling:
     clock: Clock
     rate_hz: float
     faults: FaultEpisodes
-    lose: Callable[[Adapter, int], None]
+    lose: Callable[[AdapterState, int], None]
 
 
 class BusSegment:
@@ -359,7 +359,7 @@ class BusSegment:
         self,
         items: list[SampleBuffer],
         everybody: Sequence[SampleBuffer],
-        adapter: Adapter,
+        adapter: AdapterState,
         polling: Polling,
     ) -> None:
         self.items = items

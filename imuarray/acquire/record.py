@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment, ConfigurationReadback, Polling
+from imuarray.acquire.bus_segment import REMOVED, AdapterState, BusSegment, ConfigurationReadback, Polling
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.recording import RecordingOptions, Service, Summary
@@ -94,19 +94,19 @@ class Poll:
         """Group the sensors in the order of the configuration. The channels of one multiplexer, and its trunk, share an
         adapter; a separate bus has another.
         """
-        shared, everybody = Adapter(), list(self.buffers.values())
+        shared, everybody = AdapterState(), list(self.buffers.values())
         polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
         return [
             BusSegment(
                 [self.buffers[id(route)] for route in part],
                 everybody,
-                Adapter() if isinstance(part[0].segment, str) else shared,
+                AdapterState() if isinstance(part[0].segment, str) else shared,
                 polling,
             )
             for part in there_and_back(routes)[0]
         ]
 
-    def lose(self, adapter: Adapter, at_ns: int) -> None:
+    def lose(self, adapter: AdapterState, at_ns: int) -> None:
         """Configure the sensors behind a removed adapter once it is back."""
         for segment in self.orders[0]:
             if segment.adapter is adapter:

@@ -28,7 +28,7 @@ _NUMBER = re.compile(r"\b\d+\b")
 
 
 @dataclass(frozen=True)
-class Identity:
+class BusIdentity:
     """`device` is what the device says of itself, `part` which adapter or port of it, `place` where it is plugged in
     ("" for what can't be moved).
     """
@@ -42,7 +42,7 @@ class Identity:
         """The text for messages: "USB 0403:c631 serial A1 at port 1-1.2, interface 1.0"."""
         return f"{self.device}{f' at port {self.place}' if self.place else ''}{f', {self.part}' if self.part else ''}"
 
-    def elsewhere(self, other: Identity) -> bool:
+    def elsewhere(self, other: BusIdentity) -> bool:
         """Return whether the other could be this device, plugged into another port."""
         return (self.device, self.part) == (other.device, other.part)
 
@@ -55,7 +55,7 @@ class Entry:
 
     name: str
     mark: int
-    identity: Identity
+    identity: BusIdentity
 
 
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
@@ -99,7 +99,7 @@ def mark_of(devices: Path, name: str) -> int | None:
         return None
 
 
-def search(wanted: Identity, listed: Mapping[str, Entry], known: Mapping[str, int], *, alone: bool) -> str | None:
+def search(wanted: BusIdentity, listed: Mapping[str, Entry], known: Mapping[str, int], *, alone: bool) -> str | None:
     """The name under which a device that was removed is there again; None if it isn't.
 
     `known` are names and marks of the entries that were there without it. A device at another port is taken only if no
@@ -113,7 +113,7 @@ def search(wanted: Identity, listed: Mapping[str, Entry], known: Mapping[str, in
     return moved[0] if alone and len(moved) == 1 else None
 
 
-def is_alone(wanted: Identity, listed: Mapping[str, Entry]) -> bool:
+def is_alone(wanted: BusIdentity, listed: Mapping[str, Entry]) -> bool:
     """Return whether no other device among those listed says the same of itself."""
     return not any(entry.identity != wanted and entry.identity.elsewhere(wanted) for entry in listed.values())
 
@@ -129,7 +129,7 @@ def _number(name: str) -> int:
     return int(name.rpartition("-")[2])
 
 
-def _adapter_identity(devices: Path, name: str) -> Identity | None:
+def _adapter_identity(devices: Path, name: str) -> BusIdentity | None:
     try:
         real = (devices / name).resolve(strict=True)
     except (OSError, RuntimeError):
@@ -141,10 +141,10 @@ def _adapter_identity(devices: Path, name: str) -> Identity | None:
     usb = _usb_device(real)
     if usb is not None:
         return _usb_identity(usb, real, _NUMBER.sub("#", title))  # names have the USB device's number in them
-    return Identity(f"{title or 'adapter'} of {real.parent.name}", str(real.parent))
+    return BusIdentity(f"{title or 'adapter'} of {real.parent.name}", str(real.parent))
 
 
-def _channel_identity(devices: Path, real: Path, mux: Path) -> Identity | None:
+def _channel_identity(devices: Path, real: Path, mux: Path) -> BusIdentity | None:
     """The identity of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as 1-0070."""
     try:
         device = mux.resolve(strict=True)
@@ -164,7 +164,7 @@ def _usb_device(real: Path) -> Path | None:
     return next((folder for folder in real.parents if (folder / "idVendor").is_file()), None)
 
 
-def _usb_identity(usb: Path, real: Path, title: str) -> Identity:
+def _usb_identity(usb: Path, real: Path, title: str) -> BusIdentity:
     """`real` is the folder of an adapter or port, or of the device behind it, somewhere below the USB device's.
 
     Interfaces are named PORT:CONFIGURATION.INTERFACE (the kernel's USB documentation, sysfs); where one has several
@@ -180,7 +180,7 @@ def _usb_identity(usb: Path, real: Path, title: str) -> Identity:
         siblings = [path.name for path in _listed(real.parent) if _ADAPTER.fullmatch(path.name)]
         order = sorted(siblings, key=_number).index(real.name) if real.name in siblings else 0
         parts += [f"adapter {order}"] if order else []
-    return Identity(device, ", ".join(parts), usb.name)
+    return BusIdentity(device, ", ".join(parts), usb.name)
 
 
 def _text(path: Path) -> str:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.segments import Segments
+from imuarray.calibrate.segments import SegmentMeans
 from imuarray.calibrate.stability import Drift
 
 MOST_SEGMENTS = 512
@@ -45,7 +45,7 @@ _INTERVAL = 1.92
 _CONFIDENCE = 0.95
 
 
-def fit_drift(stretches: Sequence[Segments], width_s: float) -> Drift | None:
+def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None:
     """The drift of one sensor from the means over segments of `width_s` (times in s, counts (n, 3)) of its stretches
     at rest; None if the longest has fewer than 16 segments, or no axis scatters.
     """
@@ -53,12 +53,12 @@ def fit_drift(stretches: Sequence[Segments], width_s: float) -> Drift | None:
     spans = [float(part.time_s[-1] - part.time_s[0]) + width_s for part in stretches]
     if max(spans, default=0.0) < LEAST_SEGMENTS * width_s * _NEARLY:
         return None
-    levelled = [Segments(part.time_s, part.mean - part.mean.mean(axis=0)) for part in stretches]
+    levelled = [SegmentMeans(part.time_s, part.mean - part.mean.mean(axis=0)) for part in stretches]
     scale = np.concatenate([part.mean for part in levelled]).std(axis=0)
     moving = np.flatnonzero(scale > 0)
     if len(moving) == 0:
         return None
-    parts = [Segments(part.time_s, part.mean[:, moving] / scale[moving]) for part in levelled]
+    parts = [SegmentMeans(part.time_s, part.mean[:, moving] / scale[moving]) for part in levelled]
     times = np.geomspace(SHORTEST * width_s, max(spans), _TIMES)
     coarse = _likelihood(parts, width_s, times, _RATIOS[:, None])
     fine = _likelihood(parts, width_s, *coarse.about_maximum())
@@ -124,7 +124,7 @@ def _closer(values: Floats, profile: Floats) -> Floats:
     return np.geomspace(values[low], values[high], _FINE)
 
 
-def _likelihood(parts: Sequence[Segments], width_s: float, times: Floats, ratios: Floats) -> _Grid:
+def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ratios: Floats) -> _Grid:
     """The Kalman filter of a sampled process under white noise, all points of the grid at once; `ratios` (u, k), or
     (u, 1) for all axes, whose covariances are worked out once then.
 
@@ -156,7 +156,7 @@ class _Sums(NamedTuple):
     logs: Floats
 
 
-def _filtered(part: Segments, times: Floats, shared: Floats, noise: Floats) -> _Sums:
+def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _Sums:
     """One stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared

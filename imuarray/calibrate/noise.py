@@ -32,7 +32,7 @@ from imuarray.calibrate.pose_readings import (
     readings,
     runs_of,
 )
-from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
+from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
 from imuarray.calibrate.stability import Drift, NoiseLine, Thermal
 from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.lines import SpectralLine, find_lines
@@ -392,12 +392,12 @@ def _interval_s(sensor: SensorLog, rows: slice) -> float:
     return float((last - first) / (rows.stop - rows.start - 1)) * 1e-9
 
 
-def _means(pose: Pose, sensor: SensorLog, rows: slice, width_s: float, thermal: Thermal | None) -> Segments:
+def _means(pose: Pose, sensor: SensorLog, rows: slice, width_s: float, thermal: Thermal | None) -> SegmentMeans:
     """Means of a stretch, what follows its temperature taken out; none where it has no valid readings."""
     try:
         means = segment_means(sensor, width_s, within=rows)
     except CalibrationError:
-        return Segments(np.zeros(0), np.zeros((0, 3)))
+        return SegmentMeans(np.zeros(0), np.zeros((0, 3)))
     warm = None if thermal is None or pose.log is None else thermometer_of(pose.log, sensor, _THERMOMETER_S)
     if thermal is None or warm is None or (warm.kind == "relative") != (thermal.thermometer == "relative"):
         return means

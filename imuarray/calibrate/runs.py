@@ -27,7 +27,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats
 from imuarray.axes import up_vector
 from imuarray.calibrate.correlated import MeanVariance, mean_of_series
-from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
+from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -210,7 +210,7 @@ _RUN = re.compile(r"run (\d{1,6})")
 
 
 @dataclass(frozen=True)
-class Runs:
+class SensorRuns:
     """One sensor's runs: their numbers, mean counts (r, 3), temperatures (r,) in degC (None: not known) and the
     segments that the means are made of (none where only the means are known).
 
@@ -226,7 +226,7 @@ class Runs:
     numbers: tuple[int, ...]
     mean_lsb: Floats
     temperature_degc: Floats | None = None
-    segments: tuple[Segments, ...] = ()
+    segments: tuple[SegmentMeans, ...] = ()
     gravity_lsb: Floats = field(default_factory=lambda: np.zeros(3))
 
     def in_run(self, used: Sequence[int]) -> tuple[MeanVariance, ...]:
@@ -246,14 +246,14 @@ class Runs:
         return tuple(mean_of_series(column, gaps_s, starts) for column in values.T)
 
 
-def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
+def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
     """One sensor's runs: every phase called `run <k>`, or a whole log, numbered in their order, that has none.
 
     CalibrationError if the sensor was set otherwise in one of the logs, if two runs have one number, or if the box
     stood in different ways.
     """
     numbers: list[int] = []
-    segments: list[Segments | None] = []
+    segments: list[SegmentMeans | None] = []
     temperatures: list[float] = []
     kinds: set[str] = set()
     ups: set[str] = set()
@@ -276,7 +276,7 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
             f"{sensor.where}: runs with up {', '.join(map(repr, sorted(ups)))}: one pose is required"
         )
     means = [np.full(3, np.nan) if part is None else part.mean.mean(axis=0) for part in segments]
-    return Runs(
+    return SensorRuns(
         sensor.name,
         sensor.quantity,
         sensor.unit,
@@ -285,7 +285,7 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
         tuple(numbers),
         np.array(means),
         np.array(temperatures) if len(kinds - {""}) == 1 and "none" not in kinds else None,
-        tuple(Segments(np.zeros(0), np.zeros((0, 3))) if part is None else part for part in segments),
+        tuple(SegmentMeans(np.zeros(0), np.zeros((0, 3))) if part is None else part for part in segments),
         _gravity(sensor, "".join(ups), np.array(means)),
     )
 
@@ -311,7 +311,7 @@ def _rows(sensor: SensorLog, phase: Phase) -> slice:
     return sensor.between(phase.start_ns, phase.end_ns)
 
 
-def _segments(sensor: SensorLog, rows: slice) -> Segments | None:
+def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:
     """A run in some sixty parts; None if it has no sound reading."""
     if rows.stop <= rows.start:
         return None
@@ -322,7 +322,7 @@ def _segments(sensor: SensorLog, rows: slice) -> Segments | None:
         return None
 
 
-def _temperature(log: Log, sensor: SensorLog, run: Segments | None) -> tuple[str, float]:
+def _temperature(log: Log, sensor: SensorLog, run: SegmentMeans | None) -> tuple[str, float]:
     """Return the kind of thermometer, and the mean temperature over a run in degC; ("", nan) for a run without
     readings, ("none", nan) if nothing knows it.
     """

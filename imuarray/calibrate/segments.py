@@ -45,7 +45,7 @@ def has_zero(sensor: Described) -> bool:
 
 
 @dataclass(frozen=True)
-class Segments:
+class SegmentMeans:
     """Means of rows: mid times (n,) in s since the log's epoch, and means (n, k) over the rows of each segment."""
 
     time_s: Floats
@@ -87,7 +87,7 @@ class TemperatureSeries:
 
 def segment_means(
     sensor: SensorLog, width_s: float, left_out: Sequence[Phase] = (), within: slice | None = None
-) -> Segments:
+) -> SegmentMeans:
     """Mean counts (n, k) of a sensor over segments of `width_s` (longer where there were more than 20000 of them), of
     all rows or of the rows `within`.
 
@@ -113,7 +113,7 @@ def _means(
     width_s: float,
     where: str,
     rows: slice,
-) -> Segments:
+) -> SegmentMeans:
     """Means of columns of values over segments of some rows."""
     if rows.stop <= rows.start:
         raise CalibrationError(f"{where}: no readings")
@@ -140,7 +140,7 @@ def _means(
     if not number.any():
         raise CalibrationError(f"{where}: no valid readings")
     full = number >= _FULL * np.median(number[number > 0])
-    return Segments((begin + moments[full] / number[full]) * 1e-9, sums[full] / number[full, None])
+    return SegmentMeans((begin + moments[full] / number[full]) * 1e-9, sums[full] / number[full, None])
 
 
 def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSeries | None:

@@ -45,7 +45,7 @@ from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
-from imuarray.calibrate.segments import Segments, TemperatureSeries, segment_means, thermometer_of
+from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
@@ -191,7 +191,7 @@ class AxesFit:
     lag_interval_s: Floats
 
 
-def fit_axes(segments: Segments, thermometer: TemperatureSeries, reference_degc: float) -> AxesFit:
+def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_degc: float) -> AxesFit:
     """Fit the segment means (n, 3) of one sensor; n of 20 at least."""
     span_s = float(segments.time_s[-1] - segments.time_s[0])
     shortest_s = float(np.median(np.diff(segments.time_s))) / 2

@@ -24,7 +24,7 @@ from imuarray.calibrate.runs import (
     SIGNIFICANT,
     BootFault,
     Ranges,
-    Runs,
+    SensorRuns,
     explained_range,
     read_runs,
     run_stretches,
@@ -66,7 +66,7 @@ class TurnOnResult:
     probability of as good a split by chance; where it is not below 0.01, shared by all sensors, there is one state.
     """
 
-    runs: Runs
+    runs: SensorRuns
     apart: tuple[BootFault, ...]
     states: tuple[BiasState, ...]
     p_states: float
@@ -162,7 +162,7 @@ def _refuse_moving(logs: Sequence[Log]) -> None:
 
 
 def compare_runs(
-    runs: Runs, ranges: Mapping[float, float] = _NONE, seed: int = 1, significant: float = SIGNIFICANT
+    runs: SensorRuns, ranges: Mapping[float, float] = _NONE, seed: int = 1, significant: float = SIGNIFICANT
 ) -> TurnOnResult:
     """One sensor's runs (see the head of this file); CalibrationError if fewer than three are left.
 
@@ -213,7 +213,7 @@ def holm(p_values: npt.ArrayLike) -> Floats:
     return allowed
 
 
-def _faults(runs: Runs, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
+def _faults(runs: SensorRuns, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
     """The runs that came up wrong: without a sound reading, in another range, or far from all others."""
     read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
     if not read.any():

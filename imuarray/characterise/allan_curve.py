@@ -317,7 +317,7 @@ _FLOOR_FREEDOM = 5.0
 
 
 @dataclass(frozen=True)
-class WhiteNoise:
+class WhiteNoiseEstimate:
     """`density` N in unit / sqrt(Hz), two-sided, and the taus between which it was read off."""
 
     density: float
@@ -341,7 +341,7 @@ class Floor:
 
 def white_noise(
     tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]
-) -> WhiteNoise | None:
+) -> WhiteNoiseEstimate | None:
     """White noise from the shortest three octaves of one curve (t,) that slope by -1/2; None if no sure ones do."""
     if deviation.min() <= 0:
         return None
@@ -350,7 +350,7 @@ def white_noise(
         for part in parts:
             if _excess(tau_s[part], deviation[part], float(freedom[part][-1])) <= tolerance:
                 density = float(np.exp(np.mean(np.log(deviation[part] * np.sqrt(tau_s[part])))))
-                return WhiteNoise(density, float(tau_s[part][0]), float(tau_s[part][-1]))
+                return WhiteNoiseEstimate(density, float(tau_s[part][0]), float(tau_s[part][-1]))
     return None
 
 

@@ -370,7 +370,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class NoiseTerm:
     """One term of the fit: `value` with the ends of its interval in `unit`, which has seconds beside the series' unit.
 
     A term that is not `significant` has the value 0 and the interval from 0 to what could have been missed.
@@ -393,7 +393,7 @@ class NoiseFit:
     the factor `worst_ratio`. `verdict` is empty for a good fit.
     """
 
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[NoiseTerm, ...]
     p_value: float
     misfit: float
     freedom: int
@@ -403,7 +403,7 @@ class NoiseFit:
     worst_tau_s: float
     verdict: str
 
-    def __getitem__(self, term: Term) -> Coefficient:
+    def __getitem__(self, term: Term) -> NoiseTerm:
         """The coefficient of one term; KeyError."""
         return {item.term: item for item in self.coefficients}[term]
 
@@ -456,7 +456,7 @@ def _points(curve: AllanCurve, column: int, shortest_s: float) -> npt.NDArray[np
 
 def _coefficient(
     estimate: AllanEstimate, term: int, included: Sequence[int], wanted: Sequence[int], unit: str, confidence: float
-) -> Coefficient:
+) -> NoiseTerm:
     """Value and interval of one term in its unit.
 
     It comes from the fit with the terms that are needed (and this one) and from that with all of them, so that it
@@ -474,11 +474,11 @@ def _coefficient(
     squares = (values[0], low, high) if significant else (0.0, 0.0, high)
     scale = estimate.size * estimate.interval_s ** _POWERS[name]
     value, low, high = (float(np.sqrt(square)) * scale for square in squares)
-    return Coefficient(name, value, low, high, UNITS[name].format(unit=unit), significant)
+    return NoiseTerm(name, value, low, high, UNITS[name].format(unit=unit), significant)
 
 
 def _assess(
-    estimate: AllanEstimate, solution: AllanSolution, count: int, coefficients: tuple[Coefficient, ...]
+    estimate: AllanEstimate, solution: AllanSolution, count: int, coefficients: tuple[NoiseTerm, ...]
 ) -> NoiseFit:
     """The fit with its tail probability and the verdict."""
     from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
@@ -503,7 +503,7 @@ def _assess(
     )
 
 
-def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[Coefficient]) -> str:
+def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[NoiseTerm]) -> str:
     """Describe what is wrong with the fit; empty if nothing is."""
     if not p_value <= BAD:
         return ""

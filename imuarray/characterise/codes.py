@@ -85,7 +85,7 @@ def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
 
 
 @dataclass(frozen=True)
-class MissingCodes:
+class CodeGap:
     """Integers `first` to `last` on the usual grid never came, though the ones before and after did.
 
     `p_value`: the chance of that anywhere in the histogram, at most, if the density has one top: then each of the m
@@ -135,7 +135,7 @@ class CodeDensity:
     step: int
     usual_step: int
     missing_codes: int
-    missing: tuple[MissingCodes, ...]
+    missing: tuple[CodeGap, ...]
     low_end: End
     high_end: End
     span_share: float
@@ -194,7 +194,7 @@ def _step(codes: Integers) -> int:
     return int(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 0
 
 
-def _missing(seen: Histogram, step: int) -> tuple[tuple[MissingCodes, ...], int]:
+def _missing(seen: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
     """The most improbable gaps, and how many codes are missing in all."""
     codes, counts = _on_grid(seen, step)
     if len(codes) < 2:
@@ -203,7 +203,7 @@ def _missing(seen: Histogram, step: int) -> tuple[tuple[MissingCodes, ...], int]
     rarer = np.minimum(counts[:-1], counts[1:])
     p_value = np.minimum(1.0, len(absent) * (1.0 + absent) ** -rarer.astype(np.float64))
     listed = [at for at in np.argsort(p_value, kind="stable")[:LISTED].tolist() if absent[at]]
-    gaps = [MissingCodes(int(codes[at]) + step, int(codes[at + 1]) - step, float(p_value[at])) for at in listed]
+    gaps = [CodeGap(int(codes[at]) + step, int(codes[at + 1]) - step, float(p_value[at])) for at in listed]
     return tuple(gaps), int(absent.sum())
 
 

@@ -4,8 +4,8 @@ Rows are cut into runs wherever one doesn't continue the one before: at a gap, w
 was set up again or is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats never reach across a
 cut.
 
-Sampling times (`Intervals`) are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval (1 ns
-at least) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper
+Sampling times (`SamplingIntervals`) are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval
+(1 ns at least) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper
 quartile is about the median, but for alternating intervals the longer of the two, however short the other is.
 
 Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
@@ -61,7 +61,7 @@ class RowGap(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Intervals:
+class SamplingIntervals:
     """Times of `rows` rows; nan with too few of them.
 
     `median_s`; `mean_s` of the intervals that are no gaps. `alternation_s` is a if intervals are mean - a and mean + a
@@ -113,11 +113,11 @@ class IntervalTally:
         if self._typical or sum(map(len, self._waiting)) >= _TYPICAL:
             self._count()
 
-    def result(self) -> Intervals:
+    def result(self) -> SamplingIntervals:
         """Return the statistics of all times so far."""
         self._count()
         if not self._counts.any():
-            return Intervals(self._rows, nan, nan, nan, nan, nan, 0, 0.0, ())
+            return SamplingIntervals(self._rows, nan, nan, nan, nan, nan, 0, 0.0, ())
         values = np.asarray(np.arange(_BINS + 1) * float(self._bin_ns) + (self._bin_ns - 1) / 2, np.float64)
         median = _quantile(values, self._counts, 0.5)
         limit = GAP * _quantile(values, self._counts, _QUARTILE)
@@ -133,7 +133,7 @@ class IntervalTally:
         jitter = sqrt(max(variance - square, 0.0))
         longest = tuple(gap for gap in self._longest if gap.length_s * 1e9 > limit)
         seconds = (median * 1e-9, mean * 1e-9, sqrt(square) * 1e-9, jitter * 1e-9, robust * 1e-9)
-        return Intervals(self._rows, *seconds, int(self._counts[is_gap].sum()), gaps_ns * 1e-9, longest)
+        return SamplingIntervals(self._rows, *seconds, int(self._counts[is_gap].sum()), gaps_ns * 1e-9, longest)
 
     def _name(self, intervals: Times, times: Times, first_row: int) -> None:
         """Keeps the longest intervals with their places."""
@@ -209,7 +209,7 @@ class Survey:
     spectrum: Spectrum
     correlation: Autocorrelation
     histograms: tuple[Histogram, ...]
-    intervals: Intervals
+    intervals: SamplingIntervals
     repeats: Repeats
     curve: AllanCurve | None
     estimator: Estimator

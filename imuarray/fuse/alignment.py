@@ -110,7 +110,7 @@ _TIE = 0.001
 
 
 @dataclass(frozen=True)
-class Grid:
+class FrameGrid:
     """`order`: the sensors (numbers) whose times make the grid, the best first; `period_ns` of a frame."""
 
     order: tuple[int, ...]
@@ -144,7 +144,7 @@ class Grid:
         return np.concatenate([more[:0], *(more[start:stop] for start, stop in zip(first, last, strict=True))])
 
 
-def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> Grid:
+def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> FrameGrid:
     """The grid that costs least, by the `first` rows (at most `FIRST_ROWS` of each sensor); FusionError if there are
     too few.
 
@@ -159,7 +159,7 @@ def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Seque
     regular = [number for number in enough if abs(periods[number] - usual) <= _ALIKE * usual]
     delays = {number: _delay(first[number], first, groups, usual) for number in regular}
     best = sorted(regular, key=lambda number: (round(delays[number] / _TIE), number))
-    return Grid(tuple(best), periods[best[0]])
+    return FrameGrid(tuple(best), periods[best[0]])
 
 
 def _period_ns(time: Times) -> float:

@@ -30,7 +30,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, AlignedSensor, Grid, RowWindow, align, choose
+from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, AlignedSensor, FrameGrid, RowWindow, align, choose
 from imuarray.fuse.element_temperature import TemperatureSources
 from imuarray.fuse.frames import Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import ConstantGain, consensus, frame_gains
@@ -231,7 +231,7 @@ class FusionStream(Generic[Out]):
         self._timeout_ns = timeout_s * 1e9
         self._tell = tell
         self._silent: set[str] = set()
-        self._grid: Grid | None = None
+        self._grid: FrameGrid | None = None
         self._asleep_until_ns = -FOREVER_NS
         """Nothing can be complete before rows are known up to here."""
         self._times: Times = np.zeros(0, np.int64)
@@ -320,7 +320,7 @@ class FusionStream(Generic[Out]):
                 known_ns = min(known_ns, newest_ns if late else reached_ns)
         return known_ns
 
-    def _choice(self, known_ns: int) -> Grid | None:
+    def _choice(self, known_ns: int) -> FrameGrid | None:
         """The grid, once the first rows of all sensors that are waited for are there."""
         blocks = [self._rows[name].block for name in self._names]
         first = [np.zeros(0, np.int64) if block is None else block.time[:FIRST_ROWS] for block in blocks]
@@ -332,7 +332,7 @@ class FusionStream(Generic[Out]):
             return None
         return choose(first, [group.numbers for group in self._groups.values()], self._where)
 
-    def _extend(self, grid: Grid, known_ns: int) -> None:
+    def _extend(self, grid: FrameGrid, known_ns: int) -> None:
         """Frames whose times have become certain."""
         blocks = [self._rows[name].block for name in self._names]
         times = grid.times([np.zeros(0, np.int64) if block is None else block.time for block in blocks])
@@ -347,7 +347,7 @@ class FusionStream(Generic[Out]):
             self._direct = direct_combinations(pipeline.techniques, units)
         return pipeline
 
-    def _fused(self, pipeline: Pipeline[Out], grid: Grid, wanted: slice) -> Iterator[Out]:
+    def _fused(self, pipeline: Pipeline[Out], grid: FrameGrid, wanted: slice) -> Iterator[Out]:
         """The frames of the times `wanted`, by the short way if it leads there."""
         if self._direct and isinstance(pipeline, ByQuantity):
             time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
@@ -362,7 +362,7 @@ class FusionStream(Generic[Out]):
                 return
         yield from pipeline(*self._frames(grid, wanted))
 
-    def _frames(self, grid: Grid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
+    def _frames(self, grid: FrameGrid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
         """Frames by quantity, and temperatures by sensor, of the times `wanted`."""
         first = max(0, wanted.start - MARGIN)
         around = self._times[first : wanted.stop + MARGIN]

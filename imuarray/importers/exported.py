@@ -21,7 +21,15 @@ from imuarray.errors import LogError, SourceError
 from imuarray.importers import ImportSummary
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, Preamble, SensorHeader
-from imuarray.log.layout import COMPENSATED_UNITS, STIMULI, TRACK_COLUMNS, TRACK_UNITS, Columns, Group, sensor_group
+from imuarray.log.layout import (
+    COMPENSATED_UNITS,
+    STIMULI,
+    TRACK_COLUMNS,
+    TRACK_UNITS,
+    ColumnGroup,
+    Columns,
+    sensor_group,
+)
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
 
@@ -34,7 +42,7 @@ MAX_HEADER_BYTES = 1 << 26
 _FIELDS = tuple(field.name for field in fields(SensorHeader))
 _NOT_READABLE = (ValueError, TypeError, AttributeError, KeyError, RecursionError)
 
-Read = Callable[[Group, tuple[str, ...]], Iterator[Columns]]
+Read = Callable[[ColumnGroup, tuple[str, ...]], Iterator[Columns]]
 """Reads the rows of a group in blocks; the names are those of the cells of tables with several columns."""
 
 
@@ -145,7 +153,7 @@ def write_log(
                     span.add(columns["time"])
             for name in head.groups:
                 there = tuple(column for column in TRACK_COLUMNS[name] if column[0] in head.groups[name])
-                for columns in read(Group(name, there), ("x", "y", "z")):
+                for columns in read(ColumnGroup(name, there), ("x", "y", "z")):
                     _append_beside(log, name, columns)
             for phase in phases:
                 log.phase(phase)

@@ -29,7 +29,7 @@ from imuarray.importers.exported import (
     write_log,
 )
 from imuarray.importers.mapping import FileTable
-from imuarray.log.layout import Columns, Group
+from imuarray.log.layout import ColumnGroup, Columns
 from imuarray.log.untrusted_input import MAX_TEXT_BYTES
 from imuarray.printable import printable
 
@@ -154,7 +154,7 @@ class _Tables:
             raise
         return file, 2
 
-    def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
+    def rows(self, group: ColumnGroup, cells: tuple[str, ...]) -> Iterator[Columns]:
         """Yield the rows of a group in blocks; SourceError."""
         if group.path not in self._files:
             raise SourceError(f"{self._path}: holds no {group.path}")
@@ -183,7 +183,7 @@ def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str
 
 
 def _columns(
-    group: Group, block: CellBlock, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
+    group: ColumnGroup, block: CellBlock, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return a block of rows as numbers."""
     columns: dict[str, npt.NDArray[Any]] = {}

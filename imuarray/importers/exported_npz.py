@@ -24,7 +24,7 @@ from imuarray.export.formats import NPZ_HEADER
 from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, parse_header, read_notes, write_log
 from imuarray.log.inspection import MOST_DEFLATED
-from imuarray.log.layout import Columns, Group
+from imuarray.log.layout import ColumnGroup, Columns
 from imuarray.printable import printable
 
 MAX_MEMBERS = 4096
@@ -115,7 +115,7 @@ class _Arrays:
             raise SourceError(f"{self._where}: array {printable(name)[:80]}: {printable(str(error))[:100]}") from None
         return dtype, shape
 
-    def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
+    def rows(self, group: ColumnGroup, cells: tuple[str, ...]) -> Iterator[Columns]:
         """Yield the rows of a group in blocks, from all its arrays in parallel; SourceError."""
         del cells
         with ExitStack() as stack:

@@ -24,7 +24,7 @@ from imuarray.importers.exported import (
     read_notes,
     write_log,
 )
-from imuarray.log.layout import Columns, Group
+from imuarray.log.layout import ColumnGroup, Columns
 from imuarray.printable import printable
 
 _ROWS = 1 << 16
@@ -69,7 +69,7 @@ def import_file(
     phases = _texts(files["phases"], _PHASES) if "phases" in files else []
     events = _texts(files["events"], _EVENTS) if "events" in files else []
 
-    def read(group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
+    def read(group: ColumnGroup, cells: tuple[str, ...]) -> Iterator[Columns]:
         yield from _rows(files[group.path], group, cells, head.preamble.epoch)
 
     return write_log(head, read, read_notes(phases, events, str(path)), output, str(path), force=force)
@@ -108,7 +108,7 @@ def _texts(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
     return [list(row) for row in zip(*(columns[name] for name in names), strict=True)]
 
 
-def _rows(path: Path, group: Group, cells: tuple[str, ...], epoch: str) -> Iterator[Columns]:
+def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) -> Iterator[Columns]:
     """Yield the rows of a group in blocks; SourceError."""
     import pyarrow
 

@@ -229,7 +229,7 @@ class OwnThermometer(LogColumn, ThermometerTable):
     column: Column
 
 
-class Barometer(LogColumn):
+class BarometerTable(LogColumn):
     """`[[barometer]]`: a column of air pressures."""
 
     chip: str = "barometer"
@@ -392,7 +392,7 @@ class TableMap(BaseModel):
     time: TimeTable | None = None
     sensor: list[SensorTable] = []
     thermometer: list[OwnThermometer] = []
-    barometer: list[Barometer] = []
+    barometer: list[BarometerTable] = []
     reference: ReferenceTable | None = None
     phase: list[PhaseTable] = []
 
@@ -440,7 +440,7 @@ def columns_of(item: RowSettings) -> Iterator[str | int]:
         yield from item.columns
         if item.temperature_column is not None:
             yield item.temperature_column
-    elif isinstance(item, OwnThermometer | Barometer):
+    elif isinstance(item, OwnThermometer | BarometerTable):
         yield item.column
     elif isinstance(item, ReferenceTable):
         for triad in (item.specific_force, item.angular_rate):

@@ -30,7 +30,7 @@ from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
     PA_PER_UNIT,
     ZERO_OF_UNIT,
-    Barometer,
+    BarometerTable,
     LogColumn,
     OwnThermometer,
     PhaseTable,
@@ -216,7 +216,7 @@ def _thermometer_header(item: OwnThermometer) -> SensorHeader:
     )
 
 
-def _barometer_header(item: Barometer) -> SensorHeader:
+def _barometer_header(item: BarometerTable) -> SensorHeader:
     return SensorHeader(
         name=item.name,
         chip=item.chip,
@@ -328,7 +328,7 @@ class _Stream:
                 self._add_triad(item, cells, time)
             elif isinstance(item, OwnThermometer):
                 self._add_degrees(item, cells, time)
-            elif isinstance(item, Barometer):
+            elif isinstance(item, BarometerTable):
                 self._add_pressures(item, cells, time)
             elif isinstance(item, ReferenceTable):
                 self._add_reference(item, cells, time)
@@ -409,7 +409,7 @@ class _Stream:
         self.log.append(item.name, Block(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
         self.rows_of[item.name] += len(degrees)
 
-    def _add_pressures(self, item: Barometer, cells: dict[Reference, CellColumn], time: Times) -> None:
+    def _add_pressures(self, item: BarometerTable, cells: dict[Reference, CellColumn], time: Times) -> None:
         """Write pressures, and as counts the same in whole pascals."""
         kept = ~cells[item.column].blank()
         pressure = numbers(cells[item.column].where(kept)) * PA_PER_UNIT[item.unit]

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from imuarray.arrays import Integers
 from imuarray.errors import LogError
 from imuarray.log.journal import JournalReader, Mark
-from imuarray.log.layout import NOTES, Columns, Group
+from imuarray.log.layout import NOTES, ColumnGroup, Columns
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.printable import counted
 
@@ -49,7 +49,7 @@ class Commit(NamedTuple):
     rows: tuple[int, ...]
 
 
-def width(groups: Sequence[Group]) -> int:
+def width(groups: Sequence[ColumnGroup]) -> int:
     """Columns of the table."""
     return _FIXED + len(groups) + 1
 
@@ -60,7 +60,7 @@ def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> Integers
     return np.append(words, _own_crc(words, identity))
 
 
-def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[Group]) -> list[Commit]:
+def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[ColumnGroup]) -> list[Commit]:
     """Return the undamaged commits of the log with this identity, in order."""
     commits: list[Commit] = []
     if table.ndim != 2 or table.shape[1] != width(groups) or table.dtype != np.dtype("<i8"):
@@ -84,7 +84,7 @@ def _own_crc(words: Integers, identity: str) -> int:
     return zlib.crc32(words.tobytes(), zlib.crc32(identity.encode()))
 
 
-def block_crc(groups: Sequence[Group], stretches: Mapping[int, Mapping[str, npt.NDArray[Any]]]) -> int:
+def block_crc(groups: Sequence[ColumnGroup], stretches: Mapping[int, Mapping[str, npt.NDArray[Any]]]) -> int:
     """The CRC of rows of several groups, by number."""
     crc = 0
     for number in sorted(stretches):
@@ -105,7 +105,7 @@ class CommittedRows:
     """The rows of an unfinished HDF5 file; `rows` is their number in each group."""
 
     def __init__(
-        self, file: h5py.File, groups: Sequence[Group], commits: Sequence[Commit], journal: JournalReader | None
+        self, file: h5py.File, groups: Sequence[ColumnGroup], commits: Sequence[Commit], journal: JournalReader | None
     ) -> None:
         """`journal` holds the same rows, if there is one; it must stay open as long as this object is used."""
         self._file, self._groups, self._commits, self._journal = file, groups, commits, journal

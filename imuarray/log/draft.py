@@ -25,8 +25,8 @@ from imuarray.log.layout import (
     NOTES,
     STIMULI,
     TRACK_COLUMNS,
+    ColumnGroup,
     Columns,
-    Group,
     Notes,
     attach_scales,
     create_sensor,
@@ -152,7 +152,7 @@ class Draft:
             with write_errors(self.path):
                 self._write_rows(self.groups[number], number, count)
 
-    def _write_rows(self, group: Group, number: int, count: int) -> None:
+    def _write_rows(self, group: ColumnGroup, number: int, count: int) -> None:
         if group.path in TRACK_COLUMNS and group.path not in self.file:
             self._room.ask(_EMPTY_BYTES)
             create_track(self.file, group.path, self._epoch, self._chunk, COMPRESSED)
@@ -185,7 +185,7 @@ class Draft:
     def stretches(self, number: int) -> Sequence[Columns]:
         """Yield the rows of a group so far, read back in blocks."""
         self.flush()
-        group: Group = self.groups[number]
+        group: ColumnGroup = self.groups[number]
         if self._rows[number] == 0:
             return []
         return [{name: np.asarray(self.file[group.path][name][:]) for name, _, _ in group.columns}]

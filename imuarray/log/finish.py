@@ -18,7 +18,7 @@ from imuarray.log.disk_space import reserve_of, sync_folder, unwritable
 from imuarray.log.draft import Draft, sweep
 from imuarray.log.format import Event
 from imuarray.log.journal import JournalLock, JournalReader, journal_of
-from imuarray.log.layout import NOTES, TRACK_COLUMNS, Group, Notes, groups_of
+from imuarray.log.layout import NOTES, TRACK_COLUMNS, ColumnGroup, Notes, groups_of
 from imuarray.log.reader import Log
 
 _ROWS = 1 << 16
@@ -157,7 +157,7 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tup
         draft.discard()
 
 
-def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
+def _columns(log: Log, group: ColumnGroup) -> Mapping[str, Any] | None:
     """Return the stored columns of a group; None if the log has no such group."""
     if group.path in TRACK_COLUMNS:
         track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
@@ -168,7 +168,7 @@ def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
     return {name: own[name] if name in own else sensor.compensated(name) for name, _, _ in group.columns}
 
 
-def _stretches(log: Log, group: Group) -> Iterator[dict[str, Any]]:
+def _stretches(log: Log, group: ColumnGroup) -> Iterator[dict[str, Any]]:
     """Yield the rows of a group in large blocks."""
     columns = None if group.path == NOTES else _columns(log, group)
     if columns is None:
@@ -177,7 +177,7 @@ def _stretches(log: Log, group: Group) -> Iterator[dict[str, Any]]:
         yield {name: np.asarray(column[start : start + _ROWS]) for name, column in columns.items()}
 
 
-def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event, ...]) -> None:
+def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[Event, ...]) -> None:
     """Raise LogError unless the copy holds, bit by bit, the contents of the log and the events `added`."""
     for group in groups:
         for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):

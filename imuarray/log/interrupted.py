@@ -32,8 +32,8 @@ from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.layout import (
     NOTES,
     TRACK_COLUMNS,
+    ColumnGroup,
     Columns,
-    Group,
     Notes,
     groups_of,
     log_attributes,
@@ -100,7 +100,7 @@ class _Content(NamedTuple):
     losses: tuple[str, ...]
 
 
-def _column(committed: CommittedRows, number: int, group: Group, name: str, tail: npt.NDArray[Any]) -> Column:
+def _column(committed: CommittedRows, number: int, group: ColumnGroup, name: str, tail: npt.NDArray[Any]) -> Column:
     stored = partial(committed.read, number, name)
     return Column(f"/{group.path}/{name}", tail, committed.rows[number], stored)
 
@@ -274,7 +274,7 @@ def _content(
     return _Content(preamble, committed, tail, tuple(losses))
 
 
-def _newest_ns(groups: tuple[Group, ...], committed: CommittedRows) -> Mapping[int, int]:
+def _newest_ns(groups: tuple[ColumnGroup, ...], committed: CommittedRows) -> Mapping[int, int]:
     """Return the last times of the sensors that have rows, by number."""
     counted = enumerate(zip(groups, committed.rows, strict=True))
     sensors = ((number, rows) for number, (group, rows) in counted if rows and group.path.startswith(_SENSORS))

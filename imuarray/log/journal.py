@@ -27,7 +27,7 @@ import numpy as np
 from imuarray.arrays import Integers
 from imuarray.errors import LogBusyError, LogError
 from imuarray.log.format import Preamble
-from imuarray.log.layout import Columns, Group, groups_of
+from imuarray.log.layout import ColumnGroup, Columns, groups_of
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
 
 if sys.platform != "win32":  # logs are read there, not recorded
@@ -219,7 +219,7 @@ class JournalReader:
         except BaseException:
             self._file.close()
             raise
-        self.groups: tuple[Group, ...] = groups_of(self.preamble.sensors)
+        self.groups: tuple[ColumnGroup, ...] = groups_of(self.preamble.sensors)
         self.damage: list[str] = []
         """The stretches that `records` left out."""
         own = tag_of(self.preamble.identity)

@@ -46,7 +46,7 @@ _TEXT = "text"
 
 
 @dataclass(frozen=True)
-class Group:
+class ColumnGroup:
     """A group of equally long columns; each is (name, little-endian type, shape of a row)."""
 
     path: str
@@ -118,7 +118,7 @@ COMPENSATED_UNITS: Mapping[str, str] = MappingProxyType(
 """The units of the columns of a sensor that `SensorHeader.compensated` names."""
 
 
-def sensor_group(header: SensorHeader) -> Group:
+def sensor_group(header: SensorHeader) -> ColumnGroup:
     """The columns of `/sensors/<NAME>`."""
     width = (len(header.columns),)
     counts = "<i2" if header.columns == ("x", "y", "z") and header.count_bits <= 16 else "<i4"
@@ -126,13 +126,13 @@ def sensor_group(header: SensorHeader) -> Group:
     if header.has_temperature:
         columns += (("temperature_counts", "<i2", ()),)
     further = ((name, "<f4" if name == TIME_UNCERTAINTY else "<f8", ()) for name in header.compensated)
-    return Group(f"sensors/{header.name}", (*columns, *further))
+    return ColumnGroup(f"sensors/{header.name}", (*columns, *further))
 
 
-def groups_of(sensors: Iterable[SensorHeader]) -> tuple[Group, ...]:
+def groups_of(sensors: Iterable[SensorHeader]) -> tuple[ColumnGroup, ...]:
     """All groups of a log with these sensors, in their order."""
-    tracks = (Group(name, columns) for name, columns in TRACK_COLUMNS.items())
-    return (*(sensor_group(header) for header in sensors), *tracks, Group(NOTES, ((_TEXT, "<u1", ()),)))
+    tracks = (ColumnGroup(name, columns) for name, columns in TRACK_COLUMNS.items())
+    return (*(sensor_group(header) for header in sensors), *tracks, ColumnGroup(NOTES, ((_TEXT, "<u1", ()),)))
 
 
 class OpenPhase(NamedTuple):
@@ -233,7 +233,7 @@ def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
     return attributes | ({} if header.delay_ns is None else {"delay_ns": header.delay_ns})
 
 
-def create_columns(file: h5py.File, group: Group, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+def create_columns(file: h5py.File, group: ColumnGroup, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
     """Create a group with its columns, empty and resizable."""
     made = file.create_group(group.path)
     for name, kind, tail in group.columns:
@@ -268,7 +268,7 @@ def create_sensor(
 
 def create_track(file: h5py.File, name: str, epoch: str, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
     """Create a group of `TRACK_COLUMNS`, empty."""
-    group = create_columns(file, Group(name, TRACK_COLUMNS[name]), chunk, storage)
+    group = create_columns(file, ColumnGroup(name, TRACK_COLUMNS[name]), chunk, storage)
     group["time"].attrs["units"] = f"nanoseconds since {epoch}"
     for column, _, _ in TRACK_COLUMNS[name][1:]:
         group[column].attrs["units"] = TRACK_UNITS[column]

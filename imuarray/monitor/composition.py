@@ -26,7 +26,7 @@ from imuarray.log.disk_space import WATERMARK, free_bytes
 from imuarray.log.format import FLAGS
 from imuarray.log.health import Observations, health_of
 from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
-from imuarray.monitor.log_source import Source
+from imuarray.monitor.log_source import LogSource
 from imuarray.monitor.snapshot import INTERRUPTED, WRITTEN, Disk, FusedView, SensorView, Snapshot
 from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
 from imuarray.units import INERTIAL
@@ -226,7 +226,7 @@ _COPIES = 2
 
 
 def snapshot_of(
-    source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
+    source: LogSource, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
 ) -> Snapshot:
     """Return the snapshot of `source`, which has been quiet for `quiet_s`; `result` is the path of its fused output."""
     windows, events = source.read_rows.windows, source.read_rows.events
@@ -278,7 +278,7 @@ _QUIET_S = 5.0
 
 
 def _observations(
-    source: Source, views: Sequence[SensorView], missed: int, quiet_s: float, disk: Disk | None
+    source: LogSource, views: Sequence[SensorView], missed: int, quiet_s: float, disk: Disk | None
 ) -> Observations:
     """Return the observations that count for the health of the log."""
     stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
@@ -305,7 +305,7 @@ def _extent(windows: Iterable[LatestRows]) -> tuple[int | None, int | None]:
     return min(firsts, default=None), max((int(window.newest[-1]) for window in spoken), default=None)
 
 
-def _no_rows(source: Source, name: str) -> Rows:
+def _no_rows(source: LogSource, name: str) -> Rows:
     """The columns of a sensor from which nothing came."""
     columns = max(1, len(np.atleast_1d(source.attributes[name].get("columns", ("x", "y", "z")))))
     return {"time": np.empty(0, np.int64), "counts": np.empty((0, columns), np.int16)}
@@ -330,7 +330,7 @@ def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
     return min((view.missed for view in frames), default=0) if known is None else known
 
 
-def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
+def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
     """Room, and how long it lasts; None where the disk does not say."""
     try:
         free = free_bytes(source.path)
@@ -343,7 +343,7 @@ def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
 
 
 def _fused(
-    source: Source, windows: dict[str, LatestRows], calibration: Calibration, end_ns: int, result: Path | None
+    source: LogSource, windows: dict[str, LatestRows], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
     """The fused output, or why there is none."""
     view = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)

@@ -29,7 +29,7 @@ from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.composition import snapshot_of
-from imuarray.monitor.log_source import Growing, ReadRows, Source, Whole, look
+from imuarray.monitor.log_source import Growing, LogSource, ReadRows, Whole, look
 from imuarray.monitor.payload import drawn
 from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
 from imuarray.units import READABLE, READABLE_SI
@@ -57,7 +57,7 @@ class LogMonitor:
         self._calibration, self._result = calibration or Calibration(), result
         self._stopwatch = stopwatch
         self._there: tuple[object, ...] = ()
-        self._source: Source | None = None
+        self._source: LogSource | None = None
         self._fresh_s = 0.0
         self._remark = ""
 
@@ -104,7 +104,7 @@ class LogMonitor:
         parts = [part_of(self.path, number) for number in numbers]
         return next((part for part in reversed(parts) if _has_begun(part)), parts[-1] if parts else self.path)
 
-    def _open(self, path: Path, now_s: float) -> Source | None:
+    def _open(self, path: Path, now_s: float) -> LogSource | None:
         """Start anew with what is there; None if it is not there yet."""
         self.close()
         self._fresh_s = now_s
@@ -115,7 +115,7 @@ class LogMonitor:
         self._source = _source(path, ReadRows(self._span_ns))
         return self._source
 
-    def _turned(self, source: Source, followed: bool) -> Source:
+    def _turned(self, source: LogSource, followed: bool) -> LogSource:
         """The part in which the log goes on. One that was `followed` while it was written is followed on, whatever
         became of the next; what was seen goes on too, as long as no part is passed over.
         """
@@ -150,7 +150,7 @@ class LogMonitor:
         self.close()
 
 
-def _source(path: Path, read_rows: ReadRows) -> Source:
+def _source(path: Path, read_rows: ReadRows) -> LogSource:
     return Growing(path, read_rows) if is_running(path) else Whole(path, read_rows)
 
 

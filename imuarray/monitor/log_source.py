@@ -25,7 +25,7 @@ from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import refuse_hostile
 from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
-from imuarray.log.layout import NOTES, Group, sensor_attributes
+from imuarray.log.layout import NOTES, ColumnGroup, sensor_attributes
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN, EventCounts
 from imuarray.monitor.window import STRIDE, Attributes, Gaps, LatestRows, gaps_of
@@ -97,7 +97,7 @@ class ReadRows:
             self.windows = {name: LatestRows(self.span_ns) for name in names}
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """A log that is read from into `read_rows`; `attributes` of its sensors, `state` as it was last seen."""
 
     path: Path
@@ -297,7 +297,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
         raise
 
 
-def _before(file: h5py.File, groups: Sequence[Group], commits: list[Commit], span_ns: int) -> Commit | None:
+def _before(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
     """The last commit behind which there are `span_ns` at least; None: all of the journal is required."""
     sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
 

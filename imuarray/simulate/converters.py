@@ -39,7 +39,7 @@ class CodeSpan:
 
 
 @dataclass(frozen=True)
-class ThermometerScale:
+class ThermometerConverter:
     """counts = (temperature - zero_degc) * lsb_per_degc, in this number of `bits`."""
 
     zero_degc: float
@@ -55,23 +55,23 @@ class ThermometerScale:
         return np.asarray(np.clip(codes, -beyond, beyond - 1), np.int32)
 
 
-THERMOMETERS: Mapping[str, ThermometerScale] = MappingProxyType(
-    {chip: ThermometerScale(*spec.thermometer) for chip, spec in CHIPS.items() if spec.thermometer is not None}
-    | {"l3g4200d": ThermometerScale(47.0, -1.0)}  # its zero is a part's own, this one is ours (L3G-60)
+THERMOMETERS: Mapping[str, ThermometerConverter] = MappingProxyType(
+    {chip: ThermometerConverter(*spec.thermometer) for chip, spec in CHIPS.items() if spec.thermometer is not None}
+    | {"l3g4200d": ThermometerConverter(47.0, -1.0)}  # its zero is a part's own, this one is ours (L3G-60)
 )
 
 _COUNT_BITS = 16
 """Bits of the column `temperature_counts`: a log does not state the bits of a thermometer."""
 
 
-def thermometer_of(header: SensorHeader) -> ThermometerScale | None:
+def thermometer_of(header: SensorHeader) -> ThermometerConverter | None:
     """The chip's own thermometer, as its header says or else its data sheet; None if it has none, or nobody knows what
     its counts mean.
     """
     if not header.has_temperature:
         return None
     scale = header.thermometer
-    return THERMOMETERS.get(header.chip) if scale is None else ThermometerScale(*scale, bits=_COUNT_BITS)
+    return THERMOMETERS.get(header.chip) if scale is None else ThermometerConverter(*scale, bits=_COUNT_BITS)
 
 
 def even_step(chip: str, rate_hz: float) -> int:

@@ -105,7 +105,7 @@ class PollTimes:
 
 
 @dataclass(frozen=True)
-class QueueTimes:
+class QueueTiming:
     """A row for every sample of a chip whose queue is drained, at its data rate."""
 
     rows: int
@@ -287,7 +287,7 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
     lines: dict[str, Timeline] = {}
     for sensor in array.sensors:
         if sensor.fifo:
-            lines[sensor.name] = QueueTimes(max(1, math.ceil(seconds * sensor.chip_rate_hz)), sensor.chip_rate_hz)
+            lines[sensor.name] = QueueTiming(max(1, math.ceil(seconds * sensor.chip_rate_hz)), sensor.chip_rate_hz)
             continue
         every, first = _visits(sensor, frame_rate_hz)
         rows = max(0, -(-(frames - first) // every))

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire import record
-from imuarray.acquire.bus_segment import Adapter
+from imuarray.acquire.bus_segment import AdapterState
 from imuarray.log import open_log
 from imuarray.report.verdicts import recording_verdict
 
@@ -22,7 +22,7 @@ MS = 1_000_000
 
 def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
     """90 clocks at 400 kHz are 225 us; the machine adds 50 to 300 us."""
-    adapter = Adapter()
+    adapter = AdapterState()
     for index, extra_us in enumerate((300, 50, 120)):
         begun_ns = index * 20 * MS
         assert adapter.start_of(begun_ns, begun_ns + (225 + extra_us) * 1000, 90) == (begun_ns, True)
@@ -31,7 +31,7 @@ def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
 @given(st.integers(0, 20 * MS), st.integers(0, 20 * MS))
 def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, after_ns: int) -> None:
     """Whether the program was interrupted before the burst or after it can't be known."""
-    adapter = Adapter()
+    adapter = AdapterState()
     adapter.start_of(0, 225_000, 90)
     true_ns = 50 * MS + before_ns
     start_ns, certain = adapter.start_of(50 * MS, true_ns + 225_000 + after_ns, 90)
@@ -41,13 +41,13 @@ def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, a
 
 
 def test_a_quick_chip_tells_what_a_clock_takes_for_a_slow_one_too() -> None:
-    adapter = Adapter()
+    adapter = AdapterState()
     adapter.start_of(0, 250_000, 100)  # 2.5 us a clock
     assert adapter.start_of(10 * MS, 12 * MS + 250_000, 100) == (11 * MS, False)
 
 
 def test_two_time_outs_in_a_row_are_the_bus() -> None:
-    adapter = Adapter()
+    adapter = AdapterState()
     assert not adapter.timed_out(0)
     assert adapter.timed_out(30 * MS)
     assert adapter.hangs

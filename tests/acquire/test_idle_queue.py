@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import open_array
-from firmware_emulator.six_axis import NEVER_NS, Grid
+from firmware_emulator.six_axis import NEVER_NS, SampleGrid
 from imuarray.acquire import record
 from imuarray.array import parse_array
 from imuarray.log import open_log
@@ -24,9 +24,9 @@ from tests.bus.serial_bench import Bench
 WITHIN_S = 1.0
 
 
-def grids(part: Any, depth: int = 3) -> Iterator[Grid]:
+def grids(part: Any, depth: int = 3) -> Iterator[SampleGrid]:
     """The grids of samples of an emulated die, wherever it keeps them."""
-    if isinstance(part, Grid):
+    if isinstance(part, SampleGrid):
         yield part
     elif depth:
         inner = part.values() if isinstance(part, dict) else part if isinstance(part, tuple) else ()

@@ -35,7 +35,7 @@ from imuarray.fuse.least_squares import ConstantGain, whole_gain
 from imuarray.fuse.optimal import error_model
 from imuarray.fuse.optimal.geometry import Geometry, geometry_of
 from imuarray.fuse.optimal.optimal import Optimal
-from imuarray.fuse.optimal.states import States, states_of
+from imuarray.fuse.optimal.states import ErrorStates, states_of
 from imuarray.log import Block, Log, LogWriter, SensorLog, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.log.sensor_log import recorded_header
@@ -165,7 +165,7 @@ def textbook(path: Path) -> Row:
     return row(title, LOGGED / best / 1e3, TEXTBOOK / loop / 1e3, "1e3 frames/s", 50.0, "higher")
 
 
-def kalman(values: np.ndarray, geometry: Geometry, states: States) -> np.ndarray:
+def kalman(values: np.ndarray, geometry: Geometry, states: ErrorStates) -> np.ndarray:
     """Triads (n, 3) of readings (n, m) by a filter whose states are the triad, which is another one in every frame, and
     the slow errors, frame by frame (Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and
     navigation", 2001, sections 5.2 and 5.2.6, covariances in Joseph's form).

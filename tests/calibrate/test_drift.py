@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 from imuarray.calibrate import Calibration, calibrate_noise, nominal
 from imuarray.calibrate.drift import _likelihood, fit_drift
-from imuarray.calibrate.segments import Segments
+from imuarray.calibrate.segments import SegmentMeans
 from imuarray.calibrate.stability import BIAS, Drift, Thermal
 from imuarray.cli import main
 from imuarray.log import Block, LogWriter, Stimulus, open_log
@@ -38,13 +38,13 @@ def wander(rng: np.random.Generator, segments: int, rms: tuple[float, ...], time
 
 def stretch(
     rng: np.random.Generator, segments: int, rms: tuple[float, ...], time_constant_s: float, level: float = 50.0
-) -> Segments:
+) -> SegmentMeans:
     noise = rng.normal(0, 1.0, (segments, 3))
     time_s = np.asarray(WIDTH_S * (0.5 + np.arange(segments)), float)
-    return Segments(time_s, level + wander(rng, segments, rms, time_constant_s) + noise)
+    return SegmentMeans(time_s, level + wander(rng, segments, rms, time_constant_s) + noise)
 
 
-def fitted(*stretches: Segments) -> Drift:
+def fitted(*stretches: SegmentMeans) -> Drift:
     drift = fit_drift(stretches, WIDTH_S)
     assert drift is not None and drift.rms_upper_lsb is not None and drift.time_constant_interval_s is not None
     return drift
@@ -55,7 +55,7 @@ def test_the_filter_gives_the_likelihood_of_the_dense_covariance() -> None:
     rng = np.random.default_rng(1)
     part = stretch(rng, 40, (2.0, 1.0, 0.5), 12.0)
     kept = np.r_[0:20, 28:40]
-    part = Segments(part.time_s[kept], part.mean[kept] - part.mean[kept].mean(axis=0))
+    part = SegmentMeans(part.time_s[kept], part.mean[kept] - part.mean[kept].mean(axis=0))
     times, ratios = np.array([4.0, 12.0, 50.0]), np.array([0.3, 2.0])
     grid = _likelihood([part], WIDTH_S, times, np.repeat(ratios[:, None], 3, axis=1))
     inside = (np.arange(200) + 0.5) / 200 * WIDTH_S - WIDTH_S / 2
@@ -116,12 +116,12 @@ def test_slower_than_the_stretch_has_no_upper_end() -> None:
 def test_too_short_or_constant_tells_nothing() -> None:
     rng = np.random.default_rng(6)
     assert fit_drift([stretch(rng, 12, (1.0, 1.0, 1.0), 20.0)] * 20, WIDTH_S) is None
-    assert fit_drift([Segments(np.arange(0.0, 200.0, WIDTH_S), np.full((100, 3), 7.0))], WIDTH_S) is None
+    assert fit_drift([SegmentMeans(np.arange(0.0, 200.0, WIDTH_S), np.full((100, 3), 7.0))], WIDTH_S) is None
 
 
 def test_an_axis_that_is_stuck_does_not_drift() -> None:
     part = stretch(np.random.default_rng(7), 200, (2.0, 2.0, 2.0), 20.0)
-    drift = fitted(Segments(part.time_s, part.mean * [1.0, 1.0, 0.0] + [0.0, 0.0, 3.0]))
+    drift = fitted(SegmentMeans(part.time_s, part.mean * [1.0, 1.0, 0.0] + [0.0, 0.0, 3.0]))
     assert (drift.rms_lsb[2], drift.rms_sem_lsb[2]) == (0, 0)
     assert drift.rms_lsb[:2] == pytest.approx([2.0] * 2, rel=0.5)
 

@@ -15,7 +15,7 @@ from scipy.stats import binom
 from imuarray.calibrate import load_calibration
 from imuarray.calibrate.correlated import CorrelatedNoise, products, regress
 from imuarray.calibrate.opposed import cancelled
-from imuarray.calibrate.segments import Segments, TemperatureSeries, segment_means
+from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means
 from imuarray.calibrate.thermal import ThermalResult, _tells_curvature, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
@@ -68,7 +68,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
         noise[:, 1] += gauss_markov(rng, len(TIME_S), STEP_S, 0.7, 100.0)
         noise[:, 2] += gauss_markov(rng, len(TIME_S), STEP_S, 1.0, 300.0)
         drift = np.array([0.0, 1e-4, -5e-4]) * TIME_S[:, None]
-        fit = fit_axes(Segments(TIME_S, 50 + slopes * LAGGED[:, None] + drift + noise), thermometer, 30.0)
+        fit = fit_axes(SegmentMeans(TIME_S, 50 + slopes * LAGGED[:, None] + drift + noise), thermometer, 30.0)
         held.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
         lags.append(fit.lag_interval_s[0] <= 60 <= fit.lag_interval_s[1])
     assert 0.90 <= np.mean(held) <= 0.985
@@ -97,7 +97,7 @@ def test_intervals_on_one_curved_ramp_hold_the_slope_in_its_middle() -> None:
         noise = rng.normal(0, 2.0, (len(RAMP_S), 3))
         noise += np.stack([gauss_markov(rng, len(RAMP_S), STEP_S, 1.0, 200.0) for _ in range(3)], axis=1)
         noise += rng.normal(0, 1e-3, 3) * RAMP_S[:, None]
-        fit = fit_axes(Segments(RAMP_S, 100 + slopes * above + curvatures * above**2 + noise), thermometer, middle)
+        fit = fit_axes(SegmentMeans(RAMP_S, 100 + slopes * above + curvatures * above**2 + noise), thermometer, middle)
         held.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
         curves.append(fit.quadratic_lsb_per_degc2)
     assert 0.89 <= np.mean(held) <= 0.985
@@ -126,7 +126,9 @@ def test_intervals_hold_the_slope_in_white_noise_and_in_random_walks(degc: Float
         for _ in range(100):
             noise = rng.normal(0, 1.0, (len(RAMP_S), 3))
             noise += np.cumsum(rng.normal(0, end / np.sqrt(len(RAMP_S)), noise.shape), axis=0)
-            fit = fit_axes(Segments(RAMP_S, 100 + slopes * above + curvatures * above**2 + noise), thermometer, middle)
+            fit = fit_axes(
+                SegmentMeans(RAMP_S, 100 + slopes * above + curvatures * above**2 + noise), thermometer, middle
+            )
             inside.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
         return float(np.mean(inside))
 
@@ -153,7 +155,7 @@ def test_wander_makes_the_errors_larger_than_white_noise_would() -> None:
     """A wander of 300 s over 2400 s: ordinary least squares would claim several times less."""
     rng = np.random.default_rng(4)
     counts = np.stack([gauss_markov(rng, len(TIME_S), STEP_S, 1.0, 300.0) for _ in range(3)], axis=1)
-    fit = fit_axes(Segments(TIME_S, counts), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    fit = fit_axes(SegmentMeans(TIME_S, counts), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
     ordinary = counts.std() / np.sqrt(len(TIME_S)) / ROOM_HEAT_COOL.std()
     assert (fit.slope_sem_lsb_per_degc > 2 * ordinary).all()
 
@@ -168,7 +170,7 @@ def test_without_noise_everything_comes_back() -> None:
         + np.array([0, 1e-3, -2e-3]) * TIME_S[:, None]
     )
     noise = np.random.default_rng(1).normal(0, 1e-3, exact.shape)
-    fit = fit_axes(Segments(TIME_S, exact + noise), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    fit = fit_axes(SegmentMeans(TIME_S, exact + noise), TemperatureSeries("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
     assert fit.lag_s == pytest.approx(60, rel=0.15)
     assert fit.slope_lsb_per_degc == pytest.approx([0.5, -1, 2], abs=0.03)
     assert fit.quadratic_lsb_per_degc2 == pytest.approx(quadratic, abs=2e-3)
@@ -456,7 +458,7 @@ def test_two_temperatures_alone_tell_no_curve() -> None:
     """A step: the square of the temperature says nothing that the temperature does not."""
     step = np.where(TIME_S < 1200, 20.0, 40.0)
     counts = np.random.default_rng(9).normal(size=(len(TIME_S), 3)) + 0.5 * step[:, None]
-    fit = fit_axes(Segments(TIME_S, counts), TemperatureSeries("reference", TIME_S, step), 30.0)
+    fit = fit_axes(SegmentMeans(TIME_S, counts), TemperatureSeries("reference", TIME_S, step), 30.0)
     assert (fit.quadratic_lsb_per_degc2 == 0).all()
     assert (np.abs(fit.slope_lsb_per_degc - 0.5) < 4 * fit.slope_sem_lsb_per_degc).all()
 

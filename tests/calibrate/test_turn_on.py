@@ -11,7 +11,7 @@ from scipy.stats import f
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
 from imuarray.calibrate.correlated import mean_of_series
-from imuarray.calibrate.runs import Runs, best_split, explained_range, runs_apart, two_states
+from imuarray.calibrate.runs import SensorRuns, best_split, explained_range, runs_apart, two_states
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.calibrate.start_up import state_of
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, compare_runs, holm
@@ -28,7 +28,7 @@ BMA180 = RANGES["bma180"]
 STATES_OF_TABLE_7 = ((1, 2, 6, 8, 9, 12, 14), (3, 4, 5, 7, 10, 11, 13, 15))
 
 
-def printed_runs(number: int, degc: tuple[float, float]) -> Runs:
+def printed_runs(number: int, degc: tuple[float, float]) -> SensorRuns:
     """Table 6 (BMA1) or 7 (Gyro3) as runs of known means; degrees at count 0, and per count."""
     means = np.array(
         [[float(value) for value in numbers_in(row, ("x_lsb", "y_lsb", "z_lsb"))] for row in table(number)]
@@ -37,8 +37,8 @@ def printed_runs(number: int, degc: tuple[float, float]) -> Runs:
     numbers = tuple(int(row["run"]) for row in table(number))
     if number == 6:
         up = np.array([0.0, 0.0, 512.0])
-        return Runs("BMA1", "specific_force", "g", 16.0, 512.0, numbers, means, warm, gravity_lsb=up)
-    return Runs("Gyro3", "angular_rate", "dps", 250.0, 1 / 0.00875, numbers, means, warm)
+        return SensorRuns("BMA1", "specific_force", "g", 16.0, 512.0, numbers, means, warm, gravity_lsb=up)
+    return SensorRuns("Gyro3", "angular_rate", "dps", 250.0, 1 / 0.00875, numbers, means, warm)
 
 
 def test_run_10_of_table_6_came_up_at_two_g() -> None:
@@ -59,7 +59,7 @@ def test_without_the_ranges_run_10_is_apart_all_the_same() -> None:
 @pytest.mark.parametrize("known", [True, False])
 def test_the_two_states_of_table_7(known: bool) -> None:
     runs = printed_runs(7, (0.0, -1.0))
-    result = compare_runs(runs if known else Runs(**{**vars(runs), "temperature_degc": None}))
+    result = compare_runs(runs if known else SensorRuns(**{**vars(runs), "temperature_degc": None}))
     assert result.apart == ()
     assert tuple(state.runs for state in result.states) == STATES_OF_TABLE_7
     assert [state.share for state in result.states] == pytest.approx([7 / 15, 8 / 15])
@@ -164,7 +164,7 @@ def test_nothing_is_explained_where_no_axis_carries_gravity() -> None:
 def test_a_gyroscope_is_never_said_to_be_in_another_range() -> None:
     """A bias of 70 counts and one of 140: twice the usual reading, as a range of half the size would give gravity."""
     means = np.array([70.0] * 8 + [140.0])[:, None] + np.random.default_rng(18).normal(size=(9, 3))
-    runs = Runs("G", "angular_rate", "dps", 500.0, 57.0, tuple(range(1, 10)), means)
+    runs = SensorRuns("G", "angular_rate", "dps", 500.0, 57.0, tuple(range(1, 10)), means)
     assert [(fault.run, fault.range) for fault in compare_runs(runs, RANGES["l3g4200d"]).apart] == [(9, None)]
 
 

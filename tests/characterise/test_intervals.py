@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.characterise.survey import Intervals, IntervalTally
+from imuarray.characterise.survey import IntervalTally, SamplingIntervals
 from tests.selection import examples
 
 MEAN_NS = 2_500_000
 
 
-def tally(time_ns: np.ndarray, block: int = 10_000) -> Intervals:
+def tally(time_ns: np.ndarray, block: int = 10_000) -> SamplingIntervals:
     times = IntervalTally()
     for start in range(0, len(time_ns), block):
         times.update(time_ns[start : start + block])

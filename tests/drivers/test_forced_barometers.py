@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from firmware_emulator.chips import CHIPS
-from firmware_emulator.chips.bmp280 import Words, fine_of, pascal_of
-from firmware_emulator.chips.bmp388 import Words as Words388
+from firmware_emulator.chips.bmp280 import Bmp280Words, fine_of, pascal_of
+from firmware_emulator.chips.bmp388 import Bmp280Words as Words388
 from firmware_emulator.chips.bmp388 import degc_of
 from firmware_emulator.chips.bmp388 import pascal_of as pascal_388
 from imuarray.array import SensorConfig
@@ -125,7 +125,7 @@ def test_the_integers_of_the_bmp388_follow_the_formulas_in_real_numbers() -> Non
 
 def test_the_integers_of_the_bmp280_follow_the_formulas_in_real_numbers() -> None:
     """Over -40 to 85 degC and 300 to 1100 hPa, for which the data sheet's section 8.1 is the reference (BMP-121)."""
-    words, off_degc, off_64 = Words(), [], []
+    words, off_degc, off_64 = Bmp280Words(), [], []
     for adc_t in range(0, 1 << 20, 4099):
         fine = fine_of(words, adc_t)
         if not -40 <= fine / 5120 <= 85:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_emulator.chips.bmp180 import Bmp180, Words, b5_of, pressure_function, up_of, ut_of
+from firmware_emulator.chips.bmp180 import Bmp180, Bmp180Words, b5_of, pressure_function, up_of, ut_of
 
 MS = 1_000_000
 BYTE_NS = 22_500
@@ -85,22 +85,22 @@ def test_the_worked_example():
     [(0, 23843, 69964), (1, 47686, 69962), (2, 95372, 69963), (3, 190744, 69963), (0, 46000, 136329)],
 )
 def test_pressure_vectors_both_ways(oss, up, pascal):
-    assert pressure_function(Words(), 2399, oss)[1](up) == pascal
-    found = up_of(Words(), 27898, oss, pascal)
-    assert pressure_function(Words(), 2399, oss)[1](found) == pascal
+    assert pressure_function(Bmp180Words(), 2399, oss)[1](up) == pascal
+    found = up_of(Bmp180Words(), 27898, oss, pascal)
+    assert pressure_function(Bmp180Words(), 2399, oss)[1](found) == pascal
     assert abs(found - up) <= 1 << oss  # neighbouring words give the same pascal
 
 
 @pytest.mark.parametrize(("ut", "tenths"), [(27898, 150), (30000, 313), (24000, -247)])
 def test_temperature_vectors_both_ways(ut, tenths):
-    assert b5_of(Words(), ut) + 8 >> 4 == tenths
-    assert abs(ut_of(Words(), tenths / 10) - ut) <= 10  # 160 steps of B5 to a degree
+    assert b5_of(Bmp180Words(), ut) + 8 >> 4 == tenths
+    assert abs(ut_of(Bmp180Words(), tenths / 10) - ut) <= 10  # 160 steps of B5 to a degree
 
 
 @given(st.floats(-20.0, 65.0), st.floats(30_000.0, 110_000.0), st.integers(0, 3))
 def test_words_are_those_of_the_real_valued_formulas(degc, pascal, oss):
-    ut = ut_of(Words(), degc)
-    back_degc, back_pascal = compensated(ut, up_of(Words(), ut, oss, pascal), oss)
+    ut = ut_of(Bmp180Words(), degc)
+    back_degc, back_pascal = compensated(ut, up_of(Bmp180Words(), ut, oss, pascal), oss)
     assert abs(back_degc - degc) < 0.02  # a step of UT is 0.006 degC
     # A step of UP at oss 0 is 3 to 4 Pa; B4 is rounded to 1 in 33000, which costs as much again at 110 kPa.
     assert abs(back_pascal - pascal) < 8
@@ -108,9 +108,9 @@ def test_words_are_those_of_the_real_valued_formulas(degc, pascal, oss):
 
 @given(st.floats(-500.0, 500.0), st.floats(-1e6, 1e7), st.integers(0, 3))
 def test_words_of_impossible_weather_still_fit(degc, pascal, oss):
-    ut = ut_of(Words(), degc)
+    ut = ut_of(Bmp180Words(), degc)
     assert 0 <= ut <= 0xFFFF
-    assert 0 <= up_of(Words(), ut, oss, pascal) < 1 << 16 + oss
+    assert 0 <= up_of(Bmp180Words(), ut, oss, pascal) < 1 << 16 + oss
 
 
 @pytest.mark.parametrize(("command", "typical_ms"), [(0x2E, 3), (0x34, 3), (0x74, 5), (0xB4, 9), (0xF4, 17)])
@@ -179,8 +179,8 @@ def test_soft_reset():
 @pytest.mark.parametrize(("oss", "rms"), [(0, 6.0), (1, 5.0), (2, 4.0), (3, 3.0)])
 def test_pressure_noise(oss, rms):
     chip = Bmp180(0x77, Weather(pascal=100_000.0), generator=random.Random(oss))
-    b5 = b5_of(Words(), result(chip, T_COMMAND) >> 8)
-    pressure = pressure_function(Words(), b5, oss)[1]
+    b5 = b5_of(Bmp180Words(), result(chip, T_COMMAND) >> 8)
+    pressure = pressure_function(Bmp180Words(), b5, oss)[1]
     drawn = [pressure(result(chip, P_COMMANDS[oss], n * LATER) >> 8 - oss) for n in range(2, 402)]
     # 400 draws: 5 sigma is 18 % of the rms; quantisation at oss 0 adds 1 % to 6 Pa
     assert abs(statistics.pstdev(drawn) - rms) < 0.2 * rms

@@ -7,7 +7,7 @@ import statistics
 
 import pytest
 
-from firmware_emulator.chips.bmp280 import Bmp280, Words, fine_of, pascal_of, up_of, ut_of
+from firmware_emulator.chips.bmp280 import Bmp280, Bmp280Words, fine_of, pascal_of, up_of, ut_of
 
 MS = 1_000_000
 
@@ -92,7 +92,7 @@ def test_the_filter_takes_as_many_samples_as_the_data_sheet_says() -> None:
 
 def test_words_of_impossible_weather_still_fit() -> None:
     for degc in (-500.0, 0.0, 500.0):
-        ut = ut_of(Words(), degc)
+        ut = ut_of(Bmp280Words(), degc)
         assert 0 <= ut < 1 << 20
         for pascal in (-1e6, 0.0, 1e7):
-            assert 0 <= up_of(Words(), ut, pascal) < 1 << 20
+            assert 0 <= up_of(Bmp280Words(), ut, pascal) < 1 << 20

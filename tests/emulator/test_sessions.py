@@ -10,7 +10,16 @@ import pytest
 
 from firmware_emulator.cases import Case, main
 from firmware_emulator.mechanisms.mechanism import RATE_ERROR, TURN_ON_SHARE, toleranced_part
-from firmware_emulator.sessions import Motion, Pose, Room, Stretch, Vibration, session, sessions, turn_to
+from firmware_emulator.sessions import (
+    RestPose,
+    Rocking,
+    Room,
+    TableVibration,
+    TemperatureStretch,
+    session,
+    sessions,
+    turn_to,
+)
 from imuarray.log import open_log
 
 G = 9.80665
@@ -80,7 +89,7 @@ def test_temperatures_go_exponentially_and_drift_with_the_room():
 
 
 def test_a_fridge_runs_for_a_share_of_its_cycle_and_no_reference_knows():
-    fridge = Vibration(24.5, (1.0, 0.0, 0.0), 1e-3, 0.1, cycle_s=4.0, share=0.5)
+    fridge = TableVibration(24.5, (1.0, 0.0, 0.0), 1e-3, 0.1, cycle_s=4.0, share=0.5)
     world = course(Room(vibrations=(fridge,)))
     on, off = (
         [abs(world(round(at * S)).force_box[0]) for at in np.arange(begin, begin + 2, 0.003)] for begin in (0, 2)
@@ -97,7 +106,7 @@ def test_what_is_not_known_is_refused_in_a_line():
         sessions([{"name": "a", "seconds": 1.0}], Room(), 0)
     with pytest.raises(ValueError, match="world: recorder is missing"):
         Case.of_world({"array": "", "sessions": [], "room": {}})
-    assert Pose(UP, 1.0) != Stretch(1.0, 2.0, 3.0) != Motion(0, 1, UP, 1, 1, 1, 1)
+    assert RestPose(UP, 1.0) != TemperatureStretch(1.0, 2.0, 3.0) != Rocking(0, 1, UP, 1, 1, 1, 1)
 
 
 def test_toleranced_parts_scatter_between_power_ups_and_keep_everything_else():

@@ -13,7 +13,7 @@ from firmware_emulator.chips.icm42688 import Icm42688
 from firmware_emulator.chips.lsm6dso import Lsm6dso
 from firmware_emulator.chips.mpu6500 import Mpu6500
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Grid, SixAxis
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, SampleGrid, SixAxis
 from firmware_emulator.wire import Wire
 
 MS = 1_000_000
@@ -129,7 +129,7 @@ def test_the_stall_of_an_icm_42688_ends_after_two_milliseconds_and_comes_again_a
 
 
 def test_samples_fall_on_the_grid() -> None:
-    grid = Grid()
+    grid = SampleGrid()
     assert grid.take(10**12) is None
     assert grid.set(100, 1000)
     assert grid.take(1099) is None

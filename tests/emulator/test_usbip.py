@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_emulator.usbip import Conversation, Export, Identity, ProtocolError, Setup
+from firmware_emulator.usbip import Conversation, Export, ProtocolError, Setup, UsbIdentity
 
 LIST_DEVICES = bytes.fromhex("0111 8005 00000000")
 IMPORT_1_2 = bytes.fromhex("0111 8003 00000000") + b"1-2".ljust(32, b"\0")
@@ -26,7 +26,7 @@ UNLINK = bytes.fromhex("00000002 00000009 00010002 00000000 00000000  00000007")
 class Device:
     """Answers every inward request with its own idea of a descriptor; stalls request 99."""
 
-    identity = Identity(0x1234, 0x5678, 0x0201, (0xFF, 0xEE, 0xDD), (0xCC, 0xBB, 0xAA))
+    identity = UsbIdentity(0x1234, 0x5678, 0x0201, (0xFF, 0xEE, 0xDD), (0xCC, 0xBB, 0xAA))
 
     def __init__(self) -> None:
         self.seen: list[tuple[Setup, bytes]] = []

@@ -35,7 +35,7 @@ from imuarray.simulate.effects.thermal_scale import ThermalScale
 from imuarray.simulate.effects.thermometer import Thermometer
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion import HandShake, Heating, Tumble
-from imuarray.simulate.motion.posed import World
+from imuarray.simulate.motion.posed import MotionWorld
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 SEED = 4
@@ -89,7 +89,7 @@ class Later:
 def both(motion: Motion, folder: Path) -> tuple[Log, Log]:
     """The emulated array recorded, and simulated."""
     array = load_array(CONFIG)
-    with open_array(array, world=World(motion), seed=SEED) as bus:
+    with open_array(array, world=MotionWorld(motion), seed=SEED) as bus:
         record(array, bus, folder / "emulated.h5", rate_hz=48.0, seconds=motion.seconds, phases=motion.phases)
     emulated = open_log(folder / "emulated.h5")
     later = Later(motion, motion.phases[0].end_ns - emulated.phases[0].end_ns)
@@ -194,7 +194,7 @@ def slow_chips(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
     motion = HandShake(peak_g=3.0, peak_dps=900.0, still_s=4.0, motion_s=12.0)
     array, path = parse_array(SLOW_CHIPS), tmp_path_factory.mktemp("slow") / "emulated.h5"
     switches = {"G": {"rate_error": request.param}}
-    with open_array(array, world=World(motion), seed=SEED, switches=switches) as bus:
+    with open_array(array, world=MotionWorld(motion), seed=SEED, switches=switches) as bus:
         record(array, bus, path, rate_hz=POLLED_HZ, seconds=motion.seconds, phases=motion.phases)
     log = open_log(path)
     later = Later(motion, motion.phases[0].end_ns - log.phases[0].end_ns)

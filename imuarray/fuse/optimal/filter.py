@@ -37,9 +37,9 @@ from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, seg
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import (
     Adjoint,
+    ErrorStates,
     Gaussian,
     Innovation,
-    States,
     backwards,
     corrected,
     predicted,
@@ -307,7 +307,7 @@ class ArrayFilter:
     def __init__(
         self,
         geometry: Geometry,
-        states: States,
+        states: ErrorStates,
         segment_frames: int,
         dynamics: Dynamics,
         record: Callable[[Step], None] | None = None,
@@ -417,7 +417,7 @@ _STRIDE = 32
 class SegmentSmoother:
     """Takes the steps of an `ArrayFilter`, then gives the smoothed views of the segments in their order."""
 
-    def __init__(self, geometry: Geometry, states: States) -> None:
+    def __init__(self, geometry: Geometry, states: ErrorStates) -> None:
         self._geometry, self._states = geometry, states
         self._steps, self._views = Spool(), Spool()
         self._count = 0

@@ -138,7 +138,7 @@ _KEPT = 16
 
 
 @dataclass(frozen=True)
-class States:
+class ErrorStates:
     """n states of m axes: `prior` (n, n), the covariance they begin with, `time_constants_s` (n,), infinite where
     constant, and what each axis feels of them: `steady` (m, n), `thermal` (m, n) for each degree, `response` (3, m, n)
     for each unit of the stimulus along a box axis ((0, m, n) without such states).
@@ -183,7 +183,7 @@ class _State(NamedTuple):
     kind: str = "steady"
 
 
-def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> States:
+def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> ErrorStates:
     """The states of `axes`; `others` more rows follow them, which feel none."""
     errors = model.of(axes)
     result = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
@@ -192,7 +192,7 @@ def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> State
     for column, state in enumerate(result):
         rows[state.kind][list(state.members), column] = 1.0
     responses = [rows[kind] for kind in "XYZ"] if any(state.kind in "XYZ" for state in result) else []
-    return States(
+    return ErrorStates(
         names=tuple(state.name for state in result),
         prior=_prior(result, axes, model),
         time_constants_s=np.array([state.time_constant_s for state in result]),

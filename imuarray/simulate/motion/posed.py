@@ -43,7 +43,7 @@ class Steady(Protocol):
         """
 
 
-class World:
+class MotionWorld:
     """A callable ``at_ns -> Stimulus`` that shows what `motion` shows, exactly.
 
     While a motion is `Steady`, and for repeated calls at one instant, the same object is given again at the cost of a

@@ -58,7 +58,7 @@ COASTING = ("heading", "velocity")
 
 
 @dataclass(frozen=True)
-class Experiment:
+class StudyExperiment:
     """Experiment of the study: what happens to the box (`imuarray.simulate.experiments`), for how long, how often it is
     switched on, and whether the bound holds.
 
@@ -73,14 +73,14 @@ class Experiment:
     is_bounded: bool = True
 
 
-EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+EXPERIMENTS: Mapping[str, StudyExperiment] = MappingProxyType(
     {
-        "static": Experiment("static", 300.0),
-        "tumble": Experiment("tumble", 300.0),
-        "heating": Experiment("heating", 660.0),
-        "turn-on": Experiment("turn-on", 75.0, boots=4),
-        "motion": Experiment("motion", 120.0, "vehicle"),
-        "shaking": Experiment("motion", 120.0, "hand", is_bounded=False),
+        "static": StudyExperiment("static", 300.0),
+        "tumble": StudyExperiment("tumble", 300.0),
+        "heating": StudyExperiment("heating", 660.0),
+        "turn-on": StudyExperiment("turn-on", 75.0, boots=4),
+        "motion": StudyExperiment("motion", 120.0, "vehicle"),
+        "shaking": StudyExperiment("motion", 120.0, "hand", is_bounded=False),
     }
 )
 """Experiments by name. "heating" is the paper's profile at a tenth of its time, with all of its 28 degC."""

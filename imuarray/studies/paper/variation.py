@@ -187,7 +187,7 @@ Point = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class BootFault:
+class WrongRangeRun:
     """A run whose gravity reading belongs to another range than the configured one."""
 
     run: int
@@ -232,11 +232,11 @@ def _range_of(row: Row) -> str:
     return nearest_range(_ratio(row) * BMA180_LSB_PER_G[_CONFIGURED_RANGE])
 
 
-def boot_faults() -> tuple[BootFault, ...]:
+def boot_faults() -> tuple[WrongRangeRun, ...]:
     """The runs of Table 6 (BMA1) that were not in the configured range."""
     column = gravity_column(table(6))
     return tuple(
-        BootFault(int(row["run"]), column, number_in(row, column), _ratio(row), name, BMA180_LSB_PER_G[name])
+        WrongRangeRun(int(row["run"]), column, number_in(row, column), _ratio(row), name, BMA180_LSB_PER_G[name])
         for row in table(6)
         if (name := _range_of(row)) != _CONFIGURED_RANGE
     )
@@ -251,7 +251,7 @@ def table6() -> tuple[RecomputedRow, ...]:
 
 
 @dataclass(frozen=True)
-class BiasState:
+class TurnOnState:
     """One of the states that a sensor comes up in: its runs, their centre and their spread, in counts."""
 
     runs: tuple[int, ...]
@@ -290,14 +290,14 @@ def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, 
     return tuple(sorted(order[:best])), tuple(sorted(order[best:]))
 
 
-def bias_states() -> tuple[BiasState, BiasState]:
+def bias_states() -> tuple[TurnOnState, TurnOnState]:
     """The two bias states of Table 7 (Gyro3), the one of the first run first."""
     points = [tuple(float(row[column]) for column in _AXES) for row in table(7)]
     first, second = sorted(two_way_split(points))
     return _state(first, points), _state(second, points)
 
 
-def separation(states: tuple[BiasState, BiasState]) -> float:
+def separation(states: tuple[TurnOnState, TurnOnState]) -> float:
     """Distance between two states' centres over the larger of their spreads (root sum of squares over the axes)."""
     spreads = [sqrt(_dot(state.spread, state.spread)) for state in states]
     return dist(states[0].centre, states[1].centre) / max(spreads)
@@ -309,10 +309,10 @@ def table7() -> tuple[RecomputedRow, ...]:
     return tuple(RecomputedRow(row, (), {"state": 1 if int(row["run"]) in first.runs else 2}) for row in table(7))
 
 
-def _state(indices: Sequence[int], points: Sequence[Point]) -> BiasState:
+def _state(indices: Sequence[int], points: Sequence[Point]) -> TurnOnState:
     members = [points[i] for i in indices]
     spread = tuple(stdev(column) for column in zip(*members, strict=True))
-    return BiasState(tuple(int(table(7)[i]["run"]) for i in indices), _centre(members), spread)
+    return TurnOnState(tuple(int(table(7)[i]["run"]) for i in indices), _centre(members), spread)
 
 
 def _centre(points: Sequence[Point]) -> Point:

@@ -17,7 +17,7 @@ from imuarray.log import Log
 from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import Stimulus, World
+from imuarray.simulate.motion.posed import MotionWorld, Stimulus
 from tests.selection import some
 
 G = 9.80665
@@ -46,7 +46,7 @@ axes = "+Y-X+Z"
 
 def test_its_stimulus_is_what_the_emulator_takes() -> None:
     assert Stimulus._fields == EmulatedStimulus._fields
-    shown = World(Still())(0)
+    shown = MotionWorld(Still())(0)
     assert shown == EmulatedStimulus()
     assert all(type(value) is float for value in (*shown.force_box, *shown.rate_box, *shown.field_box, *shown[2:4]))
 
@@ -65,7 +65,7 @@ def test_its_stimulus_is_what_the_emulator_takes() -> None:
 )
 def test_shows_exactly_the_motion_at_any_instant(motion: Still | Tumble | Heating | HandShake) -> None:
     """Forwards, then here and there: what is kept from the call before never shows at a wrong time."""
-    world = World(motion)
+    world = MotionWorld(motion)
     end_ns = round(motion.seconds * S)
     times = [*range(-S // 10, min(end_ns, 7 * S) + S // 10, 13_456_789)]
     times += np.random.default_rng(5).permutation(times).tolist()
@@ -101,13 +101,13 @@ class CountedAndSteady(Counted):
 def test_a_box_at_rest_is_asked_once() -> None:
     restless, steady = Counted(), CountedAndSteady()
     for motion, asked in ((restless, 100), (steady, 1)):
-        world = World(motion)
+        world = MotionWorld(motion)
         first = world(0)
         for at_ns in range(100):
             assert world(at_ns) == first
             assert world(at_ns) is world(at_ns)
         assert motion.asked == asked
-    assert World(steady)(7) is not World(steady)(7)
+    assert MotionWorld(steady)(7) is not MotionWorld(steady)(7)
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_the_emulated_array_feels_the_motion_and_the_log_knows_it(tmp_path: Path
     """
     motion = HandShake(peak_g=4.0, peak_dps=400.0, still_s=1.0, motion_s=2.0)
     path = tmp_path / "log.h5"
-    with open_array(ARRAY, world=World(motion)) as bus:
+    with open_array(ARRAY, world=MotionWorld(motion)) as bus:
         begin = datetime(2024, 1, 1, tzinfo=UTC)
         record(ARRAY, bus, path, rate_hz=200.0, seconds=3.5, phases=bus.phases, wall_time=begin)
     with Log(path) as log:

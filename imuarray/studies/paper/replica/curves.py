@@ -22,7 +22,7 @@ LAGS = 31
 _STEP_S = 10.0
 
 
-class Curve(NamedTuple):
+class TimeCurve(NamedTuple):
     """A curve over time: seconds (n,), LSB (n, k)."""
 
     seconds: Floats
@@ -57,10 +57,10 @@ class Curves(NamedTuple):
     sensor.
     """
 
-    in_run: Mapping[str, Curve]
-    profile: Curve
+    in_run: Mapping[str, TimeCurve]
+    profile: TimeCurve
     against_temperature: Mapping[str, Scatter]
-    opposed: Curve
+    opposed: TimeCurve
     noise: Mapping[str, RestNoise]
 
 
@@ -87,22 +87,22 @@ def rate_hz(series: Series) -> float:
     return float((len(series.time_ns) - 1) / (series.time_ns[-1] - series.time_ns[0]) * 1e9)
 
 
-def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> Curve:
+def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> TimeCurve:
     """Moving average less the mean of everything, every `step_s`, at the middle of the window (Figure 6)."""
     rows, step = (max(1, round(seconds * rate_hz(series))) for seconds in (window_s, step_s))
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(series.counts, axis=0, dtype=float)])
     starts = np.arange(0, len(sums) - rows, step)
     means = (sums[starts + rows] - sums[starts]) / rows
     middle = (series.time_ns[starts] + series.time_ns[starts + rows - 1]) / 2e9
-    return Curve(middle, means - series.counts.mean(axis=0))
+    return TimeCurve(middle, means - series.counts.mean(axis=0))
 
 
-def profile(step_s: float = _STEP_S) -> Curve:
+def profile(step_s: float = _STEP_S) -> TimeCurve:
     """The temperature (degC, in place of LSB) of the box while it is heated (Figure 7)."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds + step_s / 2, step_s)
     degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
-    return Curve(seconds, degc[:, None])
+    return TimeCurve(seconds, degc[:, None])
 
 
 def against_temperature(observed: ExperimentData, channel: str, every_s: float = 4.0) -> Scatter:
@@ -115,7 +115,7 @@ def against_temperature(observed: ExperimentData, channel: str, every_s: float =
     return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
 
 
-def opposed(observed: ExperimentData, window_s: float = 30.0) -> Curve:
+def opposed(observed: ExperimentData, window_s: float = 30.0) -> TimeCurve:
     """Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
     means = []
     for name in ("Gyro1", "Gyro2"):
@@ -125,7 +125,7 @@ def opposed(observed: ExperimentData, window_s: float = 30.0) -> Curve:
         means.append(series.counts[:whole, 1].reshape(-1, rows).mean(axis=1))
     first, second = means
     seconds = np.asarray((np.arange(len(first)) + 0.5) * window_s, float)
-    return Curve(seconds, np.column_stack([first, second, (first - second) / 2]))
+    return TimeCurve(seconds, np.column_stack([first, second, (first - second) / 2]))
 
 
 def correlogram(counts: npt.NDArray[np.int16]) -> Floats:
