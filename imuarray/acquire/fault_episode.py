@@ -7,7 +7,11 @@ is over. The number of events is thus limited however long a fault persists: see
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from functools import partial
 from types import MappingProxyType
+
+from imuarray.log.format import Event
+from imuarray.log.rotate import Writer
 
 QUIET_NS = 1_000_000_000
 """A fault that returns within this time belongs to the same episode. The time doubles whenever a fault returns later,
@@ -119,6 +123,19 @@ class FaultEpisode:
         self._ended_ns = self.last_ns
 
 
+def event_writer(log: Writer, epoch_ns: int, tell: Callable[[Event], None]) -> Note:
+    """Return the function that writes an event of a sensor ("": of the array) into a log that began at `epoch_ns`, and
+    reports it to `tell`.
+    """
+
+    def note(sensor: str, at_ns: int, kind: str, message: str) -> None:
+        event = Event(at_ns - epoch_ns, sensor, kind, message)
+        log.event(event)
+        tell(event)
+
+    return note
+
+
 class FaultEpisodes:
     """All fault episodes of a recording; `tell` receives their events."""
 
@@ -130,11 +147,12 @@ class FaultEpisodes:
         """Return the episode of this kind of `sensor` ("": the array); `which` distinguishes several of a kind."""
         key = sensor, kind, which
         if key not in self._all:
-            self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), self._teller(sensor))
+            self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), partial(self._tell, sensor))
         return self._all[key]
 
-    def _teller(self, sensor: str) -> Tell:
-        return lambda at_ns, kind, message: self._tell(sensor, at_ns, kind, message)
+    def note(self, at_ns: int, kind: str, message: str) -> None:
+        """Note an event of the array as a whole."""
+        self.of("", kind).happened(at_ns, message)
 
     def settle(self, now_ns: int) -> None:
         """See `FaultEpisode.settle`."""

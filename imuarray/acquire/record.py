@@ -19,7 +19,7 @@ import numpy as np
 
 from imuarray.acquire.bus_segment import REMOVED, AdapterState, BusSegment, ConfigurationReadback, Polling
 from imuarray.acquire.clocks import Clocks, clocks_beside
-from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingOptions, Service, Summary
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
@@ -28,7 +28,7 @@ from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
-from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.missed_frames import BUS_WAS_LATE, duration_s, frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import LogWriter, Stimulus
@@ -65,7 +65,7 @@ class Poll:
         self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
         self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
         items = list(self.buffers.values())
-        self.faults = FaultEpisodes(self.event)
+        self.faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
         self.intake = Intake(log, epoch_ns, options.observe, self.faults, self.summary.lost)
         forth = self._segments(routes)
         self.orders = forth, forth[::-1]
@@ -80,7 +80,7 @@ class Poll:
         )
         self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
         read = clocks_beside(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
-        self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
+        self.clocks = Clocks(read, epoch_ns, log.clocks, self.faults.note)
         self.missed = self.faults.of("", "late")
         self._adapters = list({id(segment.adapter): segment.adapter for segment in forth}.values())
         self._earlier_time_outs = 0
@@ -291,16 +291,6 @@ class Poll:
         self.clocks.tick(now_ns)
         self.health.tick(now_ns)
         self.faults.settle(now_ns)
-
-    def note(self, at_ns: int, kind: str, text: str) -> None:
-        """Note an event of the array as a whole."""
-        self.faults.of("", kind).happened(at_ns, text)
-
-    def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
-        """Write and report an event of a sensor, or of the array."""
-        event = Event(at_ns - self.epoch_ns, sensor, kind, text)
-        self.log.event(event)
-        self.options.tell(event)
 
     def finish(self) -> None:
         """Verify or flag the waiting rows; write them; end all fault episodes."""

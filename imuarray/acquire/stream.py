@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
-from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sample_buffer import HELD_S, Intake
 from imuarray.acquire.sensor_routes import SensorRoute
@@ -28,7 +28,6 @@ from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import CAN_COUNT, LinkError
 from imuarray.drivers.unattended import needs_counting, unattended_queue_of
 from imuarray.errors import BusUrlError, SensorError
-from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.printable import counted
@@ -245,7 +244,7 @@ class Streaming:
         self._rate_hz = rate_hz = options.rate_hz
         self._bus, self._log, self._epoch_ns, self._options = bus, log, epoch_ns, options
         self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
-        self._faults = FaultEpisodes(self._event)
+        self._faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
         self._intake = Intake(log, epoch_ns, options.observe, self._faults, self.summary.lost)
         self._plan = plan(routes, rate_hz)
         self._rows = rows_of(routes, self._plan, rate_hz)
@@ -258,7 +257,7 @@ class Streaming:
         self._period_rate_hz = rate_hz * self._plan.split
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read = clocks_beside(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
-        self._clocks = Clocks(read, epoch_ns, log.clocks, self._note_of_all)
+        self._clocks = Clocks(read, epoch_ns, log.clocks, self._faults.note)
         self._periods: int | None = None  # how many are required; `split` of them are a frame
         self._begun = 0  # periods before the stream was last started
         self._newest = -1  # number of the newest period since
@@ -463,16 +462,6 @@ class Streaming:
     def _note(self, rows: Rows, kind: str, text: str) -> None:
         """Note an event of a sensor."""
         self._faults.of(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
-
-    def _note_of_all(self, at_ns: int, kind: str, text: str) -> None:
-        """Note an event of the array as a whole."""
-        self._faults.of("", kind).happened(at_ns, text)
-
-    def _event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
-        """Write and report an event."""
-        event = Event(at_ns - self._epoch_ns, sensor, kind, text)
-        self._log.event(event)
-        self._options.tell(event)
 
 
 def _until(samples: Samples, number: int) -> Samples:
