@@ -464,7 +464,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         2,
         ["if the delimiter is '\\t', set it in [file] of the map"],
     ),
-    "no text": (bytes([*b"BZh9", *range(1, 200)]) * 40, MAP, 2, ["is not text; allowed are tables of text"]),
+    "no text": (bytes([*b"\x7fELF", *range(1, 200)]) * 40, MAP, 2, ["is not text; allowed are tables of text"]),
     "runs one after the other": (
         edited(lambda lines: [*lines, *lines[1:900]]),
         MAP,
