@@ -1,7 +1,7 @@
 """`python -m firmware_emulator CONFIG --usbip`: the emulated array as an I2C adapter of this or another Linux machine;
 `--serial`: on an emulated microcontroller behind a pseudo-terminal.
 
-The only file of the emulator that reads a configuration; everything else is handed one. Exit codes as of `imuarray`: 2
+The only file of the emulator that reads a configuration. Exit codes as of `imuarray`: 2
 for bad input, with one line that names the place and what is allowed; 130 interrupted.
 """
 

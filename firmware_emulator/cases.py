@@ -206,7 +206,7 @@ def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) 
 
 
 def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
-    """Phases in times of the host's clock, on which whoever notes them looks."""
+    """Phases in times of the host's clock, by which they are noted."""
     clock = bus.clock
     if not isinstance(clock, HostClock):
         return tuple(phases)
@@ -224,7 +224,7 @@ def leave_thermometers_out(path: Path) -> None:
 
 
 def call_it_reference(path: Path) -> None:
-    """Turn the truth of the emulated world into the reference: what the bench was told to do."""
+    """Turn the truth of the emulated world into the reference: the commanded motion of the bench."""
     with h5py.File(path, "r+") as file:
         file.move("truth", "reference")
 

@@ -132,7 +132,7 @@ class FaultyDevice:
         return self._device.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read the device, except that a triad may stand still."""
+        """Read the device; while a fault freezes the triad, its last value is returned."""
         sent = self._device.read(count, at_ns, byte_ns)
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:

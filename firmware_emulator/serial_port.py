@@ -11,7 +11,9 @@ from typing import Self
 from firmware_emulator.serial_firmware import Firmware
 
 ROOM = 4096
-"""Bytes that wait while nobody reads, the terminal's own aside; a list that finds no room is not sent."""
+"""Bytes that wait while the terminal is not read, besides the terminal's own buffer; a list that does not fit is
+dropped.
+"""
 CHUNK = 65536
 IDLE_S = 1.0
 
@@ -22,7 +24,9 @@ class SerialPort:
     def __init__(self, firmware: Firmware) -> None:
         self.firmware = firmware
         self.dropped = 0
-        self._host, self._kept = os.openpty()  # the other end stays open, or the host's leaving would be an error here
+        self._host, self._kept = (
+            os.openpty()
+        )  # the other end stays open, so that a host that disconnects causes no error here
         tty.setraw(self._kept)
         os.set_blocking(self._host, False)
         self.path = os.ttyname(self._kept)
@@ -39,7 +43,7 @@ class SerialPort:
         os.write(self._waker, b"\0")
 
     def _step(self) -> bool:
-        """Wait for bytes, or for the next frame to begin; True when it is over."""
+        """Wait for bytes, or for the next frame to begin; return True after `shutdown`."""
         due_ns = self.firmware.due_ns
         wait_s = IDLE_S if due_ns is None else (due_ns - self.firmware.clock.now_ns()) * 1e-9
         writing = [self._host] if self._out else []

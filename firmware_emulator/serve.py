@@ -162,7 +162,7 @@ def string_descriptor(text: str) -> bytes:
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 3240
 MAX_CONNECTIONS = 16
 PATIENCE_S = 10.0
-"""How long a client may take to say what it wants, or to take what it asked for."""
+"""Time in which a client must import a device, or receive what it requested."""
 CHUNK = 65536
 
 
@@ -182,13 +182,14 @@ class Client:
             self.connection.sendall(answer)
         return bool(data) and not self.conversation.over
 
-    def dawdles(self) -> bool:
-        """Connected a while ago, and wants nothing yet."""
+    def is_overdue(self) -> bool:
+        """Return whether it connected more than `PATIENCE_S` ago and has not imported a device yet."""
         return self.conversation.imported is None and time.monotonic() - self.since_s > PATIENCE_S
 
 
 class UsbipServer:
-    """Serves `wires` (by name of the bus, "" for the trunk) as busid 1-1, 1-2, ...; OSError if the port can't be had.
+    """Serves `wires` (by name of the bus, "" for the trunk) as busid 1-1, 1-2, ...; OSError if the port is not
+    available.
 
     `title` is what the adapters call themselves; `log` gets one line for everything that happens to a client.
     """
@@ -226,7 +227,7 @@ class UsbipServer:
                 if key.fileobj is self._woken:
                     return
                 key.data()
-            for client in [client for client in self._clients if client.dawdles()]:
+            for client in [client for client in self._clients if client.is_overdue()]:
                 self._drop(client, "said nothing")
 
     def shutdown(self) -> None:
@@ -246,7 +247,7 @@ class UsbipServer:
     def _accept(self) -> None:
         try:
             connection, peer = self._listener.accept()
-        except OSError:  # it has gone again
+        except OSError:  # the client has closed the connection
             return
         name = f"{peer[0]}:{peer[1]}"
         if len(self._clients) >= MAX_CONNECTIONS:
@@ -275,7 +276,7 @@ class UsbipServer:
             self._drop(client, why or (f"detached {now.busid}" if now else ""))
 
     def _drop(self, client: Client, why: str) -> None:
-        """Close the connection, and say why if there is something to say."""
+        """Close the connection; a reason, if there is one, is logged."""
         self._selector.unregister(client.connection)
         self._clients.remove(client)
         client.conversation.close()

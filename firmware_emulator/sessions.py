@@ -186,7 +186,7 @@ class Course:
         return self.shaken(at_s, self.commanded(at_ns))
 
     def commanded(self, at_ns: int) -> Stimulus:
-        """Return what the bench was told to do, in the room's temperature: without what makes the table vibrate."""
+        """Return the commanded motion of the bench at room temperature, without the vibration of the table."""
         at_s = max(at_ns, 0) * 1e-9
         felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:

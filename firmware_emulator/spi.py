@@ -101,7 +101,7 @@ class ChipSelect:
         pieces = [1] * len(data) if repeats else [len(data)]
         received = b""
         for count in pieces if data else ():
-            if self.device.write(start, first_ns, byte_ns) < 1:  # nobody there
+            if self.device.write(start, first_ns, byte_ns) < 1:  # no chip answers
                 return idle
             received += self.device.read(count, first_ns, byte_ns)
         if not understood:
@@ -110,7 +110,7 @@ class ChipSelect:
 
 
 class SpiPort:
-    """A chip select with a clock and a mode; `understood` if the chip bears both."""
+    """A chip select with a clock and a mode; `understood` if the chip supports both."""
 
     def __init__(self, select: ChipSelect, clock_hz: int, understood: bool) -> None:
         self._select = select

@@ -1,4 +1,4 @@
-"""USB/IP 1.1.1, the server's side, without I/O: what arrived goes in, what is to be sent comes out.
+"""The server's side of USB/IP 1.1.1 as a protocol without I/O: received bytes in, bytes to send out.
 
 Source of every layout here: the Linux kernel's documentation, "USB/IP protocol" (usbip_protocol). All numbers of the
 protocol are big-endian, those inside a setup packet little-endian (USB 2.0, 9.3). Only endpoint 0 exists, so that a

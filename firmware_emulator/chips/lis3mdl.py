@@ -33,7 +33,7 @@ class _Settings(NamedTuple):
 
 
 class Lis3mdl(Chip):
-    """The chip; `identity` is what WHO_AM_I says, that of the part unless told otherwise."""
+    """The chip; `identity` is the content of WHO_AM_I, by default that of the part."""
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0, *, identity: int | None = None) -> None:
         self._identity = facts.WHO_AM_I.reset if identity is None else identity
@@ -112,7 +112,7 @@ class Lis3mdl(Chip):
         return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; with BDU an axis stands still from its first byte to its second (LIS-13)."""
+        """A register's byte; with BDU an axis does not change between its first byte and its second (LIS-13)."""
         self._sync(at_ns)
         if not _FIRST <= address <= _LAST:
             return self.page[address]

@@ -106,7 +106,7 @@ class Mpu6050(MpuFamily):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """One burst shows one instant: the data registers stand still until STOP (INV-30)."""
+        """A burst reads one instant: the data registers do not change until STOP (INV-30)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         data = bytes(self.page[_DATA.start : _DATA.stop])

@@ -209,7 +209,7 @@ class MpuFamily(SixAxis):
         return pointer if pointer == FIFO else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register; whoever is behind the bypass is told when it is opened or closed."""
+        """A byte written to a register; `on_bypass` is called when the bypass is opened or closed."""
         was_open = self.bypass_open
         self._store(address, value, at_ns)
         if self.on_bypass is not None and was_open != self.bypass_open:

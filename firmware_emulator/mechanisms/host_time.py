@@ -82,7 +82,7 @@ COARSEST_MS = 15.0
 
 @dataclass(frozen=True)
 class CoarseTimestamps(Mechanism):
-    """A kernel that ticks: the clock stands still between two ticks, and sleepers wake on them.
+    """A kernel with a tick: the clock does not change between two ticks, and sleeping programs wake at ticks.
 
     Times are cut to whole ticks of `tick_ms`. Reference: 10 ms, the jiffy of a kernel with HZ=100.
 

@@ -16,7 +16,7 @@ from firmware_emulator.world import STANDARD_GRAVITY, Stimulus, cross
 
 @dataclass(frozen=True)
 class ReferenceVoltage(SensorMechanism):
-    """The converter's reference voltage is off: everything it converts, bias and noise included, comes out too small.
+    """The converter's reference voltage is wrong: everything it converts, bias and noise included, is too small.
 
     code = input / (1 + `error`): the reference is `error` too high. Reference size: 3 %.
     """

@@ -324,7 +324,7 @@ class IioDevice:
         return self._layout
 
     def stop(self) -> None:
-        """Stop the capture, whoever started it; OSError."""
+        """Stop the capture, also one that another program started; OSError."""
         if self.read(self._buffer("enable")) not in ("0", None):
             self.write(self._buffer("enable"), "0")
         self._layout = None

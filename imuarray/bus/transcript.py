@@ -58,7 +58,7 @@ class _Notes:
 
 
 class _NotedClock:
-    """Another clock; whoever looks at it leaves a note."""
+    """Another clock; each reading of it is noted."""
 
     def __init__(self, clock: Clock, notes: _Notes) -> None:
         self._clock, self._notes = clock, notes

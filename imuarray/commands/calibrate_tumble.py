@@ -25,7 +25,7 @@ _METHODS = {
 
 
 def report_of(log: Log, result: Tumble) -> dict[str, Any]:
-    """Return the whole result, JSON-ready; residuals in mg, biases in g or dps, what can't be told None."""
+    """Return the whole result, JSON-ready; residuals in mg, biases in g or dps, None for what can't be determined."""
     from imuarray.calibrate import cancellation
 
     inertial = [sensor for sensor in log.sensors.values() if sensor.name in result.calibration.sensors]

@@ -66,7 +66,7 @@ class Bmp280(ForcedBarometer):
         self.begin()
 
     def is_over(self, head: bytes) -> bool:
-        """It sleeps, with the oversampling that it was told: a chip that was reset meanwhile has none (BMP-105,
+        """It sleeps, with the configured oversampling: a chip that was reset meanwhile has none (BMP-105,
         BMP-107).
         """
         asleep = Setting(self.force.register, self.force.mask, self.force.value & ~facts.MODE.mask)

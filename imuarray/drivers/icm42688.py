@@ -206,7 +206,7 @@ class Icm42688Gyroscope(_Half):
     allowed: ClassVar[str] = "0.5 and more allowed"
 
     def remark(self) -> str:
-        """Say that the adaptive range is on, with which readings stand still near 100 dps (TDK-18)."""
+        """Report that the adaptive range is on, with which readings freeze near 100 dps (TDK-18)."""
         if facts.BANK.of(self.registers.peek(facts.REG_BANK_SEL)[0]):
             return ""
         if facts.ADAPTIVE_RANGE.of(self.registers.peek(facts.INTF_CONFIG1)[0]) == _ADAPTIVE_RANGE_OFF:

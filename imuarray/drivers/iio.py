@@ -122,7 +122,7 @@ class IioQueue:
         self._newest_ns = None
 
     def put(self, rows: bytes, times_ns: Sequence[int], uncertainties_ns: Sequence[float] = ()) -> None:
-        """Let these rows wait, one for each time; if nobody takes them, they are dropped."""
+        """Let these rows wait, one for each time; if they are not fetched, they are dropped."""
         if len(self._times_ns) > LONGEST_BUFFER:
             self._forget()
         self._rows += rows
