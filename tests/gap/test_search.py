@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.gap.inference import search
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
@@ -33,6 +35,7 @@ from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.saturation import Saturation
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -428,3 +431,24 @@ def test_trials_of_both_parts_are_not_crowded_out_by_those_of_one() -> None:
     assert [one.gain for one in likeliest([*own, *late], 2)] == [40.0, 39.0, 25.0]
     assert [one.gain for one in likeliest([*own, *late], 4)] == [40.0, 39.0, 25.0, 24.0]
     assert likeliest(late, 1) == late[:1]
+
+
+@pytest.mark.parametrize(("name", "numbers"), [("saturation", [10.0, 42.0]), ("tone", [10.0])])
+def test_an_end_of_the_range_that_one_part_reaches_is_tried(
+    monkeypatch: pytest.MonkeyPatch, name: str, numbers: list[float]
+) -> None:
+    """The training part suggests 10, both parts together 42: a line that both show need not be tried twice."""
+
+    def effect(number: float) -> Effect:
+        return Saturation((number,) * 3) if name == "saturation" else Tone((number,) * 3, 17.0)
+
+    guesses = iter([[Hypothesis((effect(10.0),))], [Hypothesis((effect(42.0),))]])
+    monkeypatch.setattr(search, "guesses_of", lambda *_: next(guesses))
+    monkeypatch.setattr(search, "_evidence", lambda *_: SimpleNamespace(phases=()))
+    monkeypatch.setattr(search, "placebo_of", lambda _: None)
+    split = SimpleNamespace(train=lambda _: None, both=lambda _: None)
+    comparison = SimpleNamespace(bench=SimpleNamespace(split=split), campaign=None)
+    tried = search._guesses_of(comparison, {("G1",): None}, {})[("G1",)]  # type: ignore[arg-type, dict-item]
+    assert tried.shared == []
+    assert [trial.effects[0] for trial in tried.alone] == [effect(number) for number in numbers]
+    assert [trial.whole for trial in tried.alone] == [False, True][: len(numbers)]

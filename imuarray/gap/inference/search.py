@@ -45,6 +45,9 @@ _THERMAL = frozenset({"thermal_bias", "thermal_lag", "thermal_scale"})
 of the other half.
 """
 
+_OF_EXTREMES = frozenset({"saturation"})
+"""The same for effects of the largest readings: one part may reach another end of the range than the other."""
+
 _FAMILY_ROUNDS = 1
 """Rounds in which shared causes are looked for."""
 
@@ -319,12 +322,14 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
-        thermal = _THERMAL if any(phase.kind == "heating" for phase in evidence.phases) else frozenset()
+        again = _OF_EXTREMES
+        if any(phase.kind == "heating" for phase in evidence.phases):
+            again |= _THERMAL
         known = {(trial.name, trial.when, trial.shared) for trial in lasting}
         late = [
             replace(trial, whole=True)
             for trial in everything
-            if trial.needs_both or trial.name in thermal or (trial.name, trial.when, trial.shared) not in known
+            if trial.needs_both or trial.name in again or (trial.name, trial.when, trial.shared) not in known
         ]
         every = [
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)
