@@ -10,6 +10,7 @@ Everything is a function of time alone; the tables are those of a file in JSON (
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -42,11 +43,16 @@ def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
     """A record of a table's entries, lists as tuples; ValueError for an entry that it doesn't have."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(table) - known):
-        raise ValueError(f"{unknown[0]}: no entry of a {kind.__name__.lower()}; allowed are {', '.join(sorted(known))}")
+        raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(known))}")
     try:
         return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
     except TypeError as error:
-        raise ValueError(f"{kind.__name__.lower()}: {error}") from None
+        raise ValueError(f"{_words_of(kind)}: {error}") from None
+
+
+def _words_of(kind: Callable[..., Any]) -> str:
+    """The name of a class in lower-case words."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", kind.__name__).lower()
 
 
 @dataclass(frozen=True)

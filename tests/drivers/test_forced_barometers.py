@@ -10,7 +10,7 @@ import pytest
 
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.chips.bmp280 import Bmp280Words, fine_of, pascal_of
-from firmware_emulator.chips.bmp388 import Bmp280Words as Words388
+from firmware_emulator.chips.bmp388 import Bmp388Words as Words388
 from firmware_emulator.chips.bmp388 import degc_of
 from firmware_emulator.chips.bmp388 import pascal_of as pascal_388
 from imuarray.array import SensorConfig

@@ -100,7 +100,7 @@ def test_a_fridge_runs_for_a_share_of_its_cycle_and_no_reference_knows():
 
 
 def test_what_is_not_known_is_refused_in_a_line():
-    with pytest.raises(ValueError, match="ghost: no entry of a pose; allowed are hold_s, up"):
+    with pytest.raises(ValueError, match="ghost: no entry of a rest pose; allowed are hold_s, up"):
         course(poses=[{"up": [0, 0, 1], "ghost": 1}])
     with pytest.raises(ValueError, match="session: 'poses' is missing"):
         sessions([{"name": "a", "seconds": 1.0}], Room(), 0)
