@@ -378,7 +378,7 @@ class _Array(Generic[_Sensor]):
 
 
 class _Callbacks(NamedTuple):
-    """What `fuse` calls besides giving blocks."""
+    """The functions that `fuse` calls besides giving blocks."""
 
     notes: Callable[[FusionNotes], None]
     average: Callable[[FusedBlock], None] | None

@@ -177,15 +177,15 @@ def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -
     rows, columns = panels.shape
     legends = [panel.get_legend() for panel in panels[:, -1]]
     texts = [drawn.get_window_extent().width / figure.dpi for drawn in legends if drawn is not None]
-    beside = max(texts, default=0.0) + (0.1 if texts else 0.0)
+    legend_width = max(texts, default=0.0) + (0.1 if texts else 0.0)
     figure.suptitle(figure.get_suptitle(), y=1 - _EDGE_IN / height, fontsize=11)
     foot = _EDGE_IN + _FOOT_LINE_IN * len(figure.get_supxlabel().splitlines())
-    each_width = (width - beside) / columns - margins.left - margins.right
+    each_width = (width - legend_width) / columns - margins.left - margins.right
     each_height = (height - _TITLE_IN - foot) / rows - margins.above - margins.below
     for (row, column), panel in np.ndenumerate(panels):
-        left = margins.left + column * (margins.left + each_width + margins.right)
+        start = margins.left + column * (margins.left + each_width + margins.right)
         top = _TITLE_IN + margins.above + row * (margins.above + each_height + margins.below)
-        panel.set_position((left / width, 1 - (top + each_height) / height, each_width / width, each_height / height))
+        panel.set_position((start / width, 1 - (top + each_height) / height, each_width / width, each_height / height))
         panel.yaxis.set_label_coords(-_LABEL_IN[0] / each_width, 0.5)
         panel.xaxis.set_label_coords(0.5, -_LABEL_IN[1] / each_height)
 

@@ -82,7 +82,7 @@ def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
 
 
 class _Layer(NamedTuple):
-    """Of every row of a sparse matrix that has a k-th entry: the `rows`, the `columns` of these entries and the entries
+    """The k-th entries of a sparse matrix: the `rows` that have one, the `columns` of these entries and the entries
     (p, 1), None where all are one.
     """
 
@@ -92,7 +92,7 @@ class _Layer(NamedTuple):
 
 
 class FeltStates:
-    """What r rows feel of n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row feels two or
+    """The response of r rows to n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row feels two or
     three states and a term of its response one, so that products skip the zeros.
     """
 
@@ -158,7 +158,7 @@ class ErrorStates:
         return 1 + len(self.response)
 
     def felt(self, warmer_degc: Floats) -> FeltStates:
-        """What axes that are warmer than their biases by (m,) feel of the states."""
+        """The response to the states of axes that are warmer than their biases by (m,)."""
         key = warmer_degc.tobytes() if self.thermal.any() else b""
         if key not in self._felt:
             if len(self._felt) >= _KEPT:

@@ -51,7 +51,7 @@ class _Response(NamedTuple):
 
 
 def _from_faces(evidence: Evidence) -> list[_Response]:
-    """None unless faces differ. Directions that were not felt get 0."""
+    """Responses by least squares of the levels on faces, 0 along directions that were not felt; [] unless faces differ."""
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
@@ -75,7 +75,7 @@ def _from_motion(evidence: Evidence) -> list[_Response]:
     table = moments(evidence)
     if table is None:
         return []
-    force, shared, _ = table.beside(FORCE)
+    force, shared, _ = table.beyond_reference(FORCE)
     response_g = np.asarray((np.linalg.pinv(force, rcond=1e-6, hermitian=True) @ shared).T)
     return [_Response(response_g, int(np.count_nonzero(response_g))), _Response(_unbalance(evidence, table), 3)]
 
@@ -86,7 +86,7 @@ def _unbalance(evidence: Evidence, table: Moments) -> Floats:
 
     A box that rocks feels gravity turn in step with the change c of its rate: an axis is late by -<c, m x f> / <c, c>.
     """
-    products, _, _ = table.beside(_CHANGE_AND_FORCE)
+    products, _, _ = table.beyond_reference(_CHANGE_AND_FORCE)
     changes, force = np.diag(products[:3, :3]), products[:3, 3:]
     delay_s, score = evidence.typical(_DELAY), evidence.score(_DELAY)
     known = np.isfinite(delay_s) & (score != 0) & (delay_s != 0) & (changes > 0)

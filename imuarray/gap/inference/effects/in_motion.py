@@ -30,7 +30,7 @@ class Moments:
     windows: int
     window_s: float
 
-    def beside(self, columns: slice | Indices) -> tuple[Floats, Floats, Floats]:
+    def beyond_reference(self, columns: slice | Indices) -> tuple[Floats, Floats, Floats]:
         """Products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
         readings, and (3,) squares of the readings.
         """

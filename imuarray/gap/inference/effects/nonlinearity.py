@@ -79,7 +79,7 @@ def _nearest(evidence: Evidence) -> Indices:
 
 def _slope(table: Moments, columns: slice, at: Indices) -> Floats:
     """(3,) slopes of the axes' readings over the column of each axis, without what the reference explains of both."""
-    products, shared, _ = table.beside(columns)
+    products, shared, _ = table.beyond_reference(columns)
     size = products[at, at]
     return np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
 
@@ -91,7 +91,7 @@ def _from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     square = np.diag(table.products[REFERENCE, REFERENCE])
     gain = table.products[OWN, REFERENCE].diagonal() / np.where(square > 0, square, np.inf) - 1
-    remaining = table.beside(ROTATION)[2]
+    remaining = table.beyond_reference(ROTATION)[2]
     size = 2 * np.sqrt(np.maximum(remaining, 0.0)) / np.where(square > 0, square**1.5, np.inf)
     most = _LARGEST / evidence.header.range**2
     cubic = np.sign(gain) * np.minimum(np.minimum(size, np.abs(gain) / (1.5 * square + 1e-30)), most)

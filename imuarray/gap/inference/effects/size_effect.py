@@ -33,7 +33,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     table = moments(evidence)
     if table is None:
         return
-    place = _place(evidence, *table.beside(ROTATION)[:2]) * 1e3
+    place = _place(evidence, *table.beyond_reference(ROTATION)[:2]) * 1e3
     if place.any() and np.linalg.norm(place) < _LARGEST_MM:
         x, y, z = place.tolist()
         yield Hypothesis((SizeEffect((x, y, z)),), ("position_mm",))
