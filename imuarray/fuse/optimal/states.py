@@ -92,8 +92,8 @@ class _Layer(NamedTuple):
 
 
 class FeltStates:
-    """The response of r rows to n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row feels two or
-    three states and a term of its response one, so that products skip the zeros.
+    """The response of r rows to n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row responds to
+    two or three states and a term of its response to one, so that products skip the zeros.
     """
 
     def __init__(self, dense: Floats) -> None:

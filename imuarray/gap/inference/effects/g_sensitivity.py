@@ -51,7 +51,7 @@ class _Response(NamedTuple):
 
 
 def _from_faces(evidence: Evidence) -> list[_Response]:
-    """Responses by least squares of the levels on faces, 0 along directions that were not felt; [] unless faces differ."""
+    """Least squares of the levels on faces, 0 along directions that were not felt; [] unless faces differ."""
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
