@@ -24,6 +24,9 @@ UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 CACHED_BYTES = 1 << 26
 """Bytes of the rows of a log that stay in memory: an hour of nine triads at 100 Hz has 57 MB."""
 
+RECENT_BYTES = 1 << 24
+"""The same of a longer log, which is not kept from one pass to the next: a block of each column of a dozen sensors."""
+
 _BLOCK_ROWS = 1 << 16
 """Rows of a column that are read and kept together: sixteen chunks."""
 
@@ -44,6 +47,14 @@ class RowCache:
         self.used = False
         self._blocks: OrderedDict[tuple[str, int], npt.NDArray[Any]] = OrderedDict()
         self._lock = Lock()
+
+    def use(self, size_bytes: int) -> None:
+        """Keep rows from now on: all of a log of so many bytes, or if that is more than the limit those that were used
+        last, because a pass over all rows would find none of the pass before.
+        """
+        self.used = True
+        if size_bytes > self._limit_bytes:
+            self._limit_bytes = min(self._limit_bytes, RECENT_BYTES)
 
     def rows(self, column: h5py.Dataset, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Return a copy of rows `start` to `stop` of a column of this name, `start` < `stop`; the errors of HDF5."""

@@ -9,6 +9,7 @@ and length.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -239,11 +240,12 @@ class Log:
         return None if group is None else track_of(group, f"{self.path}: group {name}", self._cache)
 
     def keep_rows(self) -> None:
-        """Keep the rows that are read from now on in memory, the last 64 MB of them: for who reads a log several times.
-        Nothing is kept of a log that is being written.
+        """Keep the rows that are read from now on in memory, of a log of up to 64 MB all of them, of a longer one the
+        last 16 MB: for analyses that read a log several times. Nothing is kept of a log that is being written.
         """
         if self._cache is not None:
-            self._cache.used = True
+            columns = [(sensor.time, sensor.counts, sensor.status) for sensor in self.sensors.values()]
+            self._cache.use(sum(math.prod(column.shape) * column.dtype.itemsize for part in columns for column in part))
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
         """An `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where the

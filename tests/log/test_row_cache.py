@@ -31,7 +31,7 @@ class Counted:
 
 def cached(column: Any, name: str, limit_bytes: int | None = None) -> NamedColumn:
     cache = RowCache(limit_bytes)
-    cache.used = True
+    cache.use(0)
     return NamedColumn(column, name, cache)
 
 
@@ -52,6 +52,20 @@ def test_rows_are_read_once_while_there_is_room() -> None:
         for start in range(0, ROWS, 16_384):
             column[start : start + 16_384]
     assert counted.rows_read == ROWS
+
+
+@pytest.mark.parametrize(("size_bytes", "blocks"), [(8 * ROWS, 4), (1 << 30, 2)])
+def test_of_a_long_log_the_rows_used_last_stay(monkeypatch: pytest.MonkeyPatch, size_bytes: int, blocks: int) -> None:
+    """Four blocks of half a megabyte; a log of a gigabyte may keep two."""
+    monkeypatch.setattr("imuarray.log.columns.RECENT_BYTES", 1 << 20)
+    counted, cache = Counted(np.arange(ROWS)), RowCache()
+    cache.use(size_bytes)
+    column = NamedColumn(counted, "time", cache)  # type: ignore[arg-type]
+    starts = range(0, ROWS, 65_536)
+    for start in (*starts, *reversed(starts)):
+        column[start : start + 65_536]
+    again = sum(len(counted.values[start : start + 65_536]) for start in starts[: 4 - blocks])
+    assert counted.rows_read == ROWS + again
 
 
 def test_what_was_used_last_stays() -> None:
