@@ -11,7 +11,7 @@ import pytest
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.channel_swap import CHANNEL_SWAP, _gains_of_exchange
 from imuarray.gap.inference.effects.g_sensitivity import G_SENSITIVITY, _unbalance
-from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, REFERENCE, Moments
+from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, REFERENCE, Moments, _products
 from imuarray.gap.inference.effects.nonlinearity import NONLINEARITY
 from imuarray.gap.inference.effects.scale import SCALE
 from imuarray.gap.inference.effects.size_effect import SIZE_EFFECT
@@ -58,16 +58,16 @@ def test_a_mass_unbalance_delays_the_axes_of_a_box_that_rocks() -> None:
     rng = np.random.default_rng(3)
     axis, gravity, unbalance = np.array([0.6, 0.3, -0.7]), np.array([0.4, -0.2, 0.2]), np.array([2.0, -12.0, 4.0])
     angle = np.sin(np.arange(600) * 0.2)[:, None]
-    change, force = angle * axis * 100, angle * gravity + rng.normal(0, 0.01, (600, 3))
+    change, force = angle * axis * 5000, angle * gravity + rng.normal(0, 0.01, (600, 3))
     products = np.zeros((CHANGE.stop, CHANGE.stop))
     both = np.hstack([change, force])
     places = np.r_[CHANGE, FORCE]
     products[np.ix_(places, places)] = both.T @ both / 600
     products[REFERENCE, REFERENCE] = np.eye(3)
-    table = Moments(products, 600, window_s=0.02)
+    table = Moments(products, 600)
 
     def delay_s(response: Floats) -> Floats:
-        return -0.02 * (change * (force @ response.T)).sum(axis=0) / (change**2).sum(axis=0)
+        return -(change * (force @ response.T)).sum(axis=0) / (change**2).sum(axis=0)
 
     late_s = delay_s(np.cross(unbalance, np.eye(3)).T)
     assert np.abs(late_s).max() > 1e-3
@@ -81,6 +81,16 @@ def test_a_mass_unbalance_delays_the_axes_of_a_box_that_rocks() -> None:
     np.testing.assert_allclose(guess, -guess.T)
     np.testing.assert_allclose(delay_s(guess), late_s, atol=1e-4)
     assert np.abs(guess).max() < 13
+
+
+def test_changes_are_per_second_whatever_the_windows() -> None:
+    """In windows twice as long a slow motion changes twice as much from one to the next."""
+    (cross,) = [phase.cross for phase in evidence_of("motion", "G1", seed=7).phases if not phase.is_still]
+    assert cross is not None
+    weights = np.eye(CHANGE.start, cross.fast.shape[0])
+    longer = replace(cross, window_s=2 * cross.window_s, turning=2 * cross.turning, changes=4 * cross.changes)
+    np.testing.assert_allclose(_products(longer, weights), _products(cross, weights))
+    assert _products(cross, weights)[CHANGE, CHANGE].any()
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ def _unbalance(evidence: Evidence, table: Moments) -> Floats:
     known = np.isfinite(delay_s) & (score != 0) & (delay_s != 0) & (changes > 0)
     if not known.any():
         return np.zeros((3, 3))
-    delays_s = np.cross(np.eye(3), force)[known] * table.window_s / changes[known, None]
+    delays_s = np.cross(np.eye(3), force)[known] / changes[known, None]
     error_s = np.abs(delay_s[known] / score[known])
     normal = (delays_s / error_s[:, None] ** 2).T @ delays_s + np.eye(3) / _USUAL_UNBALANCE**2
     unbalance = np.linalg.solve(normal, delays_s.T @ (delay_s[known] / error_s**2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,13 +21,12 @@ class Moments:
     """Mean products (24, 24) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
     those of its reference along its nominal axes (`REFERENCE`; `Cross.reference`), products of angular
     rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean force in the sensor's nominal axes
-    in g (`FORCE`), cubes of angular rates in the box (`CUBED`, rad^3/s^3), the reference's change from window to window
-    (`CHANGE`); over `windows` windows of `window_s` s.
+    in g (`FORCE`), cubes of angular rates in the box (`CUBED`, rad^3/s^3), the reference's change per second
+    (`CHANGE`); over `windows` windows.
     """
 
     products: Floats
     windows: int
-    window_s: float
 
     def beyond_reference(self, columns: slice | Indices) -> tuple[Floats, Floats, Floats]:
         """Products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
@@ -42,7 +40,7 @@ class Moments:
 
 def moments(evidence: Evidence) -> Moments | None:
     """Moments over all phases in motion; None without one, or without a reference."""
-    total, windows, window_s = np.zeros((CHANGE.stop, CHANGE.stop)), 0, math.nan
+    total, windows = np.zeros((CHANGE.stop, CHANGE.stop)), 0
     for phase in evidence.phases:
         if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
             continue
@@ -51,20 +49,19 @@ def moments(evidence: Evidence) -> Moments | None:
             return None
         total += phase.cross.windows * _products(phase.cross, weights)
         windows += phase.cross.windows
-        window_s = phase.cross.window_s
-    return Moments(total / windows, windows, window_s) if windows else None
+    return Moments(total / windows, windows) if windows else None
 
 
 def _products(cross: Cross, weights: Floats) -> Floats:
-    """Mean products (24, 24) of the columns `weights` (21, p) and of the change of the reference; no window has a
-    neighbour where the changes are nan.
+    """Mean products (24, 24) of the columns `weights` (21, p) and of the reference's change per second, whatever the
+    length of the windows; no window has a neighbour where the changes are nan.
     """
     products = np.zeros((CHANGE.stop, CHANGE.stop))
     products[: CHANGE.start, : CHANGE.start] = weights @ cross.fast @ weights.T
     if np.isfinite(cross.changes).all():
-        products[: CHANGE.start, CHANGE] = weights @ cross.turning @ weights[REFERENCE].T
+        products[: CHANGE.start, CHANGE] = weights @ cross.turning @ weights[REFERENCE].T / cross.window_s
         products[CHANGE, : CHANGE.start] = products[: CHANGE.start, CHANGE].T
-        products[CHANGE, CHANGE] = weights[REFERENCE] @ cross.changes @ weights[REFERENCE].T
+        products[CHANGE, CHANGE] = weights[REFERENCE] @ cross.changes @ weights[REFERENCE].T / cross.window_s**2
     return products
 
 
