@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,8 @@ class _Place(NamedTuple):
 
 
 class FrameSpool:
-    """Frames by quantity, and temperatures by sensor, block by block; a context manager. It holds 9 bytes for each axis
-    of a frame, on the disk, and is gone with the object.
+    """Frames by quantity, and temperatures by sensor, block by block, until it is closed. It holds 9 bytes for each
+    axis of a frame, on the disk, and is gone with the object.
     """
 
     def __init__(self) -> None:
@@ -64,9 +64,3 @@ class FrameSpool:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

@@ -6,6 +6,7 @@ The inputs are prepared for one log: the calibration as it holds for this log, a
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Generic, NamedTuple, TypeVar
@@ -418,7 +419,7 @@ def _smoothed(
         remarks = first.remarks() if isinstance(first, MonitoredPipeline) else []
         callbacks.notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
 
-    with FrameSpool() as spool:
+    with closing(FrameSpool()) as spool:
         passes = iter((first_pass, second_pass))
         yield from smoothed(lambda: next(passes)(), axes, model, period_s, with_remarks)
 

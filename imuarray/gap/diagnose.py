@@ -418,8 +418,6 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
         counted = deviating(pairs, before.parts, after.parts, before.likelihood.is_silent)
     gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
     unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
-    if not any(cause.is_accepted for cause in suspected):
-        unknown = min(unknown, 1 - max((cause.probability for cause in suspected), default=0.0))
     return judge(
         gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely, has_remainder=bool(remainder.sizes)
     )

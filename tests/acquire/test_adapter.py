@@ -99,7 +99,7 @@ def test_interrupted_readings_are_counted_and_their_times_are_within_half(
         assert (np.diff(np.asarray(log["A"].time)) == 20 * MS).all()
 
 
-class Held(Dawdling):
+class HungBus(Dawdling):
     """An open bus whose clock wire is held low from 1 s to 1.13 s: each transaction then times out after 30 ms.
     At 2 s the program is not run for 55 ms.
     """
@@ -122,7 +122,7 @@ def test_frames_that_a_hung_bus_costs_are_told_from_those_of_a_busy_machine(
 ) -> None:
     """Two time-outs of 30 ms in a frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""
     array = an_array(A=0, G=0)
-    bus = Held(tapped(array).bus, 1)
+    bus = HungBus(tapped(array).bus, 1)
     done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=3)  # type: ignore[arg-type]
     assert (done.missed_by_bus, done.missed - done.missed_by_bus) == (7, 4)
     with open_log(tmp_path / "r.h5") as log:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
 
 from imuarray.fuse.frame_spool import FrameSpool
@@ -29,7 +31,7 @@ def test_blocks_come_back_in_order_as_often_as_they_are_asked_for() -> None:
         (block(rng, 10 * number, 10 - number, number != 1), {"A": rng.normal(size=10 - number)}) for number in range(3)
     ]
     written.append((block(rng, 40, 0, True), {}))
-    with FrameSpool() as spool:
+    with closing(FrameSpool()) as spool:
         for frames, degc in written:
             spool.add(frames, degc)
         assert spool.frames == 10 + 9 + 8
@@ -52,7 +54,7 @@ def test_blocks_come_back_in_order_as_often_as_they_are_asked_for() -> None:
 def test_columns_may_lie_one_after_the_other_in_memory() -> None:
     values = np.asfortranarray(np.random.default_rng(12).normal(size=(5, 3)))
     frames = {"angular_rate": Frames(np.arange(5), values, np.ones((5, 3), bool))}
-    with FrameSpool() as spool:
+    with closing(FrameSpool()) as spool:
         spool.add(frames, {})
         ((read, _),) = spool.blocks()
     np.testing.assert_array_equal(read["angular_rate"].values, values)

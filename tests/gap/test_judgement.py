@@ -365,3 +365,15 @@ def test_halves_are_paired_whatever_other_logs_there_are() -> None:
     tumbled = [one for one in found if one[1] != "static"]
     assert tumbled
     assert all(first >= 0 and second >= 0 for _, _, first, second in tumbled)
+
+
+def test_unknown_leaves_room_for_the_nearest_effect() -> None:
+    """An effect that was not accepted closes nothing; one that was accepted, and closes nothing, is improbable."""
+    nearest = replace(CAUSE, probability=0.4, is_accepted=False)
+    judgement = judge(gap(0.0), [nearest], 0.98, is_gap=True)
+    assert judgement.verdict == "unexplained"
+    assert judgement.unknown == pytest.approx(0.6)
+    assert judgement.causes[0].probability == pytest.approx(0.4)
+    accepted = judge(gap(0.0), [replace(nearest, is_accepted=True)], 0.98, is_gap=True)
+    assert accepted.unknown == 0.98
+    assert accepted.causes[0].probability == pytest.approx(0.02)

@@ -83,7 +83,7 @@ def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) 
     among thousands of moments, lines and axes. Here this cost decides between effects alone.
     """
     offers = [
-        _Offer(unit, evaluation, _gain_of_both(unit_rounds[0], evaluation))
+        _Offer(unit, evaluation, _log_odds(unit_rounds[0], evaluation))
         for unit, unit_rounds in rounds.items()
         if unit_rounds and unit_rounds[0].selection is None
         for evaluation in unit_rounds[0].confirmed
@@ -107,24 +107,22 @@ def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) 
 
 
 class _Offer(NamedTuple):
-    """A confirmed trial for a unit, and its `gain` in nats on both parts together, over the placebo's, less the cost of
-    its numbers.
-    """
+    """A confirmed trial for a unit, and its log odds against the other offers."""
 
     unit: Unit
     evaluation: Evaluation
-    gain: float
+    log_odds: float
 
     @property
-    def log_odds(self) -> float:
-        """Log odds against the other offers: moments that were chosen cost as much as among thousands."""
-        return self.gain - (2 * BRIEF if self.evaluation.trial.needs_both else 0.0)
+    def gain(self) -> float:
+        """The same in nats without the cost of the choice of a moment."""
+        return self.log_odds + (2 * BRIEF if self.evaluation.trial.needs_both else 0.0)
 
 
-def _gain_of_both(round_: Round, evaluation: Evaluation) -> float:
-    both = evaluation.train_gain + evaluation.gain
-    gain = 2 * (evaluation.gain + BRIEF) if evaluation.trial.needs_both else both
-    return gain - max(round_.placebo_gain, 0.0) - COST * evaluation.factors - evaluation.trial.rarity
+def _log_odds(round_: Round, evaluation: Evaluation) -> float:
+    """Return the gain of a trial on both parts, over the placebo's, less the cost of its numbers and its rarity."""
+    cost = COST * evaluation.factors + evaluation.trial.rarity
+    return evaluation.gain_of_both - max(round_.placebo_gain, 0.0) - cost
 
 
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -96,12 +96,15 @@ def judge(
     * Without a gap, `closed` and its interval are None, there are no causes, and unknown is 0.
     * Unknown is below `EVEN` if the gap is explained, at most `EVEN` if it is explained in part, at least `EVEN` if it
       is unexplained.
-    * No cause is more probable than 1 - unknown, and none that isn't sound more probable than `EVEN`.
+    * No cause is more probable than 1 - unknown, and none that isn't sound more probable than `EVEN`. Where no effect
+      is accepted, unknown leaves room for the nearest one.
     * An interval of `closed` is given only with `closed`. With a gap `closed` is None only where nothing of it can be
       measured on held-out data; such a gap is never explained.
     """
     if not is_gap:
         return Judgement("no gap", replace(gap, after=gap.before, closed=None, closed_ci95=None), (), 0.0)
+    nearest = max((cause.probability for cause in causes if not cause.is_accepted), default=0.0)
+    unknown = min(unknown, 1 - nearest)
     verdict = _verdict(gap.closed, causes, unknown, unlikely)
     if verdict == "explained" and has_remainder:
         verdict = "partly explained"

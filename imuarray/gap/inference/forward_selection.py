@@ -96,6 +96,11 @@ class Evaluation:
         return len(factors_of(self.hypothesis.trial))
 
     @property
+    def gain_of_both(self) -> float:
+        """Gain in nats on both parts together; of a trial that needs both, less the cost of the choice of a moment."""
+        return 2 * self.gain if self.trial.needs_both else self.train_gain + self.gain
+
+    @property
     def trial(self) -> Hypothesis:
         """The hypothesis that was evaluated."""
         return self.hypothesis.trial
@@ -431,7 +436,7 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
     that happens once, by the sum of both parts, less the cost of that choice.
     """
     if evaluation.trial.needs_both:
-        return 2 * evaluation.gain  # what happens once may show in one part alone: the gain of both counts, untempered
+        return evaluation.gain_of_both  # what happens once may show in one part alone: both count, untempered
     temper = _tempering(standing, evaluation)
     if max(temper, 1.0) * evaluation.train_gain > WORTH:
         return temper * evaluation.gain

@@ -127,8 +127,7 @@ def _worth(evaluation: Evaluation) -> float:
     """The mean gain of both parts, less the rarity: rivals that explain one difference between sensors, each by numbers
     of its own, are nearly equal, and half of the data says less than all.
     """
-    both = 2 * evaluation.gain if evaluation.trial.needs_both else evaluation.train_gain + evaluation.gain
-    return both / 2 - evaluation.trial.rarity
+    return evaluation.gain_of_both / 2 - evaluation.trial.rarity
 
 
 def _with_other_models(

@@ -47,13 +47,8 @@ def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluatio
         return None
     more = 2 * ACCEPTED * max(count - 1, 0) - best.trial.rarity
     if count > 1 and not best.factors:
-        more += _EXACT * max(_on_both(members), 0.0)
-    return best if _on_both(best) + more > _on_both(members) else None
-
-
-def _on_both(evaluation: Evaluation) -> float:
-    """Nats gained on both parts."""
-    return 2 * evaluation.gain if evaluation.trial.needs_both else evaluation.train_gain + evaluation.gain
+        more += _EXACT * max(members.gain_of_both, 0.0)
+    return best if best.gain_of_both + more > members.gain_of_both else None
 
 
 def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:

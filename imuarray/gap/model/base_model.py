@@ -45,7 +45,7 @@ from imuarray.gap.statistics.catalogue import (
 )
 from imuarray.gap.statistics.intervals import Intervals
 from imuarray.gap.statistics.probes.level import halves
-from imuarray.gap.statistics.probes.timing import is_comparable
+from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -561,7 +561,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         repeated = _repeated_share(phase, is_flagged)
         if rows_per_s > _OVERSAMPLED * header.rate_hz:
             readings_per_s.append(_readings_between_polls(phase.intervals, repeated))
-        elif not is_comparable(phase):
+        elif not tells_repetitions(phase):
             is_slow = phase.flags["stale"] + phase.flags["doubtful"] >= phase.flags["overrun"]
             readings_per_s.append(rows_per_s * (1 + (-1 if is_slow else 1) * phase.slips / phase.rows))
         elif is_flagged and flags_missed:

@@ -237,7 +237,7 @@ class LikeLog:
         chip = chip_thermometer(self.log, FINEST_CHIP_S)
         if chip is None:
             return "nothing", None
-        time_s, degc = _averaged(chip, min(CHIP_S, max(SHORT_CHIP_S, CHIP_SHARE * self.seconds)))
+        time_s, degc = _average(chip, min(CHIP_S, max(SHORT_CHIP_S, CHIP_SHARE * self.seconds)))
         if not _changes(degc):
             line = np.polynomial.Polynomial.fit(time_s, degc, 1)
             time_s = time_s[[0, -1]]
@@ -246,7 +246,7 @@ class LikeLog:
         return "chip", SplineColumns(time_ns, (degc,), f"{self.log.path}, temperature_counts")
 
 
-def _averaged(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]:
+def _average(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]:
     """Means (k,) of the times and of the readings of a thermometer over `longest_s`, and over less, by halves, as long
     as the means of the halves differ by more than a step of the thermometer and by more than its noise.
     """

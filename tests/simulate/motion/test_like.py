@@ -16,7 +16,7 @@ from imuarray.log import Block, Log, LogWriter, Stimulus
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion import HandShake
 from imuarray.simulate.motion import recorded as recorded_module
-from imuarray.simulate.motion.like import LikeLog, _averaged
+from imuarray.simulate.motion.like import LikeLog, _average
 
 G = 9.80665
 S = 10**9
@@ -176,17 +176,17 @@ def test_a_thermometer_of_whole_degrees_in_a_fast_heat() -> None:
     """
     time_s = np.arange(0.25, 120, 0.5)
     heat_degc = np.where(time_s < 60, 20.0, time_s - 40)
-    mean_s, degc = _averaged(TemperatureSeries("chip", time_s, np.rint(heat_degc), 1.0), 10.0)
+    mean_s, degc = _average(TemperatureSeries("chip", time_s, np.rint(heat_degc), 1.0), 10.0)
     np.testing.assert_allclose(np.interp(time_s, mean_s, degc), heat_degc, atol=0.7)
     assert np.count_nonzero(mean_s < 60) == 6
-    slow, _ = _averaged(TemperatureSeries("chip", time_s, np.rint(20.2 + 0.01 * time_s), 1.0), 10.0)
+    slow, _ = _average(TemperatureSeries("chip", time_s, np.rint(20.2 + 0.01 * time_s), 1.0), 10.0)
     assert len(slow) == 12
 
 
 def test_the_noise_of_a_thermometer_does_not_shorten_its_means() -> None:
     """Of 2 degC at each reading, in steps of 0.01 degC: at most one in a hundred windows is divided."""
     rng, time_s = np.random.default_rng(4), np.arange(0.25, 5000, 0.5)
-    mean_s, _ = _averaged(TemperatureSeries("chip", time_s, rng.normal(20, 2, len(time_s)), 0.01), 10.0)
+    mean_s, _ = _average(TemperatureSeries("chip", time_s, rng.normal(20, 2, len(time_s)), 0.01), 10.0)
     assert 500 <= len(mean_s) <= 505
 
 

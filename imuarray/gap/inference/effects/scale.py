@@ -25,7 +25,7 @@ _LARGEST = 0.9
 
 _ALONG = "motion_along"
 
-_PARTLY = 0.8
+_SMALLER = 0.8
 """Largest error of the first part of a motion, as a share of that of the second, if it begins within the motion."""
 
 _FELT = 0.3
@@ -83,7 +83,7 @@ def _within_motion(evidence: Evidence) -> Iterator[Hypothesis]:
         if len(parts) != 2 or not moving:
             continue
         (first, second), second_score = np.nan_to_num(shift[parts]), score[parts[1]]
-        changes = (second_score > DOUBTFUL) & (np.abs(second) < _LARGEST) & (np.abs(first) < _PARTLY * np.abs(second))
+        changes = (second_score > DOUBTFUL) & (np.abs(second) < _LARGEST) & (np.abs(first) < _SMALLER * np.abs(second))
         error = np.where(changes, second, 0.0)
         if not (changes & (second_score > ODD)).any():
             continue

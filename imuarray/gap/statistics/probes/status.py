@@ -9,7 +9,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, one_row
-from imuarray.gap.statistics.probes.timing import is_comparable
+from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 
 
@@ -20,7 +20,7 @@ def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
 
 def stale(summary: Summary) -> Floats:
     """arcsine of the share of rows that are no new reading; nan if polls do not tell it."""
-    return flagged(("stale",), summary) if is_comparable(summary) else np.full(1, np.nan)
+    return flagged(("stale",), summary) if tells_repetitions(summary) else np.full(1, np.nan)
 
 
 def words(summary: Summary) -> Floats:

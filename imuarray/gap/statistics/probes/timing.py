@@ -40,7 +40,7 @@ repeat.
 """
 
 
-def is_comparable(summary: Summary) -> bool:
+def tells_repetitions(summary: Summary) -> bool:
     """True if the recorder's polls tell how many readings are repeated."""
     doubtful = summary.flags["doubtful"]
     return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
@@ -48,7 +48,7 @@ def is_comparable(summary: Summary) -> bool:
 
 def repeats(summary: Summary) -> Floats:
     """arcsine of the share of rows that equal the one before on all axes; nan if polls do not tell it."""
-    if not is_comparable(summary):
+    if not tells_repetitions(summary):
         return np.full(1, np.nan)
     share = summary.repeats.repeat_share
     return arcsine(share * (summary.rows - 1), summary.rows - 1)
