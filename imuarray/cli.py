@@ -13,6 +13,7 @@ import click
 
 from imuarray import __version__
 from imuarray.commands.program import EXIT_CODES, run
+from imuarray.heap import keep_freed_memory
 from imuarray.spelling import guess
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
@@ -116,6 +117,7 @@ Imports make a hundred thousand objects that stay; looking through them takes up
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; what it returns is the exit code."""
     gc.set_threshold(_COLLECTED)
+    keep_freed_memory()
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     return run(program, "imuarray", arguments)

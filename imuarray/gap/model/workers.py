@@ -24,6 +24,8 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 from uuid import uuid4
 
+from imuarray.heap import keep_freed_memory
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Bar = Callable[[int], AbstractContextManager[Callable[[int], None]]]
@@ -73,7 +75,8 @@ class Pool(ProcessPoolExecutor):
 
 
 def _watch(parent: int) -> None:
-    """Ends a process when its parent is gone, as nobody would receive its results."""
+    """Ends a process when its parent is gone, as nobody would receive its results; sets up its heap."""
+    keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
