@@ -17,7 +17,7 @@ from imuarray.log import Log, open_log
 
 if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
-    from imuarray.calibrate import Calibration, ThermalResult, Tumble
+    from imuarray.calibrate import Calibration, ThermalResult, TumbleResult
     from imuarray.calibrate.turn_on import TurnOnSeries
     from imuarray.characterise.allan import Estimator
     from imuarray.characterise.characterisation import Characterisation
@@ -30,7 +30,7 @@ LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
 
 
-def calibrate_tumble(*logs: LogLike) -> Tumble:
+def calibrate_tumble(*logs: LogLike) -> TumbleResult:
     """Bias and response of accelerometers; bias, g-sensitivity and (from turns) response of gyroscopes, from a box that
     was put on its faces, held in static poses, or turned slowly: `imuarray calibrate tumble`. One log, or several of
     the same array. LogError, CalibrationError.

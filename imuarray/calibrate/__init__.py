@@ -1,5 +1,6 @@
-"""Calibration: parameters of each sensor from counts, and the file that keeps them. The names below are loaded when
-first used: SciPy takes its time.
+"""Calibration: parameters of each sensor from counts, and the file that stores them.
+
+The names below are imported on first use, because SciPy is slow to import.
 """
 
 from __future__ import annotations
@@ -11,33 +12,35 @@ from imuarray.callable_package import public_name
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
-    from imuarray.calibrate.disturbed import Exclusion
     from imuarray.calibrate.model import Calibration, SensorCalibration, load_calibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
+    from imuarray.calibrate.outliers import Outlier
     from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
-    from imuarray.calibrate.tumble import Tumble, calibrate_tumble
+    from imuarray.calibrate.tumble import TumbleResult, calibrate_tumble
     from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
     from imuarray.calibrate.turns import TurnFit
 
 _PUBLIC = {
     "comparison": "CalibrationComparison compare_calibrations",
-    "disturbed": "Exclusion",
+    "outliers": "Outlier",
     "model": "Calibration SensorCalibration load_calibration nominal",
     "noise": "calibrate_noise",
     "thermal": "ThermalResult calibrate_thermal",
-    "tumble": "Tumble calibrate_tumble",
+    "tumble": "TumbleResult calibrate_tumble",
     "turn_on": "TurnOnResult calibrate_turn_on holm",
     "turns": "TurnFit",
 }
+
+_FORMER_NAMES = {"Exclusion": "Outlier", "Tumble": "TumbleResult"}
 
 __all__ = [
     "Calibration",
     "CalibrationComparison",
     "Cancellation",
-    "Exclusion",
+    "Outlier",
     "SensorCalibration",
     "ThermalResult",
-    "Tumble",
+    "TumbleResult",
     "TurnFit",
     "TurnOnResult",
     "calibrate_noise",
@@ -53,5 +56,5 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use."""
-    return public_name(__name__, _PUBLIC, name)
+    """Import a public name, or a former one, on first use."""
+    return public_name(__name__, _PUBLIC, _FORMER_NAMES.get(name, name))

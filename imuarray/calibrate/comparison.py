@@ -1,12 +1,12 @@
 """Comparison of several calibrations of one array: what changed between them, in standard errors.
 
 A figure that was measured n times with standard errors s_i has changed if ``sum of (x_i - mean)^2 / s_i^2`` about the
-weighted mean exceeds what chi-square of n - 1 degrees of freedom gives by chance, corrected for the number of figures
-(Holm). Biases are compared at one temperature where the calibrations know theirs and their slopes.
+weighted mean is improbably large for chi-squared with n - 1 degrees of freedom, corrected for the number of figures
+(Holm). Biases are compared at one temperature if the calibrations state temperatures and slopes.
 
-The change that is common to all U units of a design along one of their own axes, c_k in calibration k, is separated
-from that of each unit by the analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest. The
-comparison also states what opposing axes cancel of it.
+The change that all U units of a design have in common along one of their own axes, c_k in calibration k, is separated
+from the change of each unit by analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest.
+The comparison also states how much of it opposing axes cancel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.calibrate.turn_on import holm
 from imuarray.errors import CalibrationError
 
 CHANGED = 0.05
-"""Probability, all figures allowed for, below which one changed."""
+"""Probability, corrected for the number of figures, below which a figure is reported as changed."""
 
 _OPPOSITE = -0.9
 """Cosine between two axes that oppose each other."""
@@ -31,9 +31,11 @@ _OPPOSITE = -0.9
 
 @dataclass(frozen=True)
 class Change:
-    """One figure of one axis in the calibrations that have it (n): values and standard errors in `unit`; the chance
-    `p_value` of such values if nothing changed, all figures allowed for; `sigmas` between the two that are furthest
-    apart, by number in `calibrations`, and by how much they differ.
+    """One figure of one axis in the n calibrations that contain it.
+
+    `values` and `sems` (standard errors) are in `unit`. `p_value` is the probability of such values if nothing changed,
+    corrected for the number of figures. `first` and `last` are the two calibrations that differ most, `difference` and
+    `sigmas` (standard errors) by how much.
     """
 
     sensor: str
@@ -51,14 +53,15 @@ class Change:
 
     @property
     def changed(self) -> bool:
-        """Return whether chance does not explain it."""
+        """Return whether the change is significant."""
         return self.p_value < CHANGED
 
 
 @dataclass(frozen=True)
 class CommonChange:
-    """Biases of a design along one of its own axes: standard deviations over calibrations of what all `units` have in
-    common and of what each has alone, in `unit`, and the chance of as much in common if they had nothing.
+    """Change of the biases of a design along one of its own axes: the standard deviation over calibrations of the part
+    that all `units` share (`common`) and of the part of each unit (`own`), in `unit`; `p_value` is the probability of
+    so large a common part if there is none.
     """
 
     chip: str
@@ -72,9 +75,9 @@ class CommonChange:
 
 @dataclass(frozen=True)
 class OpposedChange:
-    """Biases of two axes of one design that oppose each other along a box axis: rms change over calibrations of either
-    alone and of their mean in the box frame, in `unit`; the `correlation` of their changes along their own axes and the
-    chance of as large a one if they had nothing in common (nan of two calibrations).
+    """Change of the biases of two axes of one design that oppose each other along a box axis: the rms over calibrations
+    of a single axis (`alone`) and of the mean of both in the box frame (`together`), in `unit`; the `correlation` of
+    their changes along their own axes, and the probability of so large a one by chance (nan for two calibrations).
     """
 
     chip: str
@@ -90,9 +93,7 @@ class OpposedChange:
 
 @dataclass(frozen=True)
 class CalibrationComparison:
-    """A comparison of calibrations; `names` are those of the calibrations. Without calibrations that share a sensor
-    there is nothing.
-    """
+    """Result of `compare_calibrations`; `names` are the names of the calibrations."""
 
     names: tuple[str, ...]
     changes: tuple[Change, ...]
@@ -101,8 +102,8 @@ class CalibrationComparison:
 
 
 def compare_calibrations(calibrations: Mapping[str, Calibration]) -> CalibrationComparison:
-    """Calibrations by name, two at least. CalibrationError for fewer, for sensors of one name that are two, and if no
-    sensor is in two of them.
+    """Compare two or more calibrations, given by name. CalibrationError for fewer, for two different sensors with the
+    same name, and if no sensor is in two calibrations.
     """
     names, files = tuple(calibrations), list(calibrations.values())
     if len(files) < 2:
@@ -128,7 +129,7 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
 
 
 def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibration]) -> None:
-    """CalibrationError for calibrations of two sensors that have one name."""
+    """Raise CalibrationError if calibrations of two different sensors have the same name."""
     (first, item), *others = each.items()
     for number, other in others:
         for what in ("quantity", "unit", "chip", "range"):
@@ -141,7 +142,9 @@ def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibr
 
 
 def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Change]:
-    """Every figure that two calibrations measured, its probability before allowing for the others."""
+    """Yield every figure that at least two calibrations measured; its probability is not yet corrected for the
+    others.
+    """
     temperature = _temperature(each)
     rows: dict[tuple[str, str, str], dict[int, tuple[float, float]]] = {}
     for number, sensor in each.items():
@@ -175,8 +178,8 @@ def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Chang
 
 
 def _temperature(each: Mapping[int, SensorCalibration]) -> float | None:
-    """Return the temperature at which biases are compared: the mean of those at which they were measured, if all are
-    known.
+    """Return the temperature at which biases are compared: the mean temperature of the measurements, if all state
+    one.
     """
     known = [sensor.temperature_degc for sensor in each.values() if sensor.bias_sem_lsb is not None]
     temperatures = [degc for degc in known if degc is not None]
@@ -184,7 +187,7 @@ def _temperature(each: Mapping[int, SensorCalibration]) -> float | None:
 
 
 def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[str, str, str, float, float]]:
-    """Axis, figure, unit, value and standard error of all that was measured."""
+    """Yield axis, figure, unit, value and standard error of everything that was measured."""
     scale, unit = sensor.scale_lsb_per_unit, sensor.unit
     for axis, letter in enumerate("xyz"):
         if sensor.bias_sem_lsb is not None:
@@ -213,7 +216,7 @@ def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[st
 
 
 def _biases(each: Mapping[int, SensorCalibration]) -> Floats:
-    """(n, 3) biases in the sensor's unit less their mean, of the calibrations that measured them."""
+    """Return the biases (n, 3) less their mean, in the sensor's unit, from the calibrations that measured them."""
     degc = _temperature(each)
     known = [sensor for sensor in each.values() if sensor.bias_sem_lsb is not None]
     rows = [(s.bias_lsb if degc is None else s.bias_at(degc)) / s.scale_lsb_per_unit for s in known]
@@ -222,7 +225,7 @@ def _biases(each: Mapping[int, SensorCalibration]) -> Floats:
 
 
 def _designs(shared: Mapping[str, Mapping[int, SensorCalibration]], names: Sequence[str]) -> dict[str, list[str]]:
-    """The sensors of each design: chip, quantity and unit; by what they measure alone where the chip is not known."""
+    """Return the sensors of each design: of the same chip and quantity, or of the same quantity without a chip."""
     designs: dict[str, list[str]] = {}
     for name in names:
         sensor = next(iter(shared[name].values()))
@@ -283,8 +286,8 @@ def _opposed(
 
 
 def _chance_of_correlation(correlation: float, freedom: int) -> float:
-    """Return the chance of a correlation as large or larger, by Student's t with one degree of freedom less than the
-    changes have; nan of two calibrations, which always correlate fully.
+    """Return the probability of so large a correlation by chance, by Student's t with one degree of freedom less than
+    the changes have; nan for two calibrations, whose changes always correlate fully.
     """
     if freedom < 2 or not np.isfinite(correlation):
         return float("nan")

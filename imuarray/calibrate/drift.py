@@ -28,10 +28,10 @@ LEAST_SEGMENTS = 16
 """Fewest segments of the longest stretch from which drift can be estimated."""
 
 SHORTEST = 2.0
-"""Time constants from so many segments on; faster ones are coloured noise."""
+"""Shortest time constant, in segments; a faster process is coloured noise."""
 
 _NEARLY = 0.99
-"""Segments at the ends of a stretch may be a little short."""
+"""Required length as a share of the nominal: segments at the ends of a stretch may be a little short."""
 
 _RATIOS = np.geomspace(0.02, 500.0, 28)
 _TIMES = 14
@@ -40,14 +40,14 @@ _LIKELY = 6.0
 """Log likelihood below the maximum at which the fine grid ends."""
 
 _INTERVAL = 1.92
-"""... and at which a 95 % interval of one parameter ends: half the quantile of chi-squared."""
+"""Log likelihood below the maximum at the ends of a 95 % interval: half the quantile of chi-squared."""
 
 _CONFIDENCE = 0.95
 
 
 def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None:
-    """The drift of one sensor from the means over segments of `width_s` (times in s, counts (n, 3)) of its stretches
-    at rest; None if the longest has fewer than 16 segments, or no axis scatters.
+    """Estimate the drift of one sensor from the means over segments of `width_s` (times in s, counts (n, 3)) of its
+    stretches at rest; None if the longest has fewer than 16 segments, or no axis scatters.
     """
     stretches = [part for part in stretches if len(part.time_s) > 1]
     spans = [float(part.time_s[-1] - part.time_s[0]) + width_s for part in stretches]
@@ -69,8 +69,8 @@ def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None
 
 
 class _Grid(NamedTuple):
-    """Log likelihood (t, u, k) of k axes for time constants (t,) and ratios (u, k) of the rms of the drift to that of
-    the noise of a mean, whose likeliest size is `noise` (t, u, k).
+    """Log likelihood (t, u, k) of k axes for time constants (t,) and ratios (u, k) of the drift's rms to the noise of a
+    mean; `noise` (t, u, k) is the most likely rms of that noise.
     """
 
     times: Floats
@@ -79,14 +79,14 @@ class _Grid(NamedTuple):
     noise: Floats
 
     def about_maximum(self) -> tuple[Floats, Floats]:
-        """Times and ratios of a finer grid over what is not unlikely."""
+        """Return time constants and ratios of a finer grid over the likely range."""
         profile = self._joint()
         times = _closer(self.times, profile.max(axis=(1, 2)))
         ratios = [_closer(column, profile[:, :, k].max(axis=0)) for k, column in enumerate(self.ratios.T)]
         return times, np.stack(ratios, axis=1)
 
     def rms(self) -> tuple[Floats, Floats, Floats]:
-        """Return the rms of the drift (k,): the likeliest, its standard error, and the upper bound."""
+        """Return the rms of the drift (k,): the most likely value, its standard error, and the upper bound."""
         rms = self.ratios * self.noise
         profile = self._joint()
         best, sem, upper = (np.zeros(rms.shape[2]) for _ in range(3))
@@ -103,7 +103,7 @@ class _Grid(NamedTuple):
         return best, sem, upper
 
     def time_constant(self) -> tuple[float, Floats]:
-        """The likeliest and the ends (2,) of its interval, nan where that reaches the end of the grid."""
+        """Return the most likely time constant and its interval (2,), nan where that reaches the end of the grid."""
         profile = self.log_likelihood.max(axis=1).sum(axis=1)
         inside = np.flatnonzero(profile > profile.max() - _INTERVAL)
         low, high = int(inside[0]), int(inside[-1])
@@ -111,24 +111,26 @@ class _Grid(NamedTuple):
         return float(self.times[int(profile.argmax())]), np.array(ends)
 
     def _joint(self) -> Floats:
-        """(t, u, k) log likelihood of all axes, the others at their best for that time constant."""
+        """Return the log likelihood (t, u, k) of all axes, with the other axes at their maximum for the time
+        constant.
+        """
         best = self.log_likelihood.max(axis=1)
         others = best.sum(axis=1, keepdims=True) - best
         return np.asarray(self.log_likelihood + others[:, None, :])
 
 
 def _closer(values: Floats, profile: Floats) -> Floats:
-    """Finer values (f,) over those that are not unlikely, and one on either side."""
+    """Return finer values (f,) over the likely ones, and one on either side."""
     inside = np.flatnonzero(profile > profile.max() - _LIKELY)
     low, high = max(0, int(inside[0]) - 1), min(len(values) - 1, int(inside[-1]) + 1)
     return np.geomspace(values[low], values[high], _FINE)
 
 
 def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ratios: Floats) -> _Grid:
-    """The Kalman filter of a sampled process under white noise, all points of the grid at once; `ratios` (u, k), or
-    (u, 1) for all axes, whose covariances are worked out once then.
+    """Return the likelihood of a sampled process in white noise by Kalman filters for all points of the grid at once;
+    `ratios` (u, k), or (u, 1) if all axes share them, so that their covariances are computed once.
 
-    Covariances are in units of the noise's variance, whose likeliest value follows; levels are integrated out.
+    Covariances are in units of the noise's variance, which is estimated last; levels are integrated out.
     """
     share = (width_s / times)[:, None, None]
     shared = ratios**2 * (2 / share * np.sinh(share / 2)) ** 2
@@ -146,8 +148,8 @@ def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ra
 
 
 class _Sums(NamedTuple):
-    """Over a stretch: squares of the innovations of its means, of a level of one, their products, all over their
-    variance, and the logs of that.
+    """Sums over a stretch, each divided by the variance: squared innovations of the means (`values`), those of a
+    constant 1 (`ones`), their products (`mixed`), and the logarithms of the variance.
     """
 
     values: Floats
@@ -157,19 +159,19 @@ class _Sums(NamedTuple):
 
 
 def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _Sums:
-    """One stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
+    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
     steps = np.diff(part.time_s, append=np.inf)
     for mean, step in zip(part.mean, steps, strict=True):
         spread = variance + noise
-        innovation, of_one = mean - state, 1 - level
+        innovation, unit_innovation = mean - state, 1 - level
         values += innovation**2 / spread
-        ones += of_one**2 / spread
-        mixed += innovation * of_one / spread
+        ones += unit_innovation**2 / spread
+        mixed += innovation * unit_innovation / spread
         logs += np.log(spread)
         kept = np.exp(-step / times)
         gain = variance / spread
-        state, level = kept * (state + gain * innovation), kept * (level + gain * of_one)
+        state, level = kept * (state + gain * innovation), kept * (level + gain * unit_innovation)
         variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
     return _Sums(values, ones, mixed, logs)

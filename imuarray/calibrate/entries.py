@@ -48,15 +48,13 @@ T = TypeVar("T")
 _HUGE = 1e6
 _BEYOND = 1e30
 _NOTHING = 1e-60
-"""The smallest size that is not read as zero: the square of a smaller number underflows, and a division by it would
-follow.
-"""
+"""Smaller magnitudes are read as zero: their square underflows, and later steps would divide by it."""
 _ASYMMETRY = 1e-6
-"""Nine written digits leave a covariance this far from symmetric and from non-negative, of its largest entry."""
+"""Rounding of a covariance to nine digits: deviation from symmetric and non-negative, relative to the largest entry."""
 
 
 def to_table(record: object) -> dict[str, Any]:
-    """The table of a dataclass: what is None or an empty mapping is left out, arrays have nine digits."""
+    """Return a dataclass as a table without fields that are None or empty; arrays have nine digits."""
     if not is_dataclass(record):
         raise TypeError(f"{type(record).__name__} is not a dataclass")
     values = {item.name: getattr(record, item.name) for item in fields(record)}
@@ -81,7 +79,7 @@ def _plain(value: object) -> object:
 
 
 def read_table(entry: object, where: EntryPlace, kind: type[T], readers: Mapping[str, Reader]) -> T:
-    """A `kind` from a table; CalibrationError names a key that is missing, unknown or holds what it can't."""
+    """Read a `kind` from a table; CalibrationError names a key that is missing, unknown or has an invalid value."""
     wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
     if not isinstance(entry, dict) or not set(wanted) <= set(entry):
         raise CalibrationError(f"{where}: a table is required with {', '.join(wanted)}")
@@ -106,7 +104,7 @@ def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
 
 
 def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[str, ...]) -> Reader:
-    """A reader of a table of tables that may have the `allowed` names."""
+    """A reader of a table of tables whose names are among `allowed`."""
 
     def read(value: object, where: EntryPlace) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
@@ -117,7 +115,7 @@ def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[st
 
 
 def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unknown: bool = False) -> Reader:
-    """A reader of an array of numbers from `lowest` to `highest`; where `unknown` is true, nan says that it is."""
+    """A reader of an array of numbers from `lowest` to `highest`; nan (not known) is allowed if `unknown` is true."""
 
     def read(value: object, where: EntryPlace) -> Floats:
         array = _array(value, shape)
@@ -132,7 +130,7 @@ def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unkno
 
 
 def _array(value: object, shape: tuple[int, ...]) -> Floats | None:
-    """The nested lists as an array, None if they have another shape or hold anything but numbers."""
+    """Convert nested lists to an array; None if they have another shape or contain anything but numbers."""
     if not shape:
         return np.array(float(value)) if _is_number(value) else None  # type: ignore[arg-type]
     if not isinstance(value, list) or len(value) != shape[0]:
@@ -142,7 +140,7 @@ def _array(value: object, shape: tuple[int, ...]) -> Floats | None:
 
 
 def _is_number(value: object) -> bool:
-    """Numbers whose square's square is beyond a float's reach are none that a sensor could have."""
+    """Return whether a value is a number, and not so large that its fourth power overflows."""
     return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < _BEYOND)
 
 
@@ -190,7 +188,7 @@ def text(*allowed: str, empty: bool = False) -> Reader:
 
 
 def several(reader: Reader, count: int | None = None) -> Reader:
-    """A reader of a list, into a tuple, of `count` entries if that is said."""
+    """A reader of a list, into a tuple, of `count` entries unless that is None."""
 
     def read(value: object, where: EntryPlace) -> tuple[object, ...]:
         entries = _list(value, where)

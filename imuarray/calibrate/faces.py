@@ -5,14 +5,14 @@ reading of each of the six faces the least-squares solution is the appendix's: h
 repeated face measures the drift and is not part of the fit, except in a gyroscope's bias, which the paper takes over
 all readings (Table 4).
 
-Readings may be off by more than noise, because a table leans or a bias wanders. That shows in the two degrees of
-freedom that six faces leave per axis; where it is significant it is part of the standard errors, equally in every
-reading of a sensor. A leaning table affects all sensors, so their errors are then correlated.
+Readings may deviate by more than noise, because a table leans or a bias wanders. Six faces leave two degrees of freedom
+per axis, in which that shows; where it is significant it is part of the standard errors, equally in every reading of a
+sensor. A leaning table affects all sensors, so their errors are then correlated.
 
-Face labels are verified: the box axis that the accelerometers felt upwards against the one that the phase states. A
-face that most accelerometers contradict has the wrong label; a sensor that contradicts the labels otherwise than the
-rest is mounted otherwise than the log says. Where a single rotation, or mirroring, of the box explains all faces,
-either may be the case, and the error says so.
+Face labels are verified: the box axis that pointed up according to the accelerometers against the one that the phase
+states. If most accelerometers contradict a face, its label is wrong; if a single sensor does, its axes differ from
+those in the log. Where a single rotation or reflection of the box explains all faces, either may be the cause, and the
+error states both.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, exclusion_of, moved_within, worst
 from imuarray.calibrate.fits import TriadFit, straight_lines
 from imuarray.calibrate.model import SensorCalibration, nominal
+from imuarray.calibrate.outliers import Outlier, find_outlier, misfit_probability, moving_poses, outlier_of
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
@@ -39,49 +39,49 @@ _UPS = np.array([up_vector(up) for up in UP_AXES])
 
 
 def check_labels(readings: PoseReadings, up_box: Floats) -> None:
-    """CalibrationError for faces whose labels are wrong, and for accelerometers that are mounted otherwise than the log
-    says: which they are and what was felt.
+    """Raise CalibrationError for faces whose labels are wrong, and for accelerometers whose axes differ from those in
+    the log; the message states the faces or the axes.
 
-    `up_box` (k, 3) is what the labels say.
+    `up_box` (k, 3) are the directions according to the labels.
     """
     force = readings.force_box_g()
-    felt = (force @ _UPS.T).argmax(axis=2)
-    said = (up_box @ _UPS.T).argmax(axis=1)
-    majority = np.array([Counter(column.tolist()).most_common(1)[0][0] for column in felt.T])
-    wrong = np.flatnonzero((felt != said).mean(axis=0) > 0.5)
+    measured = (force @ _UPS.T).argmax(axis=2)
+    labels = (up_box @ _UPS.T).argmax(axis=1)
+    majority = np.array([Counter(column.tolist()).most_common(1)[0][0] for column in measured.T])
+    wrong = np.flatnonzero((measured != labels).mean(axis=0) > 0.5)
     if len(wrong):
-        turn = _one_turn(said, majority)
+        turn = _common_rotation(labels, majority)
         if turn is None:
-            raise CalibrationError(_mislabelled(readings, force, up_box, wrong, majority))
-        raise CalibrationError(_mounted(readings.sensors[0], turn) + _or_else(readings, wrong, turn))
-    for sensor, own in zip(readings.sensors, felt, strict=True):
-        for face in np.flatnonzero(own != said):
-            turn = _one_turn(said, own)
+            raise CalibrationError(_label_error(readings, force, up_box, wrong, majority))
+        raise CalibrationError(_axes_error(readings.sensors[0], turn) + _exchanged_labels(readings, wrong, turn))
+    for sensor, own in zip(readings.sensors, measured, strict=True):
+        for face in np.flatnonzero(own != labels):
+            turn = _common_rotation(labels, own)
             if turn is not None:
-                raise CalibrationError(_mounted(sensor, turn))
+                raise CalibrationError(_axes_error(sensor, turn))
             raise CalibrationError(
-                f"{readings.poses[face].where(sensor)}: phase {readings.poses[face].label!r}: it felt"
+                f"{readings.poses[face].where(sensor)}: phase {readings.poses[face].label!r}: it measured"
                 f" {UP_AXES[own[face]]} up, most accelerometers {UP_AXES[majority[face]]}"
             )
 
 
 def axes_text(rows: Floats) -> str:
-    """The signed box axes nearest to the rows (3, 3) of a response: "-Y+X+Z"."""
+    """Return the signed box axes nearest to the rows (3, 3) of a response: "-Y+X+Z"."""
     return "".join(f"{'+' if row[np.abs(row).argmax()] > 0 else '-'}{'XYZ'[int(np.abs(row).argmax())]}" for row in rows)
 
 
-def _one_turn(said: Indices, felt: Indices) -> Floats | None:
-    """The signed permutation (3, 3) that takes every direction that was said to the one that was felt; None if there
-    is none.
+def _common_rotation(labels: Indices, measured: Indices) -> Floats | None:
+    """Return the signed permutation (3, 3) that maps the labelled direction of every face to the measured one; None if
+    there is none, or if fewer than six faces leave it open.
     """
-    if len(np.unique(said)) < len(UP_AXES):
-        return None  # fewer faces leave open what the others would have said
-    turn = np.array([_UPS[felt[np.flatnonzero(said == up)[0]]] for up in (0, 2, 4)]).T
-    is_one = bool(np.abs(turn).sum(axis=1).max() == 1 and (_UPS[felt] == _UPS[said] @ turn.T).all())
-    return turn if is_one else None
+    if len(np.unique(labels)) < len(UP_AXES):
+        return None
+    turn = np.array([_UPS[measured[np.flatnonzero(labels == up)[0]]] for up in (0, 2, 4)]).T
+    is_permutation = np.abs(turn).sum(axis=1).max() == 1
+    return turn if is_permutation and (_UPS[measured] == _UPS[labels] @ turn.T).all() else None
 
 
-def _mislabelled(readings: PoseReadings, force: Floats, up_box: Floats, wrong: Indices, majority: Indices) -> str:
+def _label_error(readings: PoseReadings, force: Floats, up_box: Floats, wrong: Indices, majority: Indices) -> str:
     off = np.median(np.linalg.norm(force - up_box, axis=2), axis=0)
     first = readings.sensors[0]
     wheres = [readings.poses[face].where(first) for face in wrong]
@@ -93,7 +93,7 @@ def _mislabelled(readings: PoseReadings, force: Floats, up_box: Floats, wrong: I
     return f"{wheres[0]}: {'; '.join(names)}; mislabelled"
 
 
-def _mounted(sensor: SensorLog, turn: Floats) -> str:
+def _axes_error(sensor: SensorLog, turn: Floats) -> str:
     rows = sensor.orientation.T @ turn
     axis = "xyz"[int(np.abs(rows - sensor.orientation.T).max(axis=1).argmax())]
     return (
@@ -101,105 +101,101 @@ def _mounted(sensor: SensorLog, turn: Floats) -> str:
     )
 
 
-def _or_else(readings: PoseReadings, wrong: Sequence[int] | Indices, turn: Floats) -> str:
-    """The other explanation: labels that were exchanged."""
+def _exchanged_labels(readings: PoseReadings, wrong: Sequence[int] | Indices, turn: Floats) -> str:
+    """Return the other explanation: exchanged labels."""
     faces = " and ".join(repr(readings.poses[face].label) for face in wrong)
     whose = f", as do all {len(readings.sensors)} accelerometers" if len(readings.sensors) > 1 else ""
     chip = ", and no chip is mirrored" if np.linalg.det(turn) < 0 else ""
     return f"{whose}; or the labels of {faces} are exchanged{chip}"
 
 
-_WANTED = "z_up, x_up, y_up, x_down, y_down, z_down are required"
+_ALL_FACES = "z_up, x_up, y_up, x_down, y_down, z_down are required"
 
 LEANS_G = 0.01
-"""A face this far from the straight line through the others did not stand as its label says: 0.6 degrees."""
+"""A face whose mean force is this far from the straight line through the other faces leaned: 0.6 degrees."""
 
 _HALFWAY = 0.8
-"""Cosine of 37 degrees: an axis further from where it should be points elsewhere."""
+"""Cosine of 37 degrees: largest angle between a measured axis and the configured one."""
 
 
 @dataclass(frozen=True)
 class Faces:
-    """Named faces that were found sound: those of the fit, those that were read again, and those left out."""
+    """Named faces: those of the fit, repeated ones (`checks`), and excluded ones (`left_out`)."""
 
     fitted: tuple[Pose, ...]
     checks: tuple[Pose, ...]
-    left_out: tuple[Exclusion, ...]
-
-    @property
-    def up_box(self) -> Floats:
-        """(k, 3) what the labels of the fitted ones say."""
-        return np.array([pose.up_box for pose in self.fitted], float).reshape(-1, 3)
+    left_out: tuple[Outlier, ...]
 
 
-def sound_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> Faces:
-    """The named faces without those in which the box moved or stood otherwise than the label says.
+def select_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> Faces:
+    """Return the named faces, with those excluded in which the box moved or leaned.
 
-    CalibrationError for labels that accelerometers contradict, and if too few faces remain: it names what was wrong.
+    CalibrationError for labels that the accelerometers contradict, and if too few faces remain; it states the reason.
     """
     first = accelerometers[0]
     _refuse_too_few(first, [pose for pose in poses if not pose.is_check], ())
     readings = read_poses(accelerometers, poses)
     up_box = np.array([pose.up_box for pose in poses], float)
     check_labels(readings, up_box)
-    bad = moved_within(readings)
+    bad = moving_poses(readings)
     place = _leaning(readings, up_box, bad)
     if place is not None:
         bad[place[0]] = place[1]
-    left_out = tuple(exclusion_of(poses[place], reason) for place, reason in sorted(bad.items()))
+    left_out = tuple(outlier_of(poses[place], reason) for place, reason in sorted(bad.items()))
     kept = [pose for place, pose in enumerate(poses) if place not in bad]
     fitted = tuple(pose for pose in kept if not pose.is_check)
     _refuse_too_few(first, fitted, left_out)
     return Faces(fitted, tuple(pose for pose in kept if pose.is_check), left_out)
 
 
-def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[Exclusion]) -> None:
-    """Faces that don't tell a bias and three columns apart."""
-    if not tell_all(faces):
+def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[Outlier]) -> None:
+    """Raise CalibrationError for faces that do not determine a bias and a response."""
+    if not determine_response(faces):
         names = ", ".join(pose.label for pose in faces) or "none"
         why = "".join(f"; phase {each.phase!r}: {each.reason}" for each in left_out)
         logs = list(dict.fromkeys(str(pose.log.path) for pose in faces if pose.log is not None))
         where = sensor.where if len(logs) < 2 else f"{', '.join(logs)}: sensor {sensor.name}"
-        raise CalibrationError(f"{where}: faces {names}: too few; {_WANTED}{why}")
+        raise CalibrationError(f"{where}: faces {names}: too few; {_ALL_FACES}{why}")
 
 
-def tell_all(faces: Sequence[Pose]) -> bool:
-    """Return whether faces tell a bias and the three columns of a response."""
+def determine_response(faces: Sequence[Pose]) -> bool:
+    """Return whether faces determine a bias and the three columns of a response."""
     ups = np.array([pose.up_box for pose in faces if not pose.is_check], float).reshape(-1, 3)
     return len(ups) >= 4 and int(np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))]))) == 4
 
 
 def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tuple[int, str] | None:
-    """The face that stood otherwise than its label says, by place, and how far in words; None if none did.
+    """Return the index of the face that leaned, and how far in words; None if none did.
 
-    The mean of all accelerometers is one triad, and what one face is off by shows in its distance from the line
-    through the others. Six faces leave two of a pair alike; then it is the one that is further from where the
-    configured axes promise it. CalibrationError where that does not tell either.
+    The mean of all accelerometers is treated as one triad. The error of a face is its distance from the straight line
+    through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the face is
+    chosen that is further from the direction that the configured axes predict. CalibrationError if both are about as
+    far.
     """
     used = [place for place in range(len(readings.poses)) if place not in bad]
     design = np.column_stack([up_box[used], np.ones(len(used))])
     force = readings.force_box_g()[:, used].mean(axis=0)
     hat = design @ np.linalg.pinv(design)
     residual = force - hat @ force
-    free = np.maximum(1 - np.diag(hat), 1e-9)  # a face that nothing else tells has none
+    free = np.maximum(1 - np.diag(hat), 1e-9)  # a face that the others do not determine has none
     squares = (residual**2).sum(axis=1)
     whole = float(squares.sum())
     freedom = 3 * (len(used) - round(np.trace(hat)) - 1)
     chances = [
-        chance_of_misfit(whole, whole - float(each / share), 3, freedom) if share > 1e-6 else 1.0
+        misfit_probability(whole, whole - float(each / share), 3, freedom) if share > 1e-6 else 1.0
         for each, share in zip(squares, free, strict=True)
     ]
     off_g = np.sqrt(squares) / free
-    result = worst(chances, off_g, LEANS_G)
+    result = find_outlier(chances, off_g, LEANS_G)
     if result is None:
         return None
     similar = np.flatnonzero(off_g > 0.9 * off_g[result])
-    promised = np.linalg.norm(force - up_box[used] - np.median(force - up_box[used], axis=0), axis=1)
-    order = similar[np.argsort(promised[similar])[::-1]]
+    predicted = np.linalg.norm(force - up_box[used] - np.median(force - up_box[used], axis=0), axis=1)
+    order = similar[np.argsort(predicted[similar])[::-1]]
     poses = [readings.poses[used[place]] for place in order]
     names = [pose.label for pose in poses]
     words = f"{1e3 * off_g[result]:.0f} mg off the straight line through the other faces"
-    if len(order) > 1 and promised[order[0]] < 2 * promised[order[1]]:
+    if len(order) > 1 and predicted[order[0]] < 2 * predicted[order[1]]:
         either = " or ".join(f"phase {name!r}" for name in sorted(names))
         raise CalibrationError(
             f"{poses[0].where(readings.sensors[0])}: {either} is {words}: moved or disturbed; record these faces again"
@@ -208,10 +204,10 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
 
 
 def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibration, Floats]:
-    """Calibrate one inertial triad from named faces; also the drift (3,) in counts, first reading of a face minus its
-    check.
+    """Calibrate one inertial triad from named faces. Returns also the drift (3,) in counts: the first reading of a face
+    less the repeated one.
 
-    CalibrationError if faces are missing, or if the axes are not where the log says.
+    CalibrationError if faces are missing, or if the axes differ from those in the log.
     """
     faces = [pose for pose in poses if not pose.is_check]
     _refuse_too_few(sensor, faces, ())
@@ -225,7 +221,7 @@ def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibrati
 
 
 def face_fit(sensor: SensorLog, faces: Sequence[Pose]) -> TriadFit:
-    """The straight lines of one triad through its readings of `faces`."""
+    """Fit straight lines to the readings of one triad on `faces`."""
     readings = read_poses([sensor], faces)
     ups = np.array([pose.up_box for pose in faces], float)
     design = np.column_stack([ups, np.ones(len(ups))])
@@ -233,7 +229,7 @@ def face_fit(sensor: SensorLog, faces: Sequence[Pose]) -> TriadFit:
 
 
 def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
-    """Bias and response."""
+    """Return an accelerometer's calibration: bias and response of the fit."""
     return replace(
         nominal(sensor),
         bias_lsb=fit.coefficients[:, 3],
@@ -246,7 +242,9 @@ def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
 
 
 def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> SensorCalibration:
-    """Bias, the mean over all readings as in Table 4, and g-sensitivity, half differences."""
+    """Return a gyroscope's calibration: the bias is the mean over all readings as in the paper's Table 4, the
+    g-sensitivity half differences.
+    """
     everything = read_poses([sensor], readings)
     variance = everything.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
     variance = variance + fit.repeatability_lsb**2 / len(readings)
@@ -260,23 +258,23 @@ def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> 
     )
 
 
-def faces_apart(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
-    """(k,) length of an accelerometer's specific force less one g in each face, by the straight lines through the other
+def leave_one_out_residual(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
+    """Return the length (k,) of an accelerometer's specific force less one g on each face, calibrated on the other
     faces; nan where these are too few.
     """
     mean = read_poses([sensor], faces).mean_lsb[0]
     design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
-    apart = np.full(len(faces), np.nan)
+    residual = np.full(len(faces), np.nan)
     for face in range(len(faces)):
         others = np.arange(len(faces)) != face
         if np.linalg.matrix_rank(design[others]) == design.shape[1]:
             line = np.linalg.lstsq(design[others], mean[others], rcond=None)[0]
-            apart[face] = np.linalg.norm(np.linalg.solve(line[:3].T, mean[face] - line[3])) - 1
-    return apart
+            residual[face] = np.linalg.norm(np.linalg.solve(line[:3].T, mean[face] - line[3])) - 1
+    return residual
 
 
 def face_drift(sensor: SensorLog, faces: Sequence[Pose], checks: Sequence[Pose]) -> Floats:
-    """(3,) first reading of a face minus its check in counts, zeros if none was read again."""
+    """Return the first reading of a face less the repeated one (3,) in counts; zeros without a repeated face."""
     for check in checks:
         first = next((pose for pose in faces if pose.up_box == check.up_box), None)
         if first is not None:
@@ -286,12 +284,12 @@ def face_drift(sensor: SensorLog, faces: Sequence[Pose], checks: Sequence[Pose])
 
 
 def _check_axes(sensor: SensorLog, response: Floats) -> None:
-    """Refuse axes that point elsewhere than the log says."""
+    """Raise CalibrationError if an axis does not point in its configured direction."""
     rows = response / np.linalg.norm(response, axis=1)[:, None]
     agreement = np.sum(rows * sensor.orientation.T, axis=1)
     if agreement.min() < _HALFWAY:
         axis = "xyz"[int(agreement.argmin())]
         raise CalibrationError(
-            f"{sensor.where}: axis {axis} does not point as axes {sensor.axes!r} says; the faces say"
+            f"{sensor.where}: axis {axis} does not point along axes {sensor.axes!r}; the faces indicate"
             f" {axes_text(rows)!r}"
         )

@@ -13,24 +13,24 @@ from imuarray.log import SensorLog
 from imuarray.units import READABLE
 
 MORE_THAN_NOISE = 0.01
-"""Residuals that noise alone makes so large less often than this are no noise: a bias wandered or the box did not
-stand as it was said to. Below, what looks like more is taken for luck."""
+"""Significance level: residuals whose probability under noise alone is lower have another cause, such as a wandering
+bias or a box that leaned."""
 
 DRIFTS = 1e-3
-"""Drift terms that fit so much better by chance less often than this are real."""
+"""Significance level of a drift term."""
 
 _ENOUGH = 6.0
-"""The number of degrees of freedom from which an axis's own scatter is used."""
+"""Least number of degrees of freedom for an estimate of an axis's own scatter."""
 
 
 @dataclass(frozen=True)
 class TriadFit:
-    """One sensor's straight lines, counts on directions of gravity and other terms.
+    """Straight lines of one sensor: counts as a function of the direction of gravity and of other terms.
 
-    `coefficients` (3, p): rows sensor axes, columns the response to box X, Y, Z, the bias, and drift terms if any;
-    `covariance` (3 p, 3 p) over them row by row. `chi_squared` of the residuals by the noise within poses alone, with
-    `freedom` degrees; `repeatability_lsb` (3,): what readings of one axis scatter beyond that noise from pose to pose,
-    which is in the covariance; zero where nothing says so.
+    `coefficients` (3, p): rows are sensor axes, columns the response to box X, Y, Z, the bias, and drift terms if any;
+    `covariance` (3 p, 3 p) is theirs, row by row. `chi_squared` compares the residuals with the noise within poses
+    alone and has `freedom` degrees. `repeatability_lsb` (3,) is the scatter of an axis from pose to pose beyond that
+    noise; it is included in the covariance, and zero where it is not significant.
     """
 
     coefficients: Floats
@@ -41,29 +41,29 @@ class TriadFit:
 
     @property
     def reduced_chi_squared(self) -> float:
-        """About 1 if noise within poses explains the residuals; nan if nothing is left to tell."""
+        """About 1 if noise within poses explains the residuals; nan without degrees of freedom."""
         return self.chi_squared / self.freedom if self.freedom > 0.5 else float("nan")
 
     @property
     def bias_covariance_lsb2(self) -> Floats:
-        """(3, 3) over the sensor axes."""
+        """Covariance (3, 3) of the bias over the sensor axes."""
         places = 3 + self._width * np.arange(3)
         return np.asarray(self.covariance[np.ix_(places, places)])
 
     @property
     def bias_sem_lsb(self) -> Floats:
-        """(3,)."""
+        """Standard errors (3,) of the bias."""
         return np.sqrt(np.diag(self.bias_covariance_lsb2))
 
     @property
     def response_covariance(self) -> Floats:
-        """(9, 9) over the response's entries, row by row."""
+        """Covariance (9, 9) of the response's entries, row by row."""
         places = (self._width * np.arange(3)[:, None] + np.arange(3)).ravel()
         return np.asarray(self.covariance[np.ix_(places, places)])
 
     @property
     def response_sem(self) -> Floats:
-        """(3, 3) standard errors of the response's entries."""
+        """Standard errors (3, 3) of the response's entries."""
         return np.sqrt(np.diag(self.covariance)).reshape(3, self._width)[:, :3]
 
     @property
@@ -72,11 +72,11 @@ class TriadFit:
 
 
 def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[TriadFit, Floats]:
-    """Least squares of readings (k, 3), each as heavy as the next, on a design (k, p), response columns first; and the
-    residuals (k, 3).
+    """Fit readings (k, 3), with equal weights, to a design (k, p), response columns first, by least squares. Returns
+    also the residuals (k, 3).
 
-    Scatter beyond the noise `variance` (k, 3) is each axis's own, or pooled over the three where one has too few
-    readings to tell.
+    Scatter beyond the noise `variance` (k, 3) is estimated for each axis, or for the three axes together if there are
+    too few readings.
     """
     solver = np.linalg.pinv(design)
     coefficients = (solver @ mean).T
@@ -99,17 +99,15 @@ def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[Tria
 
 
 def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
-    """Return whether residuals are larger than noise makes them in one of a hundred cases, if the largest of `among` is
-    tested.
-    """
-    from scipy.special import chdtrc  # its weight is for those who ask
+    """Return whether residuals are significantly larger than noise (`MORE_THAN_NOISE`), for the largest of `among`."""
+    from scipy.special import chdtrc  # slow to import
 
     return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among
 
 
 def refuse_imprecise(sensor: SensorLog, sem_lsb: Floats, most: Mapping[str, float], message: str) -> None:
-    """CalibrationError if a standard error (3,) in counts exceeds the limit `most` of the sensor's quantity (in its
-    unit); `message` gets the worst `axis`, its `sem` and the `unit` in which people read it.
+    """Raise CalibrationError if a standard error (3,) in counts exceeds the limit `most` of the sensor's quantity (in
+    its unit); `message` is formatted with the worst `axis`, its `sem` and the `unit` in which that is printed.
     """
     sem = sem_lsb / sensor.sensitivity
     worst = int(sem.argmax())

@@ -33,10 +33,17 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import Exclusion, another_go, chance_of_misfit, exclusion_of, moved_within, worst
 from imuarray.calibrate.faces import accelerometer_of
 from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
 from imuarray.calibrate.model import SensorCalibration
+from imuarray.calibrate.outliers import (
+    Outlier,
+    find_outlier,
+    misfit_probability,
+    moving_poses,
+    outlier_of,
+    separated_poses,
+)
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
@@ -45,17 +52,17 @@ _ITERATIONS = 30
 _CONVERGED = 1e-9
 """Radians; a pose is known to a thousandth of a degree at best."""
 _FREE = 3
-"""Turns of everything together."""
+"""Degrees of freedom of a common rotation of all directions and rows."""
 
 
 @dataclass(frozen=True)
 class Bundle:
     """The fit of a axes in k poses with q terms beside the response (the first is the bias).
 
-    `coefficients` (a, 3 + q), `up_box` (k, 3), `residual` and `weight` (a, k), `design` (k, 3 + q); of the normal
-    equations the inverse blocks `own` (a, p, p), `shared` (a, p, 2k), the axes' answer to the directions, and
-    `direction_covariance` (2k, 2k) along `tangents` (k, 3, 2). `stiffness`: smallest over largest eigenvalue of what
-    the readings say of the directions, the free turns left aside.
+    `coefficients` (a, 3 + q), `up_box` (k, 3), `residual` and `weight` (a, k), `design` (k, 3 + q). Of the normal
+    equations: the inverse blocks `own` (a, p, p) of the axes, `shared` (a, p, 2k), the change of the axes with the
+    directions, and `direction_covariance` (2k, 2k) along `tangents` (k, 3, 2). `stiffness` is the smallest over the
+    largest eigenvalue of the directions' information matrix, without the common rotation.
     """
 
     coefficients: Floats
@@ -81,13 +88,13 @@ class Bundle:
 
     @property
     def is_linear(self) -> bool:
-        """Return whether directions are known so well that their errors matter to first order only: squared they must
-        stay below a quarter of the noise of a reading (radians, and readings in units of gravity).
+        """Return whether the errors of directions are small enough for a linear fit: squared they are below a quarter
+        of the noise of a reading (radians, and readings in units of gravity).
         """
         return float(np.diag(self.direction_covariance).max()) < 0.25 * float(np.mean(self.weight) ** -0.5)
 
     def axis_freedom(self) -> Floats:
-        """(a,) readings of each axis less the unknowns that it pays for: k less the trace of its leverages."""
+        """Return the degrees of freedom (a,) of each axis: the number of poses less the trace of its leverages."""
         reach = np.einsum("apm,kp->akm", self.shared, self.design)
         slopes = np.einsum("ap,kpi->aki", self.coefficients[:, :3], self.tangents)
         for pose in range(len(self.up_box)):
@@ -97,7 +104,9 @@ class Bundle:
         return np.asarray((1 - self.weight * variance).sum(axis=1))
 
     def covariance(self) -> Floats:
-        """(a p, a p) of all coefficients in the frame of `solve`, before they are turned into the box frame."""
+        """Return the covariance (a p, a p) of all coefficients in the frame of `solve`, before the turn into the box
+        frame.
+        """
         axes, p, _ = self.own.shape
         shared = self.shared.reshape(axes * p, -1)
         full = shared @ self.direction_covariance @ shared.T
@@ -108,8 +117,8 @@ class Bundle:
 
 
 def solve(readings: Floats, weight: Floats, terms: Floats, up_box: Floats, iterations: int = _ITERATIONS) -> Bundle:
-    """Fit readings (a, k) with weights (a, k), `terms` (k, q) beside the response, from directions (k, 3) near the
-    truth; from directions that fit all but one pose, two `iterations` are enough.
+    """Fit readings (a, k) with weights (a, k) and `terms` (k, q) in addition to the response, starting from directions
+    (k, 3) near the truth. If one pose of a converged fit is omitted, two `iterations` are enough.
     """
     for _ in range(iterations):
         design = np.column_stack([up_box, terms])
@@ -131,15 +140,15 @@ def solve(readings: Floats, weight: Floats, terms: Floats, up_box: Floats, itera
 
 
 def _tangents(up: Floats) -> Floats:
-    """(k, 3, 2) two unit vectors across each direction."""
+    """Return two unit vectors (k, 3, 2) perpendicular to each direction."""
     first = np.cross(up, np.eye(3)[np.abs(up).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(up, first)], axis=2)
 
 
 def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """The axes' answer (a, p, 2k) to the directions, with its sign, and the directions' information (2k, 2k) once the
-    axes are eliminated.
+    """Return the change (a, p, 2k) of the axes with the directions, and the directions' information matrix (2k, 2k)
+    after elimination of the axes.
     """
     axes, poses, _ = slopes.shape
     mixed = np.einsum("kp,ak,aki->apki", design, weight, slopes).reshape(axes, -1, 2 * poses)
@@ -153,7 +162,7 @@ def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tup
 
 
 @dataclass(frozen=True)
-class InBoxFrame:
+class BoxFrameFit:
     """A bundle turned into the box frame: coefficients (a, p) with covariance (a p, a p), directions (k, 3) with
     covariance (3 k, 3 k).
     """
@@ -164,11 +173,12 @@ class InBoxFrame:
     up_covariance: Floats
 
 
-def in_box_frame(bundle: Bundle, orientations: Floats) -> InBoxFrame:
-    """The frame in which the mean over the sensors of ``orientation @ rows`` is symmetric; `orientations` (s, 3, 3) are
-    the configured ones.
+def turn_into_box_frame(bundle: Bundle, orientations: Floats) -> BoxFrameFit:
+    """Turn a fit into the box frame, in which the mean over the sensors of ``orientation @ rows`` is symmetric;
+    `orientations` (s, 3, 3) are the configured ones.
 
-    An error of the rows turns the frame, so that directions, whose covariance the free turns leave open, get theirs.
+    Errors of the rows turn that frame, which completes the covariance of the directions: the common rotation is not
+    part of `Bundle.direction_covariance`.
     """
     axes, p = bundle.coefficients.shape
     stacked = np.concatenate(orientations, axis=1) / len(orientations)  # (3, a): the mean is stacked @ rows
@@ -181,7 +191,7 @@ def in_box_frame(bundle: Bundle, orientations: Floats) -> InBoxFrame:
     into = np.kron(np.eye(axes), rotate)
     held = (np.eye(axes * p) + free @ turned_by) @ into
     covariance = bundle.covariance()
-    # Directions answer to the tangents' unknowns and to the frame's turn, which the rows' errors make.
+    # Errors of the directions: those along their tangents, and the rotation of the frame by errors of the rows.
     up_box = bundle.up_box @ turn
     count = len(up_box)
     along = np.zeros((3 * count, 2 * count))
@@ -191,14 +201,14 @@ def in_box_frame(bundle: Bundle, orientations: Floats) -> InBoxFrame:
     mixed = bundle.shared.reshape(axes * p, -1) @ bundle.direction_covariance
     crossed = swung @ mixed @ along.T
     up_covariance = along @ bundle.direction_covariance @ along.T + swung @ covariance @ swung.T - crossed - crossed.T
-    return InBoxFrame(
+    return BoxFrameFit(
         np.column_stack([rows, bundle.coefficients[:, 3:]]), held @ covariance @ held.T, up_box, up_covariance
     )
 
 
 def _turned_by(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
-    """Return what a turn of everything does to the coefficients (a p, 3), and the turn (3, a p) that keeps the mean
-    response symmetric when the coefficients change.
+    """Return the derivative (a p, 3) of the coefficients by a common rotation, and the rotation (3, a p) that keeps the
+    mean response symmetric if the coefficients change.
     """
     axes = len(rows)
     free = np.zeros((axes, p, 3))
@@ -215,9 +225,9 @@ _TRIANGLE = np.triu_indices(3)
 
 
 def directions_of(readings: PoseReadings) -> Floats:
-    """(k, 3) directions of gravity's reaction in the box frame, near the truth.
+    """Return approximate directions (k, 3) of gravity's reaction in the box frame.
 
-    CalibrationError if the poses do not tell bias from scale.
+    CalibrationError if the poses do not separate bias from scale.
     """
     means = readings.mean_lsb / readings.sensitivity[:, None, None]
     directions = []
@@ -228,8 +238,8 @@ def directions_of(readings: PoseReadings) -> Floats:
 
 
 def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
-    """Specific force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError if the poses do not tell bias
-    from scale.
+    """Return the specific force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError if the poses do
+    not separate bias from scale.
     """
 
     def gravity(parameters: Floats) -> Floats:
@@ -240,7 +250,7 @@ def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
     start = np.concatenate([np.zeros(3), np.eye(3)[_TRIANGLE]])
     fit = least_squares(lambda parameters: np.linalg.norm(gravity(parameters), axis=0) - 1, start)
     if not fit.success or np.linalg.cond(fit.jac.T @ fit.jac) > 1e8:
-        raise CalibrationError(same_sides(sensor, means))
+        raise CalibrationError(insufficient_poses(sensor, means))
     return gravity(fit.x)
 
 
@@ -248,8 +258,8 @@ FACE_COSINE = 0.97
 """Cosine of the angle (14 degrees) within which a pose lies on a face: a table is level, and a box has right angles."""
 
 
-def same_sides(sensor: SensorLog, means: Floats | None = None) -> str:
-    """Describe what poses leave open; `means` (k, 3) are their readings in g."""
+def insufficient_poses(sensor: SensorLog, means: Floats | None = None) -> str:
+    """Describe which parameters the poses leave open; `means` (k, 3) are their readings in g."""
     if means is not None:
         directions = means / np.linalg.norm(means, axis=1, keepdims=True)
         face = np.argmax(np.abs(directions), axis=1)
@@ -264,13 +274,15 @@ def same_sides(sensor: SensorLog, means: Floats | None = None) -> str:
 
 
 def _common(directions: Sequence[Floats]) -> Floats:
-    """(3, k) mean of the sensors' directions (3, k), each turned onto it (Kabsch, Acta Cryst. A32, 1976, p. 922)."""
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    """Return the mean (3, k) of the sensors' directions (3, k), each aligned with it (Kabsch, Acta Cryst. A32, 1976, p.
+    922).
+    """
+    from scipy.spatial.transform import Rotation  # slow to import
 
     common = np.asarray(directions[0])
     for _ in range(3):
-        turned = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() @ own for own in directions]
-        common = np.mean(turned, axis=0)
+        aligned = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() @ own for own in directions]
+        common = np.mean(aligned, axis=0)
         common /= np.linalg.norm(common, axis=0)
     return common
 
@@ -278,26 +290,27 @@ def _common(directions: Sequence[Floats]) -> Floats:
 MIN_POSES = 9
 """Nine unknowns per sensor."""
 
-STRANGE_G = 0.001
-"""A pose in which most accelerometers feel so much more or less than one g by the calibration that the other poses give
-was not at rest; a hand that holds a box does that, a table does not."""
+LARGEST_ERROR_G = 0.001
+"""Largest deviation from one g, median over the accelerometers, of a pose at rest, by the calibration from the other
+poses. A box on a table stays below it; a box held by hand does not."""
 
 _SOFTEST = 1e-5
-"""Lower limit of `Bundle.stiffness`: below it, some rotation of the directions is as good as unknown."""
+"""Lower limit of `Bundle.stiffness`: below it, some rotation of the directions is practically unknown."""
 
 _MOST_DRIFT = 2
-"""A bias drifts along a parabola in time at most: warming up, it goes fast at first."""
+"""Highest power of time in the drift of a bias: warm-up is fast at first."""
 
 
 @dataclass(frozen=True)
 class GravityFit:
     """Accelerometers calibrated together from `poses` (k), in the order of the sensors (s).
 
-    `up_box` (k, 3) directions of gravity's reaction; `force_g` (s, k) lengths of the calibrated specific force, drift
-    allowed for, and `force_apart_g` the same by a calibration from all other poses (nan where those are too few);
-    `drift_lsb` (s, 3) bias in the first pose less that in the last, and `drift_terms` how many powers of time it took.
-    `covariance` is that of all sensors' bias and response (12 s, 12 s): rows of `fits`' coefficients without the drift,
-    one sensor after the other. `up_covariance` (3 k, 3 k) is that of the directions.
+    `up_box` (k, 3) are the directions of gravity's reaction. `force_g` (s, k) is the length of the calibrated specific
+    force with the drift corrected, and `held_out_force_g` the same by a calibration from all other poses (nan where
+    those are too few). `drift_lsb` (s, 3) is the bias in the first pose less that in the last, and `drift_terms` the
+    number of powers of time in it. `covariance` (12 s, 12 s) is that of bias and response of all sensors: the rows of
+    `fits`' coefficients without the drift, in the order of the sensors. `up_covariance` (3 k, 3 k) is that of the
+    directions.
     """
 
     calibrations: tuple[SensorCalibration, ...]
@@ -307,20 +320,20 @@ class GravityFit:
     up_box: Floats
     up_covariance: Floats
     force_g: Floats
-    force_apart_g: Floats
+    held_out_force_g: Floats
     drift_lsb: Floats
     drift_terms: int
-    left_out: tuple[Exclusion, ...]
+    left_out: tuple[Outlier, ...]
 
     @property
     def residual_g(self) -> Floats:
-        """(s,) rms over the poses of the specific force's length less one g."""
+        """Rms (s,) over the poses of the specific force's length less one g."""
         return np.asarray(np.sqrt(np.mean((self.force_g - 1) ** 2, axis=1)))
 
     @property
-    def residual_apart_g(self) -> Floats:
-        """(s,) the same in poses that the calibration has not seen."""
-        return np.asarray(np.sqrt(np.mean((self.force_apart_g - 1) ** 2, axis=1)))
+    def held_out_residual_g(self) -> Floats:
+        """The same (s,) with each pose calibrated from the other poses."""
+        return np.asarray(np.sqrt(np.mean((self.held_out_force_g - 1) ** 2, axis=1)))
 
 
 def fit_gravity(
@@ -335,42 +348,42 @@ def fit_gravity(
 
 
 def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lambda done: None) -> GravityFit:
-    """`fit_gravity` of readings that are there already."""
+    """`fit_gravity` from readings instead of logs."""
     sensors, poses = everything.sensors, everything.poses
-    others = another_go(poses) if everything.one_run else {}
-    reasons = {**(others if len(poses) - len(others) >= MIN_POSES else {}), **moved_within(everything)}
-    bad = {place: exclusion_of(poses[place], reason) for place, reason in reasons.items()}
+    others = separated_poses(poses) if everything.one_run else {}
+    reasons = {**(others if len(poses) - len(others) >= MIN_POSES else {}), **moving_poses(everything)}
+    bad = {place: outlier_of(poses[place], reason) for place, reason in reasons.items()}
     while True:
         kept = [place for place in range(len(poses)) if place not in bad]
         left_out = [bad[place] for place in sorted(bad)]
         _refuse_few(sensors[0], len(kept), left_out)
-        joint = _joint(everything.only(kept))
-        apart, chances = _one_left_out(joint, progress)
-        off_g = np.median(np.abs(apart - 1), axis=0)
-        strange = worst(chances, np.nan_to_num(off_g), STRANGE_G)
-        if strange is None:
-            return _told(joint, apart, left_out)
-        reason = f"{1e3 * off_g[strange]:.1f} mg from one g by the calibration of the other poses: not at rest"
-        bad[kept[strange]] = exclusion_of(poses[kept[strange]], reason)
+        joint = _fit_jointly(everything.only(kept))
+        held_out, chances = _leave_one_out(joint, progress)
+        off_g = np.median(np.abs(held_out - 1), axis=0)
+        outlier = find_outlier(chances, np.nan_to_num(off_g), LARGEST_ERROR_G)
+        if outlier is None:
+            return _result(joint, held_out, left_out)
+        reason = f"{1e3 * off_g[outlier]:.1f} mg from one g by the calibration of the other poses: not at rest"
+        bad[kept[outlier]] = outlier_of(poses[kept[outlier]], reason)
 
 
-def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[Exclusion] = ()) -> GravityFit:
-    """Every axis in every pose by the variances (3 s, k) that are given, in g squared, without a drift.
+def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[Outlier] = ()) -> GravityFit:
+    """Calibrate from readings with given variances (3 s, k) in g squared, without a drift.
 
-    CalibrationError where the poses don't spread enough.
+    CalibrationError if the poses do not spread enough.
     """
     scale = readings.sensitivity[:, None, None]
     values = _by_axis(readings.mean_lsb / scale)
     terms = np.ones((len(readings.poses), 1))
     bundle = solve(values, 1 / variance_g2, terms, directions_of(readings))
     if bundle.stiffness < _SOFTEST:
-        raise CalibrationError(same_sides(readings.sensors[0]))
-    chi_squared, freedom = _by_noise(bundle)
-    joint = _Joint(readings, values, bundle.weight, terms, bundle, np.zeros(len(values)), chi_squared, freedom)
-    return _told(joint, np.full((len(readings.sensors), len(readings.poses)), np.nan), left_out)
+        raise CalibrationError(insufficient_poses(readings.sensors[0]))
+    chi_squared, freedom = _chi_squared(bundle)
+    joint = _JointFit(readings, values, bundle.weight, terms, bundle, np.zeros(len(values)), chi_squared, freedom)
+    return _result(joint, np.full((len(readings.sensors), len(readings.poses)), np.nan), left_out)
 
 
-def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Exclusion]) -> None:
+def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Outlier]) -> None:
     if count < MIN_POSES:
         why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)
         sound = "static" if not left_out else "undisturbed"
@@ -378,9 +391,9 @@ def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Exclusion]) ->
 
 
 @dataclass(frozen=True)
-class _Joint:
-    """All axes (a = 3 s) in all poses (k) in g: readings, weights and terms (k, q) of the fit `bundle`; the scatter
-    beyond noise (a,), chi-squared and freedom (a,) by noise alone.
+class _JointFit:
+    """Fit `bundle` of all axes (a = 3 s) in all poses (k) in g: its readings, weights and terms (k, q); the scatter
+    `beyond` noise (a,); chi-squared and degrees of freedom (a,) by noise alone.
     """
 
     readings: PoseReadings
@@ -393,18 +406,18 @@ class _Joint:
     freedom: Floats
 
 
-def _joint(readings: PoseReadings) -> _Joint:
-    """Everything at once, with as much drift and scatter as the readings show."""
+def _fit_jointly(readings: PoseReadings) -> _JointFit:
+    """Fit all sensors and directions, with the drift and scatter that the readings show."""
     scale = readings.sensitivity[:, None, None]
     values = _by_axis(readings.mean_lsb / scale)
     noise = _by_axis(readings.variance_lsb2 / scale**2)
-    terms, bundle = _drifting(readings, values, noise, directions_of(readings))
+    terms, bundle = _fit_drift(readings, values, noise, directions_of(readings))
     if bundle.stiffness < _SOFTEST:
-        raise CalibrationError(same_sides(readings.sensors[0]))
+        raise CalibrationError(insufficient_poses(readings.sensors[0]))
     beyond = np.zeros(len(values))
-    chi_squared, freedom = _by_noise(bundle)
+    chi_squared, freedom = _chi_squared(bundle)
     for _ in range(10):
-        squares, own = _by_noise(bundle)
+        squares, own = _chi_squared(bundle)
         fits = np.abs(squares - own) < 0.05 * own
         more = [beyond_noise(each, free, len(own)) for each, free in zip(squares, own, strict=True)]
         change = (np.array(more) | (beyond > 0)) & ~fits & (own > 0.5)
@@ -413,40 +426,41 @@ def _joint(readings: PoseReadings) -> _Joint:
         total = (1 / bundle.weight).mean(axis=1) * squares / np.maximum(own, 0.5)
         beyond = np.where(change, np.maximum(total - noise.mean(axis=1), 0.0), beyond)
         bundle = solve(values, 1 / (noise + beyond[:, None]), terms, bundle.up_box)
-    return _Joint(readings, values, bundle.weight, terms, bundle, np.sqrt(beyond), chi_squared, freedom)
+    return _JointFit(readings, values, bundle.weight, terms, bundle, np.sqrt(beyond), chi_squared, freedom)
 
 
 def _by_axis(triads: Floats) -> Floats:
-    """(3 s, k) from (s, k, 3)."""
+    """Reorder (s, k, 3) to (3 s, k)."""
     return triads.transpose(0, 2, 1).reshape(-1, triads.shape[1])
 
 
-def _by_noise(bundle: Bundle) -> tuple[Floats, Floats]:
-    """(a,) chi-squared of every axis and its freedom."""
+def _chi_squared(bundle: Bundle) -> tuple[Floats, Floats]:
+    """Return chi-squared (a,) of every axis and its degrees of freedom."""
     return (bundle.weight * bundle.residual**2).sum(axis=1), bundle.axis_freedom()
 
 
-def _drifting(readings: PoseReadings, values: Floats, noise: Floats, up_box: Floats) -> tuple[Floats, Bundle]:
-    """The terms beside the response, and the fit with them: powers of time as long as each fits better beyond chance.
+def _fit_drift(readings: PoseReadings, values: Floats, noise: Floats, up_box: Floats) -> tuple[Floats, Bundle]:
+    """Return the terms of the fit in addition to the response, and the fit: powers of time, as long as each one
+    improves the fit significantly.
 
-    All terms but the bias have zero mean over the poses: it is the mean one. Poses that don't tell a drift from
-    the rest leave it to what biases scatter.
+    All terms but the bias have zero mean over the poses, so that the bias is the mean one. If the poses do not separate
+    a drift from the other parameters, it remains part of the scatter.
     """
     powers = readings.powers_of_time(_MOST_DRIFT)
     terms = powers[:, :1]
     best = solve(values, 1 / noise, terms, up_box)
     for more in range(2, powers.shape[1] + 1):
         tried = solve(values, 1 / noise, powers[:, :more], best.up_box)
-        chance = chance_of_misfit(best.chi_squared, tried.chi_squared, len(values), tried.freedom)
+        chance = misfit_probability(best.chi_squared, tried.chi_squared, len(values), tried.freedom)
         if tried.freedom <= 0 or not tried.is_linear or chance > DRIFTS:
             break
         terms, best = powers[:, :more], tried
     return terms, best
 
 
-def _one_left_out(joint: _Joint, progress: Callable[[int], None]) -> tuple[Floats, list[float]]:
-    """Return for each pose the lengths (s, k) of the specific force by a calibration from all others, and the chance
-    that it fits as badly as it does: by the scatter of the others, and by that which the weights stand for.
+def _leave_one_out(joint: _JointFit, progress: Callable[[int], None]) -> tuple[Floats, list[float]]:
+    """Return for each pose the length (s, k) of the specific force by a calibration from all other poses, and the
+    probability that it fits so badly by chance: the larger of those by the scatter of the others and by the weights.
     """
     sensors, poses = len(joint.readings.sensors), len(joint.readings.poses)
     lengths, chances = np.full((sensors, poses), np.nan), [1.0] * poses
@@ -461,24 +475,24 @@ def _one_left_out(joint: _Joint, progress: Callable[[int], None]) -> tuple[Float
         if without.stiffness > _SOFTEST:
             lengths[:, pose] = _lengths(without.coefficients, joint.values[:, [pose]], joint.terms[[pose]])[:, 0]
             squares, fewer = joint.bundle.chi_squared, without.chi_squared
-            by_the_rest = chance_of_misfit(squares, fewer, number, joint.bundle.freedom - number)
-            chances[pose] = max(by_the_rest, float(chdtrc(number, max(squares - fewer, 0.0))))
+            by_scatter = misfit_probability(squares, fewer, number, joint.bundle.freedom - number)
+            chances[pose] = max(by_scatter, float(chdtrc(number, max(squares - fewer, 0.0))))
         progress(pose + 1)
     return lengths, chances
 
 
 def _lengths(coefficients: Floats, values: Floats, terms: Floats) -> Floats:
-    """(s, k) lengths of the specific force in g that readings (3 s, k) mean."""
+    """Return the length (s, k) of the specific force in g for readings (3 s, k)."""
     response = coefficients[:, :3].reshape(-1, 3, 3)
-    pulled = (values - coefficients[:, 3:] @ terms.T).reshape(len(response), 3, -1)
-    return np.asarray(np.linalg.norm(np.linalg.solve(response, pulled), axis=1))
+    unbiased = (values - coefficients[:, 3:] @ terms.T).reshape(len(response), 3, -1)
+    return np.asarray(np.linalg.norm(np.linalg.solve(response, unbiased), axis=1))
 
 
-def _told(joint: _Joint, apart: Floats, left_out: Sequence[Exclusion]) -> GravityFit:
-    """The result in counts and in the box frame."""
+def _result(joint: _JointFit, held_out: Floats, left_out: Sequence[Outlier]) -> GravityFit:
+    """Convert a fit to counts and to the box frame."""
     readings, bundle = joint.readings, joint.bundle
     orientations = np.array([sensor.orientation for sensor in readings.sensors])
-    boxed = in_box_frame(bundle, orientations)
+    boxed = turn_into_box_frame(bundle, orientations)
     axes, p = boxed.coefficients.shape
     counts = np.repeat(readings.sensitivity, 3)
     covariance = boxed.covariance * np.outer(np.repeat(counts, p), np.repeat(counts, p))
@@ -503,7 +517,7 @@ def _told(joint: _Joint, apart: Floats, left_out: Sequence[Exclusion]) -> Gravit
         up_box=boxed.up_box,
         up_covariance=boxed.up_covariance,
         force_g=_lengths(bundle.coefficients, joint.values, joint.terms),
-        force_apart_g=apart,
+        held_out_force_g=held_out,
         drift_lsb=(rows[:, 3:] @ change).reshape(-1, 3),
         drift_terms=joint.terms.shape[1] - 1,
         left_out=tuple(left_out),

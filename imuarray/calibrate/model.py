@@ -66,18 +66,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Described = SensorLog | SensorHeader
-"""A sensor as a log describes it: one that was recorded, or that is to be."""
+"""A sensor as a log describes it: with its recorded rows, or its header alone."""
 
 FORMAT_VERSION = 1
 
 COLUMN_ERROR = 0.01
-"""Standard error of a column of a response, as a share of the scale factor, up to which turns have determined it: half
-of what the data sheet's tolerance is taken to be."""
+"""Largest standard error of a column of a response, as a share of the scale factor, that counts as determined: half of
+the data sheet's tolerance as it is assumed (`turns.TOLERANCE`)."""
 
 
 def uncertain_columns(response_lsb_per_unit: Floats, covariance: Floats) -> str:
-    """The box axes ("XZ") whose column of a response (3, 3) with this covariance (9, 9), row by row, is not known to
-    `COLUMN_ERROR` of the scale factors: those about which a gyroscope was hardly turned.
+    """Return the box axes ("XZ") whose column of a response (3, 3) with this covariance (9, 9), row by row, is not
+    known to `COLUMN_ERROR` of the scale factors: the gyroscope was hardly turned about them.
     """
     scale = np.linalg.norm(response_lsb_per_unit, axis=1)
     shares = np.sqrt(np.diag(covariance)).reshape(3, 3) / scale[:, None]
@@ -85,7 +85,8 @@ def uncertain_columns(response_lsb_per_unit: Floats, covariance: Floats) -> str:
 
 
 _LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\\n]*")),\n\s*\]')
-"""A list of numbers or plain texts as tomli_w writes it, a line each. No text holds a line's end: TOML escapes it."""
+"""A list of numbers or plain texts as tomli_w writes it, one entry per line. No text contains a newline: TOML escapes
+it."""
 
 _SHORT = 80
 
@@ -104,20 +105,20 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "turn_on": ("turn_on",),
     }
 )
-"""Fields that are measured together; the first of each is None unless they were: a bias without an uncertainty was
-not measured."""
+"""Fields that are measured together; the first of each group is None unless they were measured (a bias without a
+standard error was not)."""
 
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """One sensor's parameters; what was not measured is None (or, for `response`, the data sheet's).
+    """Parameters of one sensor; a parameter that was not measured is None (the response: the data sheet's).
 
     Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis), `noise_lsb` (standard
     deviation of single readings), its standard error and `noise_correlation` (of one reading with the next) (3,);
     `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard errors (3, 3), rows sensor axes, columns box
     axes; `bias_covariance_lsb2` (3, 3) over the sensor axes; `response_covariance_lsb2_per_unit2` (9, 9) over the
     entries of the response row by row. `noise_lines` are periodic parts of `noise_lsb`.
-    `temperature_degc` is that of the bias. `provenance` says by group (`GROUPS`) where figures came from.
+    `temperature_degc` is that of the bias. `provenance` states the origin of each group of figures (`GROUPS`).
     """
 
     name: str
@@ -150,11 +151,11 @@ class SensorCalibration:
         return tuple(group for group, names in GROUPS.items() if getattr(self, names[0]) is not None)
 
     def bias_at(self, temperature_degc: npt.ArrayLike) -> Floats:
-        """The bias (3,), or (n, 3) for temperatures (n,), in counts at a (lagged) temperature in degC.
+        """Return the bias (3,), or (n, 3) for temperatures (n,), in counts at a (lagged) temperature in degC.
 
-        It is taken to hold at the temperature at which it was measured; where that is not known, or the thermometer of
-        the slopes has no zero, at the slopes' reference. Without slopes, and on an axis whose slope may be one of
-        scale, it stays as it is.
+        The bias holds at the temperature at which it was measured, or at the slopes' reference if that temperature is
+        not known or the thermometer of the slopes has no zero. Without slopes, and on an axis whose slope may be one of
+        scale, it does not change.
         """
         degc = np.asarray(temperature_degc, float)
         if self.thermal is None:
@@ -165,27 +166,27 @@ class SensorCalibration:
 
     @property
     def scale_lsb_per_unit(self) -> Floats:
-        """(3,) length of each row of the response: counts per unit along the axis that the sensor axis really has."""
+        """Length (3,) of each row of the response: counts per unit along the true direction of the sensor axis."""
         return np.asarray(np.linalg.norm(self.response_lsb_per_unit, axis=1), float)
 
     @property
     def directions_box(self) -> Floats:
-        """(3, 3) unit vectors, one row per sensor axis: where it points in the box frame."""
+        """Directions (3, 3) of the sensor axes in the box frame: one unit vector per row."""
         return np.asarray(self.response_lsb_per_unit / self.scale_lsb_per_unit[:, None])
 
     @property
     def lsb_per_si(self) -> Floats:
-        """(3,) counts per m/s2 or rad/s along each sensor axis."""
+        """Counts per m/s2 or rad/s (3,) along each sensor axis."""
         return np.asarray(self.scale_lsb_per_unit / SI_PER_UNIT[self.unit])
 
     def stimulus_box(self, counts: npt.ArrayLike) -> Floats:
-        """Specific force (m/s2) or angular rate (rad/s) in the box frame (n, 3) from counts (n, 3)."""
+        """Return specific force (m/s2) or angular rate (rad/s) in the box frame (n, 3) from counts (n, 3)."""
         inverse = np.linalg.inv(self.response_lsb_per_unit) * SI_PER_UNIT[self.unit]
         return np.asarray((np.asarray(counts, float) - self.bias_lsb) @ inverse.T)
 
     def response_covariance(self) -> Floats | None:
-        """(9, 9) covariance of the response's entries, row by row; None if the response was not measured. Where a file
-        has standard errors of the axes alone, each entry is taken to have that of its axis, independent of the others.
+        """Return the covariance (9, 9) of the response's entries, row by row; None if the response was not measured. If
+        a file has only one standard error per axis, its entries have that standard error and are independent.
         """
         if self.response_sem_lsb_per_unit is None:
             return None
@@ -194,18 +195,20 @@ class SensorCalibration:
         return np.diag(np.repeat(self.response_sem_lsb_per_unit**2, 3))
 
     def uncertain_axes(self) -> str:
-        """The `uncertain_columns` of a measured response; "" if it was not measured."""
+        """Return the `uncertain_columns` of a measured response; "" if it was not measured."""
         covariance = self.response_covariance()
         return "" if covariance is None else uncertain_columns(self.response_lsb_per_unit, covariance)
 
     def bias_in_units(self) -> Floats:
-        """(3,) bias in the sensor's unit (g or dps), along its own axes."""
+        """Return the bias (3,) in the sensor's unit (g or dps), along its own axes."""
         return np.asarray(self.bias_lsb / self.scale_lsb_per_unit)
 
     def azimuth_elevation_deg(self) -> Floats:
-        """(3, 2) azimuth (0 along box X, 90 along box Y) and elevation above the XY plane of each sensor axis, degrees.
+        """Return azimuth (0 along box X, 90 along box Y) and elevation above the XY plane (3, 2) of each sensor axis,
+        in degrees.
 
-        The angles of the paper's Appendix B, by atan2: its printed quotient is upside down and loses the quadrant.
+        These are the angles of the paper's Appendix B, by atan2: the printed quotient is inverted and loses the
+        quadrant.
         """
         x, y, z = self.directions_box.T
         return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
@@ -213,13 +216,13 @@ class SensorCalibration:
 
 @dataclass(frozen=True, repr=False)
 class Calibration:
-    """The parameters of many sensors and where they came from."""
+    """The parameters of many sensors and their sources."""
 
     sensors: Mapping[str, SensorCalibration] = field(default_factory=lambda: MappingProxyType({}))
     sources: tuple[str, ...] = ()
 
     def merged(self, other: Calibration) -> Calibration:
-        """This calibration with everything that `other` measured in its place."""
+        """Return this calibration with every figure that `other` measured replaced by the newer one."""
         sensors = dict(self.sensors)
         for name, newer in other.sensors.items():
             older = sensors.get(name)
@@ -227,14 +230,14 @@ class Calibration:
         return Calibration(sensors, (*self.sources, *other.sources))
 
     def stamped(self, logs: Sequence[Log]) -> Calibration:
-        """This calibration with the logs, software, epoch and bias temperature on every measured group that does not
-        say them yet.
+        """Return this calibration with logs, software, epoch and bias temperature as the provenance of every measured
+        group that has none.
         """
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
-        """Return the calibration of `sensor`. CalibrationError if that does not fit it, or if other sensors were
-        calibrated and not this one; a calibration of nothing gives the data sheet's values.
+        """Return the calibration of `sensor`; an empty calibration returns the data sheet's values. CalibrationError if
+        the calibration does not fit the sensor, or contains other sensors only.
         """
         if self.sensors and sensor.name not in self.sensors:
             raise CalibrationError(
@@ -244,8 +247,8 @@ class Calibration:
         return self.or_nominal(sensor)
 
     def or_nominal(self, sensor: Described) -> SensorCalibration:
-        """Return the calibration of `sensor`, else the data sheet's values: no bias, the configured axes.
-        CalibrationError if the calibration does not fit it.
+        """Return the calibration of `sensor`, or the data sheet's values (no bias, the configured axes) if there is
+        none. CalibrationError if the calibration does not fit the sensor.
         """
         known = self.sensors.get(sensor.name)
         if known is None:
@@ -261,7 +264,7 @@ class Calibration:
         if known.chip not in (None, sensor.chip):
             raise CalibrationError(f"{sensor.where}: calibrated as chip {known.chip}, logged as {sensor.chip}")
         ratio = known.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
-        if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
+        if (np.abs(np.log2(ratio)) > 1).any():  # no chip deviates by a factor of two, but another range does
             raise CalibrationError(
                 f"{sensor.where}: calibrated at {known.scale_lsb_per_unit[0]:.4g} counts per {known.unit}, logged at"
                 f" {sensor.sensitivity:.4g}: another range"
@@ -269,8 +272,8 @@ class Calibration:
         return known
 
     def plot(self, group: str | None = None) -> Figure:
-        """The figures of one `group` ("bias", "noise", "thermal" or "turn_on"; None: the first of these that was
-        measured) with two standard errors, a line for each axis. MissingExtraError without matplotlib.
+        """Plot the figures of one `group` ("bias", "noise", "thermal" or "turn_on"; None: the first of these that was
+        measured) with two standard errors, one line per axis. MissingExtraError without matplotlib.
         """
         from imuarray.calibrate.plots import calibration_figure
 
@@ -281,7 +284,7 @@ class Calibration:
         return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(known)}>"
 
     def _repr_html_(self) -> str:
-        """Biases and scale factors with their standard errors, for notebooks."""
+        """Return a table of biases and scale factors with their standard errors, for notebooks."""
         from imuarray.calibrate.plots import bias_rows
         from imuarray.html_table import html_table
 
@@ -291,21 +294,21 @@ class Calibration:
         return html_table(sentence, heading, bias_rows(self))
 
     def to_toml(self) -> str:
-        """The file's text."""
+        """Return the text of the calibration file."""
         head = {"format_version": FORMAT_VERSION, "software": f"imuarray {__version__}", "sources": list(self.sources)}
         text = tomli_w.dumps(
             {"calibration": head, "sensor": [to_table(sensor) for sensor in self.sensors.values()]}, indent=2
         )
-        return _LIST.sub(lambda match: match[0] if len(match[1]) > _SHORT else _on_a_line(match[1]), text)
+        return _LIST.sub(lambda match: match[0] if len(match[1]) > _SHORT else _on_one_line(match[1]), text)
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
-        """Write the file; OutputExistsError if it is there, OutputError if it can't be written."""
+        """Write the file; OutputExistsError if it exists and not `force`, OutputError if it can't be written."""
         write_text(path, self.to_toml(), force=force)
 
 
 def nominal(sensor: Described) -> SensorCalibration:
-    """Return a triad's calibration by its data sheet and its configured axes; CalibrationError for a sensor without a
-    sensitivity.
+    """Return the calibration of a triad according to its data sheet and its configured axes; CalibrationError for a
+    sensor without a sensitivity.
     """
     if not sensor.is_triad or sensor.sensitivity <= 0:
         raise CalibrationError(f"{sensor.where}: no triad with a sensitivity, nothing to calibrate")
@@ -321,7 +324,7 @@ def nominal(sensor: Described) -> SensorCalibration:
 
 
 def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibration:
-    """`newer` with the groups of figures that only `older` measured."""
+    """Return `newer` with the groups of figures that only `older` measured."""
     if (older.quantity, older.unit) != (newer.quantity, newer.unit):
         raise CalibrationError(
             f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two sensors"
@@ -345,15 +348,15 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
 
 
 def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibration:
-    """One sensor with its provenance."""
+    """Return a sensor's calibration with its provenance."""
     origin = Provenance(tuple(str(log.path) for log in logs), f"imuarray {__version__}", logs[0].epoch if logs else "")
     warm = replace(origin, temperature_degc=sensor.temperature_degc)
     fresh = {group: warm if group == "bias" else origin for group in sensor.measured()}
     return replace(sensor, provenance={**fresh, **sensor.provenance})
 
 
-def _on_a_line(entries: str) -> str:
-    """A list whose entries stand on a line each."""
+def _on_one_line(entries: str) -> str:
+    """Return a list on one line from entries with one line each."""
     return "[" + re.sub(r",\n *", ", ", entries) + "]"
 
 

@@ -1,11 +1,11 @@
-"""Rest and motion of the box in a log: the longest rest where no phase notes one, and signs that the box moved.
+"""Rest and motion of the box in a log: the longest rest if no phase states one, and signs that the box moved.
 
-A calibration at rest refuses stretches in which the box moved: a figure computed from motion is not a property of the
-sensor.
+A calibration at rest refuses stretches in which the box moved, because a figure computed from motion is not a property
+of the sensor.
 
-A knock is a short disturbance of a box at rest, searched in windows of half a second: it is between two rests and lasts
-`BRIDGED_S` at most. If the attitude after it is the attitude before it, the two rests are one; if the box was pushed a
-little, the knock states by how much.
+A knock is a short disturbance of a box at rest, detected in windows of half a second: it lies between two rests and
+lasts at most `BRIDGED_S`. If the attitude is the same before and after it, the two rests are joined; if the box was
+pushed a little, the knock states by how much.
 """
 
 from __future__ import annotations
@@ -37,26 +37,27 @@ from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 from imuarray.units import INERTIAL, READABLE
 
 STRONG = 4.0
-"""A disturbance in which readings scatter by this multiple of their scatter at rest is a knock; a weaker one may be the
-noise of windows with few rows.
+"""Least scatter during a knock as a multiple of the scatter at rest; a weaker disturbance may be the noise of windows
+with few rows.
 """
 
 _SURE = 5.0
-"""Standard errors by which the box must lie otherwise behind a knock."""
+"""Least change of the attitude by a knock, in standard errors."""
 
 _LEAST_SHARE = 0.05
-"""Share of `SAME_POSE` by which it must lie otherwise at the least: noise wanders, and small noise is rounded away."""
+"""Least change of the attitude by a knock, as a share of `SAME_POSE`: noise wanders, and small noise is rounded away.
+"""
 
 LISTED = 5
 """Knocks whose times are listed."""
 
 _NEIGHBOURS = 4
-"""Windows on each side whose mean says how the box lies."""
+"""Number of windows before and after a knock whose mean is the attitude of the box."""
 
 
 class Knock(NamedTuple):
-    """A disturbance from `start_ns` to `end_ns`; `strong` if it is no noise. `shift` is by how much the readings differ
-    behind it, in the unit of the sensors, 0 if within their scatter.
+    """A disturbance from `start_ns` to `end_ns`; `strong` if it is not noise. `shift` is the change of the readings at
+    rest from before to after it, in the unit of the sensors; 0 if that is within their scatter.
     """
 
     start_ns: int
@@ -66,7 +67,7 @@ class Knock(NamedTuple):
 
 
 def find_knocks(windows: RestWindows) -> list[Knock]:
-    """Return the disturbances of the rests in these windows, in the order of time."""
+    """Return the disturbances between rests in these windows, in order of time."""
     read = windows.read
     if not len(read):
         return []
@@ -86,7 +87,7 @@ def find_knocks(windows: RestWindows) -> list[Knock]:
 
 
 def _knock(windows: RestWindows, before: Indices, after: Indices, quiet: float, error: float) -> Knock | None:
-    """Return what is between two rests (indices of windows), None if it is too long or the box was turned."""
+    """Return the disturbance between two rests (indices of windows); None if it is too long or the box was turned."""
     first, last = int(before[-1]) + 1, int(after[0])
     start_ns, end_ns = (windows.begin_ns + place * windows.width_ns for place in (first, last))
     shift = float(
@@ -102,15 +103,15 @@ def _knock(windows: RestWindows, before: Indices, after: Indices, quiet: float, 
 
 
 def _error_of_means(mean: Floats, rests: Sequence[Indices]) -> float:
-    """Return the standard error of the difference of two means over `_NEIGHBOURS` windows, of the worst axis, from how
-    the means of neighbouring windows differ (1.48 times the median: standard deviation of normal numbers).
+    """Return the standard error of the difference of two means over `_NEIGHBOURS` windows, for the worst axis, from the
+    differences of neighbouring windows (1.48 times the median: the standard deviation of normal numbers).
     """
     changes = np.concatenate([np.abs(np.diff(mean[run], axis=0)) for run in rests])
     return float(1.48 * np.median(changes, axis=0).max() / np.sqrt(_NEIGHBOURS))
 
 
 def knock_sentence(knocks: Sequence[Knock], unit: str, factor: float) -> str:
-    """Describe the strong knocks in a sentence about the box; `factor` turns shifts into `unit`. "" without any."""
+    """Describe the strong knocks in a sentence; `factor` converts shifts to `unit`. "" without any."""
     strong = [knock for knock in knocks if knock.strong]
     if not strong:
         return ""
@@ -126,8 +127,8 @@ _CHOSEN = "the longest rest that the sensors show; no phase is marked as one"
 
 
 def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
-    """The longest rest that the sensors show, without the knocks in it; None if none shows, or if a `phase` is asked
-    for or marked as a rest.
+    """Return the longest rest that the sensors show, without the knocks in it; None if there is none, if a `phase` is
+    given, or if the log marks a phase as a rest.
     """
     if phase is not None or choose_stretch(log, None).phase is not None:
         return None
@@ -141,7 +142,7 @@ def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
 
 
 def _join(poses: Sequence[Pose], knocks: Sequence[Knock]) -> list[Stretch]:
-    """Return poses as stretches; two poses are one if the box was disturbed between them and lay as before."""
+    """Return poses as stretches; two poses are joined if a knock between them did not change the attitude."""
     rests: list[Stretch] = []
     for pose in (pose.phase for pose in poses):
         before = rests[-1] if rests else None
@@ -162,26 +163,26 @@ def _sentence(log: Log, windows: RestWindows, knocks: Sequence[Knock]) -> str:
 
 
 STILL: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 5.0})
-"""Keyed by quantity, in its unit: seconds in which readings scatter by more, or whose mean is so far from that of the
-second before, are motion. A sensor's own noise is smaller, and a bias drifts by less in a second.
+"""Keyed by quantity, in its unit: largest scatter within a second at rest, and largest change of the mean from the
+second before. The noise of a sensor is smaller, and a bias drifts by less in a second.
 """
 
 TILTED_G = 0.3
-"""A mean specific force that is so far from the median one is that of another pose, however slowly it was taken: what
-heating by 40 degC does to a bias is a third of it (ADX-62, BMA-115).
+"""A mean specific force that differs more from the median belongs to another pose, even if the box was tilted slowly:
+heating by 40 degC changes a bias by a third of it (ADX-62, BMA-115).
 """
 
 MOVING_SHARE = 0.1
-"""Share of the seconds that may be motion: a box that is knocked or set down rests all the same."""
+"""Share of the seconds that may be motion: a rest may contain a knock or begin with the box being set down."""
 
 TURNED_DEG = 10.0
-"""Poses that differ by more are two: a bias of 0.1 g turns the direction felt by six degrees."""
+"""Largest angle between two measurements of one pose: a bias of 0.1 g turns the measured direction by six degrees."""
 
 _WINDOW_NS = 1_000_000_000
 
 
 def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = ()) -> str:
-    """Describe the signs that the box moved between two times; "" if it rested, or without any sign."""
+    """Describe the signs that the box moved between two times; "" if there are none."""
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if len(sensor) and sensor.sensitivity > 0]
         count = (end_ns - start_ns) // _WINDOW_NS
@@ -210,15 +211,15 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
 
 
 def refuse_motion(log: Log, stretches: Sequence[tuple[str, int, int]], left_out: Sequence[Phase] = ()) -> None:
-    """CalibrationError for the first of the stretches (name, start and end in ns) in which the box moved."""
+    """Raise CalibrationError for the first of the stretches (name, start and end in ns) in which the box moved."""
     for name, start_ns, end_ns in stretches:
         if words := motion_in(log, start_ns, end_ns, left_out):
             raise CalibrationError(f"{log.path}{name and f', {name}'}: {words}")
 
 
 def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
-    """CalibrationError if two or more of the mean specific forces (r, 3), in one frame, point elsewhere than most; the
-    one that does may be of a sensor that came up wrong.
+    """Raise CalibrationError if the directions of two or more mean specific forces (r, 3), in one frame, differ from
+    the median; a single one may be a sensor that started in a wrong state.
     """
     known = np.isfinite(forces_g).all(axis=1)
     lengths = np.linalg.norm(forces_g, axis=1, keepdims=True)
@@ -232,6 +233,5 @@ def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
         listed = ", ".join(names[place] for place in elsewhere[:5])
         raise CalibrationError(
             f"{listed}: the box lay {np.median(degrees[elsewhere]):.0f} degrees away from its pose in the"
-            f" other runs; one"
-            " pose is required"
+            " other runs; one pose is required"
         )

@@ -42,34 +42,36 @@ from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
 
 MOST_LINES = 8
-"""Lines of an axis that are kept, the strongest."""
+"""Largest number of lines per axis; the strongest are kept."""
 
 _AVERAGED = 16
-"""A spectrum's segments are so short that the readings fill this many of them, if they can be."""
+"""Number of segments that a spectrum averages, if the stretches are long enough."""
 
 _WINDOW_ROWS = 1024
 _WINDOWS = 12
 _WINDOW_SEGMENTS = 4
-"""Windows are at least so long, so many at most are looked at, and have so many segments or more if they are long."""
+"""Shortest window in rows, largest number of windows, and number of spectrum segments in a long window."""
 
 _FEWEST_WINDOWS = 4
-_SEEN = 0.25
-"""A wandering line must be in at least this number of windows, and in this share of all rows."""
+_LEAST_SHARE = 0.25
+"""A wandering line must be present in at least this number of windows and in this share of all rows."""
 
 _NEAR = 3.0
-"""... no more than so many bins from where it was before."""
+"""Largest change of a line's frequency from one window to the next, in bins."""
 
 
 @dataclass
 class _Track:
-    """A line, window after window: frequencies, and the sum of squared amplitudes times rows; rows it was seen in."""
+    """A line over successive windows: its frequencies, the sum of squared amplitudes times rows, and the rows in which
+    it is present.
+    """
 
     frequencies_hz: list[float] = field(default_factory=list)
     squares: float = 0.0
     rows: int = 0
 
     def add(self, line: SpectralLine, rows: int) -> None:
-        """The line as the next window shows it."""
+        """Add the line as measured in the next window."""
         self.frequencies_hz.append(line.frequency_hz)
         self.squares += line.amplitude**2 * rows
         self.rows += rows
@@ -78,10 +80,10 @@ class _Track:
 def noise_lines(
     stretches: Stretches, whole: Spectrum, clock: ReadingInterval, rms_lsb: Floats, false_alarm: float
 ) -> tuple[NoiseLine, ...]:
-    """The lines of every axis, strongest first, from the spectrum of the `whole` and those of windows; a line's share
-    is that of its sine in the variance `rms_lsb`^2.
+    """Return the lines of every axis, strongest first, from the spectrum of the `whole` and those of windows; the share
+    of a line is the variance of its sine over ``rms_lsb^2``.
 
-    `false_alarm` is the chance that an axis without lines shows one.
+    `false_alarm` is the probability that an axis without lines shows one.
     """
     tracks = _tracks(_windows(stretches), clock, false_alarm)
     results: list[NoiseLine] = []
@@ -98,7 +100,7 @@ def noise_lines(
 
 
 def _welch(stretches: Stretches, clock: ReadingInterval) -> Welch | None:
-    """The spectrum of all stretches, without a reading so far; None where none is long enough."""
+    """Return an empty accumulator for the spectrum of all stretches; None if none is long enough."""
     lengths = [rows.stop - rows.start for _, rows in stretches]
     longest = min(max(lengths), max(SEGMENT_ROWS, sum(lengths) // _AVERAGED), SEGMENT)
     if clock.rate_hz <= 0 or longest < SEGMENT_ROWS:
@@ -111,7 +113,7 @@ def _power_of_two(rows: float) -> int:
 
 
 def _spectrum(sensor: SensorLog, rows: slice, clock: ReadingInterval, segment_rows: int) -> Spectrum:
-    """Return the spectrum of the sound readings of some rows."""
+    """Return the spectrum of the valid readings in `rows`."""
     welch = Welch(clock.rate_hz, segment_rows, columns=3)
     for part in readings(sensor, rows, clock.limit_ns):
         for is_first, run in runs_of(part):
@@ -122,7 +124,7 @@ def _spectrum(sensor: SensorLog, rows: slice, clock: ReadingInterval, segment_ro
 
 
 def _windows(stretches: Stretches) -> Stretches:
-    """The stretches, cut into windows; of many, some that are spread from the first to the last."""
+    """Divide the stretches into windows; of many windows, select some at regular intervals."""
     width = max(_WINDOW_ROWS, -(-sum(rows.stop - rows.start for _, rows in stretches) // _WINDOWS))
     cut = []
     for sensor, rows in stretches:
@@ -135,7 +137,7 @@ def _windows(stretches: Stretches) -> Stretches:
 
 
 def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:
-    """Per axis, every line that is in enough windows, and the rows of all windows."""
+    """Return per axis every line that is present in enough windows, and the number of rows in all windows."""
     if len(windows) < _FEWEST_WINDOWS:
         return ((), (), ())
     tracks: list[list[_Track]] = [[], [], []]
@@ -152,14 +154,14 @@ def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> S
         [
             (track, total)
             for track in axis
-            if len(track.frequencies_hz) >= _FEWEST_WINDOWS and track.rows > _SEEN * total
+            if len(track.frequencies_hz) >= _FEWEST_WINDOWS and track.rows > _LEAST_SHARE * total
         ]
         for axis in tracks
     ]
 
 
 def _continued(tracks: list[_Track], line: SpectralLine, near_hz: float) -> _Track:
-    """The track that the line continues, a new one if there is none."""
+    """Return the track that the line continues, or a new one."""
     close = [track for track in tracks if abs(track.frequencies_hz[-1] - line.frequency_hz) <= near_hz]
     if close:
         return min(close, key=lambda track: abs(track.frequencies_hz[-1] - line.frequency_hz))
@@ -183,7 +185,7 @@ def _steady(index: int, line: SpectralLine, rms: float) -> NoiseLine:
 
 
 def _wandering(index: int, track: _Track, rows: int, rms: float) -> NoiseLine:
-    """Its amplitude over all rows, those without it too."""
+    """Return a wandering line; its amplitude is the rms over all rows, including those without it."""
     square = track.squares / rows
     low, high = min(track.frequencies_hz), max(track.frequencies_hz)
     middle = float(np.mean(track.frequencies_hz))
@@ -191,7 +193,7 @@ def _wandering(index: int, track: _Track, rows: int, rms: float) -> NoiseLine:
 
 
 def _smears(line: NoiseLine, resolution_hz: float) -> bool:
-    """Return whether it wanders by more than a bin of the mean spectrum, in which it can't be read then."""
+    """Return whether the line wanders by more than a bin of the mean spectrum, which smears it there."""
     return line.range_hz is not None and float(np.ptp(line.range_hz)) > resolution_hz
 
 
@@ -203,14 +205,15 @@ def _covers(wandering: NoiseLine, line: NoiseLine, resolution_hz: float) -> bool
 
 
 _ENOUGH_SEGMENTS = 16
-"""Segments whose variances give the uncertainty of the pooled one; fewer tell less than the law of white noise."""
+"""Least number of segments whose variances give the standard error of the pooled variance; with fewer, the formula for
+white noise is used."""
 
 
 @dataclass(frozen=True)
 class ReadingNoise:
-    """Standard deviation of single readings (3,) in counts about the means of segments and its standard error; the
-    correlation of neighbouring readings (3,), 0 on an axis that doesn't scatter, None where no readings are neighbours;
-    the lines, axis by axis.
+    """Noise of single readings: the standard deviation (3,) in counts about the means of segments and its standard
+    error; the correlation of neighbouring readings (3,), 0 on an axis without scatter, None without neighbours; the
+    spectral lines, axis by axis.
     """
 
     rms_lsb: Floats
@@ -219,10 +222,11 @@ class ReadingNoise:
     lines: tuple[NoiseLine, ...]
 
 
-def scatter_of(stretches: Stretches, false_alarm: float) -> ReadingNoise | None:
-    """Pooled over the `stretches` of one sensor at rest; None if no segment of any has two sound readings.
+def reading_noise(stretches: Stretches, false_alarm: float) -> ReadingNoise | None:
+    """Measure the noise of single readings, pooled over the `stretches` of one sensor at rest; None if no segment has
+    two valid readings.
 
-    `false_alarm` is the chance that the spectrum of an axis without lines shows one.
+    `false_alarm` is the probability that the spectrum of an axis without lines shows one.
     """
     clock = clock_of(stretches)
     products = Autocovariance(lags=1, columns=3, segment_rows=SEGMENT_ROWS)
@@ -257,7 +261,7 @@ class _PooledSquares:
         self._squares_squares = np.zeros(3)
 
     def add(self, part: SegmentReadings) -> None:
-        """The readings of a block that ends where a segment does."""
+        """Add the readings of a block; blocks end at the end of a segment."""
         begin = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
         number = np.diff(begin, append=len(part.segment))
         means = np.add.reduceat(part.counts, begin, axis=0) / number[:, None]
@@ -276,7 +280,9 @@ class _PooledSquares:
         return np.asarray(np.sqrt(self._squares / self.freedom))
 
     def rms_sem_lsb(self) -> Floats:
-        """The standard error, by what the variances of the segments scatter: correlated or not, normal or not."""
+        """Standard error of `rms_lsb`, from the scatter of the segments' variances, which needs no assumption on
+        correlation or distribution.
+        """
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:
             return np.asarray(np.sqrt(variance / (2 * self.freedom)))
@@ -286,7 +292,7 @@ class _PooledSquares:
 
 
 def _neighbours(products: Autocovariance) -> Floats | None:
-    """Correlation of neighbours (3,); None where there were none."""
+    """Return the correlation (3,) of neighbouring readings; None if there are none."""
     correlation = products.correlation()
     if not np.isfinite(correlation[0]).any() and not products.result().rows:
         return None
@@ -296,7 +302,7 @@ def _neighbours(products: Autocovariance) -> Floats | None:
 _STILL_PHASES = ("static", "room")
 
 _FALSE_ALARM = 0.01
-"""Chance that any axis of a log without lines is said to have one."""
+"""Probability that a line is reported on any axis of a log without lines."""
 
 _THERMOMETER_S = 5.0
 
@@ -306,12 +312,13 @@ def calibrate_noise(
     known: Calibration | None = None,
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
-    """Scatter of single readings, its colour, and the drift, of every inertial sensor, pooled over all still stretches
-    of one log or of several; from the drift, what follows temperature by the slopes of `known` is taken out.
+    """Measure the noise of single readings, its correlation and lines, and the drift of every inertial sensor, pooled
+    over all still stretches of one log or several. Changes with temperature are removed from the drift by the slopes of
+    `known`.
 
-    Still stretches are the phases that name a face, `static` or `room`; in a log without such phases they are found
-    by the accelerometers. CalibrationError if there are none. `progress` hears what is done, how many sensors are, and
-    of how many.
+    Still stretches are phases that name a face, `static` and `room`; in a log without such phases they are detected by
+    the accelerometers. CalibrationError if there are none. `progress` is called with the step, the number of sensors
+    done, and their total.
     """
     for log in logs:
         log.keep_rows()
@@ -336,8 +343,8 @@ def with_noise_of(
     names: Sequence[str] = (),
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
-    """The calibration, with the noise that the log itself shows at rest for the sensors (only `names`, if there are
-    any) of which it knows none. CalibrationError if the log shows none. `progress` hears what `calibrate_noise` tells.
+    """Return the calibration with the noise that the log shows at rest, for the sensors (only `names`, unless that is
+    empty) whose noise it lacks. CalibrationError if the log shows none. `progress` is called as by `calibrate_noise`.
     """
     known = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
@@ -359,10 +366,10 @@ def _still_stretches(log: Log) -> list[Pose]:
 
 
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
-    """One sensor's figures; CalibrationError where it has no valid readings."""
+    """Measure one sensor's noise; CalibrationError if it has no valid readings."""
     result = [(pose, *pose.rows_of(sensor)) for pose in poses]
     stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]
-    scatter = scatter_of(stretches, false_alarm) if stretches else None
+    scatter = reading_noise(stretches, false_alarm) if stretches else None
     if scatter is None:
         raise CalibrationError(f"{sensor.where}: no valid readings while the box stood still")
     return replace(
@@ -376,9 +383,9 @@ def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, fa
 
 
 def _drift(stretches: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None) -> Drift | None:
-    """The drift over the stretches; None where they are too short, or too many, to show any."""
+    """Estimate the drift over the stretches; None if they are too short, or too many, to show any."""
     rows = sum(part.stop - part.start for _, _, part in stretches)
-    segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # time constants are two of them at least
+    segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # the shortest time constant is two segments
     long = [(pose, here, part) for pose, here, part in stretches if part.stop - part.start >= LEAST_SEGMENTS * segment]
     if not long:
         return None
@@ -393,7 +400,7 @@ def _interval_s(sensor: SensorLog, rows: slice) -> float:
 
 
 def _means(pose: Pose, sensor: SensorLog, rows: slice, width_s: float, thermal: Thermal | None) -> SegmentMeans:
-    """Means of a stretch, what follows its temperature taken out; none where it has no valid readings."""
+    """Return the means of a stretch, with changes by temperature removed; empty without valid readings."""
     try:
         means = segment_means(sensor, width_s, within=rows)
     except CalibrationError:

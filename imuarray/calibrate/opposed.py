@@ -1,13 +1,13 @@
 """Cancellation of biases and temperature drift by anti-parallel axes of one design (the paper's section 2.1).
 
-An error that all units of a design share adds up among axes that point the same way and cancels between opposite ones.
-Here it is evaluated in the calibrated biases, turned into the box frame, where it shows first (`cancellation`), and in
-the slopes with temperature (`opposed_slopes`).
+An error that all units of a design share adds up over parallel axes and cancels between opposite ones. It is evaluated
+in the calibrated biases, turned into the box frame (`cancellation`), and in the slopes with temperature
+(`opposed_slopes`).
 
-In the box frame one axis of a pair counts with the other's sign, so the mean of the pair drifts with half the
-difference of the two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; it would be 0.263 if both
-pointed the same way. Opposed axes drift less than parallel ones exactly when the two slopes have the same sign. Whether
-both certainly have it is tested by the larger of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
+In the box frame the axes of a pair have opposite signs, so the mean of the pair drifts with half the difference of the
+two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; with parallel axes it would be 0.263. Opposed
+axes drift less than parallel ones exactly if the two slopes have the same sign. The test that they have uses the larger
+of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from imuarray.log import SensorLog
 
 @dataclass(frozen=True)
 class Cancellation:
-    """One design along one box axis: mean bias, box frame and the sensor's unit, of the axes along it, of those
-    against it, and of both halves averaged; None where no axis points that way.
+    """One design along one box axis: the mean bias in the box frame, in the sensor's unit, of the axes `along` the box
+    axis, of those `against` it, and of both halves averaged (`opposed`); None if no axis points that way.
     """
 
     chip: str
@@ -40,7 +40,7 @@ class Cancellation:
 
 
 def cancellation(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Cancellation]:
-    """A row for every design (chip) and box axis of the inertial `sensors`."""
+    """Evaluate the cancellation for every design (chip) and box axis of the inertial `sensors`."""
     biases: dict[tuple[str, str, str, int], dict[int, list[float]]] = {}
     for sensor in sensors:
         known = calibration.or_nominal(sensor)
@@ -73,12 +73,13 @@ _OPPOSED = -0.95
 
 @dataclass(frozen=True)
 class OpposedSlopes:
-    """Two axes ("Gyro1 y") of one design and range, opposite along a box axis; slopes in counts/degC, own axes.
+    """Slopes with temperature of two axes ("Gyro1 y") of one design and range that oppose each other along a box axis,
+    in counts/degC along their own axes.
 
-    `half_difference` is the slope of their mean in the box frame, `sem` its standard error, `reduction` how many times
-    less that is than a single axis drifts (mean of the magnitudes). `p_cancels`: probability of such slopes if opposing
-    them gained nothing; `p_nothing_left`: of such a half difference if they cancelled entirely. `is_bias` is False
-    where a slope may be one of scale.
+    `half_difference` is the slope of their mean in the box frame and `sem` its standard error; `reduction` is the mean
+    magnitude of the single slopes over it. `p_cancels` is the probability of such slopes if opposition gained nothing,
+    `p_nothing_left` the probability of such a half difference if they cancelled completely. `is_bias` is False if a
+    slope may be one of scale.
     """
 
     first: str
@@ -98,7 +99,7 @@ class OpposedSlopes:
 def opposed_slopes(
     sensors: Sequence[SensorLog], calibrations: Mapping[str, SensorCalibration]
 ) -> Iterator[OpposedSlopes]:
-    """Every pair of opposing axes of two `sensors` of one chip and range, by their nominal directions."""
+    """Yield every pair of axes of two `sensors` of one chip and range whose nominal directions are opposite."""
     for first, second in combinations(sensors, 2):
         if (first.chip, first.quantity, first.range) != (second.chip, second.quantity, second.range):
             continue
@@ -135,10 +136,10 @@ def _pair(
 def cancelled(
     first: float, second: float, sem_first: float, sem_second: float
 ) -> tuple[float, float, float, float, float]:
-    """Half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left` (see
-    `OpposedSlopes`).
+    """Return the half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left`
+    (see `OpposedSlopes`).
     """
-    from scipy.special import ndtr  # its weight is for those who ask: every logger imports this package
+    from scipy.special import ndtr  # slow to import, and every logger imports this package
 
     half, sem = (first - second) / 2, float(np.hypot(sem_first, sem_second)) / 2
     reduction = (abs(first) + abs(second)) / 2 / abs(half) if half else np.inf

@@ -1,4 +1,4 @@
-"""A calibration's figures in mg and dps: as rows of tables and as drawings, every estimate with its standard error."""
+"""Tables and figures of a calibration in mg and dps, every estimate with its standard error."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ _LABELS: Mapping[str, str] = MappingProxyType(
         "turn_on": "change of the bias from run to run, rms",
     }
 )
-"""The figures, in the order in which a calibration is searched for their contents."""
+"""Title of each group, in the order in which the default is chosen."""
 
 
 def calibration_figure(calibration: Calibration, group: str | None = None) -> Figure:
-    """One group of figures of all sensors, a panel a unit (mg or dps); CalibrationError for a group that there is not
-    or that was not measured, MissingExtraError without matplotlib.
+    """Plot one group of figures of all sensors, one panel per unit (mg or dps); CalibrationError for a group that does
+    not exist or was not measured, MissingExtraError without matplotlib.
     """
     if group is not None and group not in _LABELS:
         raise CalibrationError(f"group {group!r}: allowed are {', '.join(_LABELS)}")
     groups = [name for name in _LABELS if any(_estimates(s, name) is not None for s in calibration.sensors.values())]
     if not groups or (group is not None and group not in groups):
         raise CalibrationError(
-            f"{group or 'bias'}: was not measured; the calibration has {', '.join(groups) or 'nothing'}"
+            f"{group or 'bias'} was not measured; the calibration contains {', '.join(groups) or 'nothing'}"
         )
     chosen = group or groups[0]
     labels: list[str] = []
@@ -66,7 +66,7 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
 
 
 def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
-    """Axis, unit, bias, its standard error, counts per unit and noise; "–": not known."""
+    """Yield axis, unit, bias, its standard error, counts per unit and noise; "–" if not known."""
     for sensor in calibration.sensors.values():
         factor, unit = READABLE[sensor.unit]
         per_count = factor / sensor.scale_lsb_per_unit
@@ -79,7 +79,7 @@ def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
 
 
 def slope_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
-    """Axis, unit, slope, its standard error, lag, and whether it is one of bias or of scale."""
+    """Yield axis, unit, slope, its standard error, lag, and the meaning of the slope."""
     for sensor in calibration.sensors.values():
         if (thermal := sensor.thermal) is None:
             continue
@@ -92,7 +92,7 @@ def slope_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
 
 
 def turn_on_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
-    """Axis, unit, rms from run to run, its standard error, runs, states and the p-value of no change."""
+    """Yield axis, unit, rms from run to run, its standard error, runs, states and the p-value of no change."""
     for sensor in calibration.sensors.values():
         if (turn_on := sensor.turn_on) is None:
             continue
@@ -109,12 +109,12 @@ def _axis(sensor: SensorCalibration, axis: int) -> str:
 
 
 def _scaled(values_lsb: Floats | None, per_count: Floats) -> list[float]:
-    """(3,) in mg or dps; nan: not known."""
+    """Convert counts (3,) to mg or dps; nan if not known."""
     return [np.nan] * 3 if values_lsb is None else [float(value) for value in values_lsb * per_count]
 
 
 def _estimates(sensor: SensorCalibration, group: str) -> _Estimates | None:
-    """The figures of a group; None where it was not measured."""
+    """Return the figures of a group; None if it was not measured."""
     if group == "bias" and sensor.bias_sem_lsb is not None:
         return _Estimates(sensor.bias_lsb, sensor.bias_sem_lsb)
     if group == "noise" and sensor.noise_lsb is not None:
@@ -127,7 +127,7 @@ def _estimates(sensor: SensorCalibration, group: str) -> _Estimates | None:
 
 
 def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Reals) -> Figure:
-    """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
+    """Plot residuals (sensors, poses) in mg: one row per sensor, one dot per pose."""
     figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
     axes = figure.subplots()
     span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)

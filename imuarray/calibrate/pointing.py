@@ -8,7 +8,7 @@ the one that explains the data best is chosen
 * for a gyroscope: by how it turned from one pose to the next, carrying gravity with it;
 * for a magnetometer: by a field that is fixed in the world while the box turns as the gyroscopes state, and an offset.
 
-The second best rotation must explain the data clearly worse; otherwise the sensor's orientation is not reported.
+The second-best rotation must explain the data clearly worse; otherwise the sensor's orientation is not reported.
 """
 
 from __future__ import annotations
@@ -30,23 +30,25 @@ from imuarray.log import Log, SensorLog
 from imuarray.printable import printable
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
-HELD = ("+Z", "+X", "+Y")
-"""The poses that a person is asked for, if nothing else is said: three that are no mirror image of another three."""
+DEFAULT_POSES = ("+Z", "+X", "+Y")
+"""Box axis that is up in each of the poses that the user is asked for by default: a set that no reflection maps to
+itself."""
 
 _CLEARLY = 2.0
-"""The least ratio of the second-best turn's rms misfit to the best turn's."""
+"""Least ratio of the rms residual of the second-best rotation to that of the best."""
 
 _MOST = 0.5
-"""Rms of what the best turn leaves, as a share of one g or of a radian: beyond it none of them explains the poses."""
+"""Largest rms residual of the best rotation, as a share of one g or in radians; above it no rotation explains the
+poses."""
 
 _LONGEST_S = 30.0
-"""Between two poses a gyroscope is integrated no longer than this."""
+"""Longest time between two poses over which a gyroscope is integrated."""
 
 
 @dataclass(frozen=True)
 class Pointing:
-    """One sensor's `axes` as text ("" where the poses do not determine them, for the `reason`), the rms `residual` of
-    its readings with these axes (shares of one g, radians, or of the field) and with the next best axes.
+    """Orientation of one sensor: its `axes` as text ("" if the poses do not determine them, with the `reason`), and the
+    rms `residual` of its readings (in g, in radians, or relative to the field) with these axes and with the next best.
     """
 
     sensor: str
@@ -58,44 +60,44 @@ class Pointing:
 
 
 def _turns() -> Floats:
-    """(24, 3, 3) matrices of 0, 1 and -1 with determinant 1."""
+    """Return the (24, 3, 3) rotation matrices whose entries are 0, 1 and -1."""
     signs = [np.diag(sign) for sign in product((1.0, -1.0), repeat=3)]
     matrices = [np.eye(3)[list(order)] @ sign for order in permutations(range(3)) for sign in signs]
     return np.array([matrix for matrix in matrices if np.linalg.det(matrix) > 0])
 
 
 TURNS = _turns()
-"""Every way to mount a chip squarely: ``vector_sensor = turn @ vector_box``."""
+"""All orientations of a chip along the box axes: ``vector_sensor = turn @ vector_box``."""
 
 
-def held_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
-    """The log's poses with the box axis that was up in each: `ups` in the order in which they were held, else what its
-    phases say, else `HELD`.
+def upright_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
+    """Return the log's poses with the box axis that was up in each: `ups` in order of time, or those that its phases
+    state, or `DEFAULT_POSES`.
 
-    CalibrationError where the log holds another number of poses than are named.
+    CalibrationError if the number of poses in the log differs from the number of axes.
     """
     faces = [] if ups else named_faces(log)
     if faces:
         return faces
     poses = find_poses(log, [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)[:1]])
-    wanted = list(ups) or list(HELD)
-    for up in wanted:
+    expected = list(ups) or list(DEFAULT_POSES)
+    for up in expected:
         if up not in UP_AXES:
             raise CalibrationError(f"pose {up!r}: allowed are {', '.join(UP_AXES)}")
-    if len(poses) != len(wanted):
+    if len(poses) != len(expected):
         places = ", ".join(f"{pose.phase.start_ns * 1e-9:.1f} to {pose.phase.end_ns * 1e-9:.1f} s" for pose in poses)
         raise CalibrationError(
-            f"{log.path}: {len(poses)} poses found ({places or 'none'}), {len(wanted)} are named ({', '.join(wanted)}):"
-            " hold each of them still for three seconds, or name those that were held"
+            f"{log.path}: {len(poses)} poses detected ({places or 'none'}), {len(expected)} expected"
+            f" ({', '.join(expected)}): hold each pose still for three seconds, or state the poses that were held"
         )
-    return [Pose(pose.phase, up_vector(up), log) for pose, up in zip(poses, wanted, strict=True)]
+    return [Pose(pose.phase, up_vector(up), log) for pose, up in zip(poses, expected, strict=True)]
 
 
 def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
-    """The axes of every triad of a log, in its order, from poses of which `up_box` is known.
+    """Determine the axes of every triad of a log, in its order, from poses whose `up_box` is known.
 
-    CalibrationError if the poses can't tell any axes, or if no way of mounting explains what most accelerometers felt:
-    then they were not held as is said.
+    CalibrationError if the poses do not determine any axes, or if no orientation explains the readings of most
+    accelerometers: then the stated poses are wrong.
     """
     ups = np.array([pose.up_box for pose in poses], float)
     if np.linalg.matrix_rank(ups) < 2:
@@ -111,12 +113,15 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
             f"{log.path}: no orientation of {unexplained[0].sensor} explains its readings: the poses were not"
             f" {', '.join(_name(up) for up in ups)} up, in this order"
         )
-    carried = {sensor.name: _carried(sensor, poses) for sensor in log.of("angular_rate")}
+    rotations = {
+        sensor.name: [_rotation(sensor, first, second) for first, second in pairwise(poses)]
+        for sensor in log.of("angular_rate")
+    }
     for sensor in log.of("angular_rate"):
-        results[sensor.name] = _gyroscope(sensor, carried[sensor.name], ups)
-    onward = _onward(carried, results)
+        results[sensor.name] = _gyroscope(sensor, rotations[sensor.name], ups)
+    box_rotations = _box_rotations(rotations, results)
     for sensor in log.of("magnetic_field"):
-        results[sensor.name] = _magnetometer(sensor, poses, onward)
+        results[sensor.name] = _magnetometer(sensor, poses, box_rotations)
     return [results[name] for name in log.sensors if name in results]
 
 
@@ -125,30 +130,26 @@ def _name(up: Floats) -> str:
 
 
 def _mean(sensor: SensorLog, pose: Pose) -> Floats:
-    """(3,) mean reading in its unit along its own axes; nan if there is none."""
+    """Return the mean reading (3,) of a sensor in its unit along its own axes; nan if there is none."""
     here, rows = pose.rows_of(sensor)
     counts = np.asarray(here.counts[rows], float)
     return counts.mean(axis=0) / sensor.sensitivity if len(counts) else np.full(3, np.nan)
 
 
 def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Pointing:
-    """Estimate the axes of an accelerometer by gravity; biases are too small to hide it."""
-    felt = np.array([_mean(sensor, pose) for pose in poses])
-    if not np.isfinite(felt).all():
+    """Determine the axes of an accelerometer by gravity; biases are too small to hide it."""
+    mean_g = np.array([_mean(sensor, pose) for pose in poses])
+    if not np.isfinite(mean_g).all():
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
-    remaining = np.sqrt(np.mean((felt - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
-    return _best(sensor, remaining)
+    residuals = np.sqrt(np.mean((mean_g - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
+    return _best(sensor, residuals)
 
 
-def _carried(sensor: SensorLog, poses: Sequence[Pose]) -> list[Floats | None]:
-    """Return for each pair of neighbouring poses the rotation (3, 3) in the sensor's frame that carries a vector fixed
-    in the world from the first to the second; None where it can't be integrated.
+def _rotation(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
+    """Return the rotation (3, 3) in the sensor's frame of a vector that is fixed in the world, from one pose to the
+    next; None if the rates can't be integrated.
     """
-    return [_turned(sensor, first, second) for first, second in pairwise(poses)]
-
-
-def _turned(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    from scipy.spatial.transform import Rotation  # slow to import
 
     if first.log is not second.log:
         return None
@@ -164,62 +165,58 @@ def _turned(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
     return reduce(lambda so_far, step: np.asarray(step @ so_far), steps, np.eye(3))
 
 
-def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats) -> Pointing:
-    """Estimate the axes of a gyroscope by gravity before and after each turn."""
-    known = [(place, matrix) for place, matrix in enumerate(carried) if matrix is not None]
+def _gyroscope(sensor: SensorLog, rotations: Sequence[Floats | None], ups: Floats) -> Pointing:
+    """Determine the axes of a gyroscope by gravity before and after each turn."""
+    known = [(index, rotation) for index, rotation in enumerate(rotations) if rotation is not None]
     if not known:
-        return Pointing(
-            sensor.name,
-            sensor.chip,
-            "",
-            np.nan,
-            np.nan,
-            "no turn from one pose to the next in one log, of less than 30 s",
-        )
-    missed = [matrix @ (TURNS @ ups[place])[..., None] - (TURNS @ ups[place + 1])[..., None] for place, matrix in known]
-    remaining = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in missed], axis=0))
-    return _best(sensor, remaining)
+        reason = "no turn from one pose to the next in one log, of less than 30 s"
+        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, reason)
+    errors = [rotation @ (TURNS @ ups[i])[..., None] - (TURNS @ ups[i + 1])[..., None] for i, rotation in known]
+    residuals = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in errors], axis=0))
+    return _best(sensor, residuals)
 
 
-def _onward(carried: Mapping[str, Sequence[Floats | None]], pointings: Mapping[str, Pointing]) -> list[Floats | None]:
-    """Return the turns between poses in the box frame, by the gyroscope with the best fit."""
-    known = sorted((pointings[name].residual, name) for name in carried if pointings[name].axes)
+def _box_rotations(
+    rotations: Mapping[str, Sequence[Floats | None]], pointings: Mapping[str, Pointing]
+) -> list[Floats | None]:
+    """Return the rotations between poses in the box frame, by the gyroscope with the least residual."""
+    known = sorted((pointings[name].residual, name) for name in rotations if pointings[name].axes)
     if not known:
         return []
     name = known[0][1]
     orientation = np.array(orientation_of(pointings[name].axes))
-    return [None if matrix is None else orientation @ matrix @ orientation.T for matrix in carried[name]]
+    return [None if rotation is None else orientation @ rotation @ orientation.T for rotation in rotations[name]]
 
 
-def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Floats | None]) -> Pointing:
-    """Estimate the axes of a magnetometer by a field fixed in the world and an offset of the sensor's own, over the
-    longest run of poses whose turns are known.
+def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], rotations: Sequence[Floats | None]) -> Pointing:
+    """Determine the axes of a magnetometer by a field that is fixed in the world and an offset of the sensor, over the
+    longest run of poses with known rotations between them.
     """
     runs: list[list[tuple[int, Floats]]] = [[(0, np.eye(3))]]
-    for place, matrix in enumerate(onward, start=1):
-        if matrix is None:
-            runs.append([(place, np.eye(3))])
+    for index, rotation in enumerate(rotations, start=1):
+        if rotation is None:
+            runs.append([(index, np.eye(3))])
         else:
-            runs[-1].append((place, np.asarray(matrix @ runs[-1][-1][1])))
+            runs[-1].append((index, np.asarray(rotation @ runs[-1][-1][1])))
     run = max(runs, key=len)
     if len(run) < 3:
         return Pointing(
             sensor.name, sensor.chip, "", np.nan, np.nan, "no gyroscope measured the turns between three poses"
         )
-    read = np.concatenate([_mean(sensor, poses[place]) for place, _ in run])
-    if not np.isfinite(read).all():
+    means = np.concatenate([_mean(sensor, poses[index]) for index, _ in run])
+    if not np.isfinite(means).all():
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
-    remaining = []
+    residuals = []
     for turn in TURNS:
         design = np.concatenate([np.hstack([turn @ attitude, np.eye(3)]) for _, attitude in run])
-        solution = np.linalg.lstsq(design, read, rcond=None)[0]
-        off = read - design @ solution
-        remaining.append(np.sqrt(np.mean(off**2) * 3) / max(float(np.linalg.norm(solution[:3])), 1e-9))
-    return _best(sensor, np.array(remaining))
+        solution = np.linalg.lstsq(design, means, rcond=None)[0]
+        rms = np.sqrt(np.mean((means - design @ solution) ** 2) * 3)
+        residuals.append(rms / max(float(np.linalg.norm(solution[:3])), 1e-9))
+    return _best(sensor, np.array(residuals))
 
 
 def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
-    """Return the turn with the least residual, if it is clearly the least."""
+    """Return the orientation with the least residual, if it is clearly the least."""
     order = np.argsort(residuals)
     best, second = float(residuals[order[0]]), float(residuals[order[1]])
     axes = axes_text(TURNS[order[0]])
@@ -233,13 +230,14 @@ def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
 
 
 _LONGEST = 1 << 20
-"""Characters of a configuration; one with a hundred sensors has thirty thousand."""
+"""Largest number of characters in a configuration; one with a hundred sensors has thirty thousand."""
 
 
 def with_axes(text: str, pointings: Sequence[Pointing], where: str) -> str:
-    """The text of a configuration with the axes that were determined; all else, comments included, is unchanged.
+    """Return the text of a configuration with the axes that were determined; everything else, including comments, is
+    unchanged.
 
-    ConfigError, beginning with the log that it came from (`where`), for a text that is no configuration.
+    ConfigError, beginning with the source of the text (`where`), if that is not a configuration.
     """
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
@@ -258,7 +256,7 @@ def with_axes(text: str, pointings: Sequence[Pointing], where: str) -> str:
 
 
 def _sensors(file: Any, where: str) -> list[Any]:
-    """The [[sensor]] tables of a configuration; ConfigError."""
+    """Return the [[sensor]] tables of a configuration; ConfigError if there are none."""
     sensors = file.get("sensor", [])
     if not isinstance(sensors, list) or not all(isinstance(sensor, MutableMapping) for sensor in sensors):
         raise ConfigError(f"{where}: its configuration has no list of [[sensor]] tables")

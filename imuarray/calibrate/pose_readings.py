@@ -1,12 +1,12 @@
 """Static poses of the box in a log, and the readings of every sensor in them.
 
 The phases of a log may name the faces (`z_up`, `x_down`, ...) and thus the poses. In any other log poses are detected:
-windows of half a second in which the accelerometers hardly move and no gyroscope turns are joined as long as their
-means agree. In a log without accelerometers the gyroscopes are used, or else the magnetometers (`find_rests`).
+windows of half a second in which the accelerometers hardly change and the gyroscopes show no turn are joined as long as
+their means agree. In a log without accelerometers the gyroscopes are used, or else the magnetometers (`find_rests`).
 
-Readings at rest are taken a block at a time. Stale, saturated and suspect rows are left out; readings on either side of
-a gap do not count as neighbours. `PoseReadings` holds the means of many sensors over many poses as arrays, with their
-standard errors.
+Readings at rest are read block by block. Stale, saturated and suspect rows are ignored; readings on either side of a
+gap are not neighbours. `PoseReadings` contains the means of many sensors over many poses as arrays, with their standard
+errors.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from imuarray.log.format import SATURATED, SUSPECT, Phase
 WINDOW_S = 0.5
 MIN_POSE_S = 1.5
 SAME_POSE_G = 0.02
-"""Neighbouring windows whose means differ by more belong to two poses."""
+"""Largest difference between the means of neighbouring windows of one pose."""
 
 TURNING_DPS = 0.5
-"""Windows in which the gyroscopes read so much more than when the box is still belong to no pose: the slow beginning
-and end of a turn, and turns about the vertical, are not felt by accelerometers."""
+"""Largest rate in a pose, relative to the rate at rest: accelerometers do not measure the slow beginning and end of a
+turn, nor turns about the vertical."""
 
 BRIDGED_S = 5.0
-"""A shorter time without readings does not end a pose if the box lies the same way after it: a recorder
-that stalls says nothing of the box, and nobody turns it by hand and puts it back within hundredths of a g in that time.
+"""Longest time without readings within a pose, if the attitude is the same after it: a recorder may stall, and nobody
+turns the box by hand and returns it to within hundredths of a g in that time.
 """
 
 _LEAST_ROWS = 4
-"""Rows of a window at least: for a slow sensor, windows are longer than half a second."""
+"""Fewest rows in a window: for a slow sensor, windows are longer than half a second."""
 
 _SPIKED_ROWS = 8
-"""Rows of a window from which on one of them is left out: a motion moves most of them."""
+"""Fewest rows in a window for one of them to be ignored as an outlier: motion changes most rows."""
 
 SAME_POSE: Mapping[str, float] = MappingProxyType(
     {"specific_force": SAME_POSE_G, "angular_rate": TURNING_DPS, "magnetic_field": 0.02}
 )
-"""Largest difference between the means of neighbouring windows of one pose, in the unit of the quantity that tells the
-poses. Two degrees of a turn change the earth's field along an axis by 0.02 gauss.
+"""Largest difference between the means of neighbouring windows of one pose, in the unit of the quantity from which
+poses are detected. Two degrees of a turn change the earth's field along an axis by 0.02 gauss.
 """
 
 _CLIPPED_SHARE = 1e-3
-"""A mean of readings whose tail is cut off is wrong by more than its standard error long before it looks wrong."""
+"""Largest share of saturated readings in a mean: clipping biases it by more than its standard error before it is
+visible."""
 
 _BATCHES = 16
 _WIDTH_NS = round(WINDOW_S * 1e9)
@@ -66,7 +67,7 @@ _WIDTH_NS = round(WINDOW_S * 1e9)
 class Pose:
     """One static stretch; `up_box` is known only for a named face.
 
-    `log` is the log that the stretch is in; None: the one of the sensor that is asked.
+    `log` is the log that contains the stretch; None: the log of the sensor that is read.
     """
 
     phase: Phase
@@ -74,39 +75,32 @@ class Pose:
     log: Log | None = None
 
     def rows_of(self, sensor: SensorLog) -> tuple[SensorLog, slice]:
-        """The sensor of that name in the pose's own log, and its rows; CalibrationError if it was set otherwise
-        there.
+        """Return the sensor of the same name in the pose's log, and its rows; CalibrationError if it is configured
+        differently there.
         """
-        here = sensor if self.log is None else self.log[sensor.name]
-        if (here.quantity, here.range, here.sensitivity, here.axes) != (
-            sensor.quantity,
-            sensor.range,
-            sensor.sensitivity,
-            sensor.axes,
-        ):
-            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
+        here = sensor if self.log is None else sensor_in(self.log, sensor)
         return here, here.between(self.phase.start_ns, self.phase.end_ns)
 
     @property
     def label(self) -> str:
-        """The phase's name, and the axis that was up if the name does not say it."""
+        """The phase's name, with the axis that was up if the name does not state it."""
         name = self.phase.name
         return name if not self.phase.up or face_up(name) else f"{name} ({self.phase.up})"
 
     def where(self, sensor: SensorLog) -> str:
-        """The sensor in the log that the pose is in, for messages."""
+        """Return the sensor in the pose's log as text for messages."""
         return self.rows_of(sensor)[0].where
 
     @property
     def is_check(self) -> bool:
-        """A face that was read again to see the drift; it is not part of a fit."""
+        """True for a face that was read again to measure the drift; it is not part of a fit."""
         return self.phase.name.endswith("_check")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Mean counts (3,) of one sensor over one pose, their standard error (3,) and the number of rows; the standard
-    deviation of single rows, and the mean of the second half less that of the first.
+    """Mean counts (3,) of one sensor over one pose, with standard error (3,) and number of rows; the standard deviation
+    of single rows (3,), and the `change_lsb` (3,) of the mean from the first half to the second.
     """
 
     mean_lsb: Floats
@@ -117,24 +111,33 @@ class Reading:
 
 
 _NOT_AT_REST = ("motion", "heat", "cool")
-"""Phases in which the box moves, or biases do: no faces, though they may say what was up."""
+"""Phases that are not faces even if they state which axis was up: the box moves, or biases change."""
 
 
-def noted_faces(logs: Sequence[Log]) -> list[Pose]:
-    """The faces of several logs: the poses that their phases name; if none does, those whose phases say which axis was
-    up, whatever they are called. CalibrationError for an `up` that names no axis.
+def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
+    """Return the sensor of the same name in `log`; CalibrationError if it is configured differently there."""
+    here = log[sensor.name]
+    settings = ((each.quantity, each.range, each.sensitivity, each.axes) for each in (here, sensor))
+    if next(settings) != next(settings):
+        raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
+    return here
+
+
+def labelled_faces(logs: Sequence[Log]) -> list[Pose]:
+    """Return the faces of several logs: poses that phases name; if there are none, phases of any name that state which
+    axis was up. CalibrationError for an `up` that is not an axis.
     """
     named = [pose for log in logs for pose in named_faces(log)]
     return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
 
 
 def named_faces(log: Log) -> list[Pose]:
-    """The poses that the log's own phases name, in file order; CalibrationError for an `up` that names no axis."""
+    """Return the poses that the log's phases name, in file order; CalibrationError for an `up` that is not an axis."""
     return _faces(log, lambda phase: bool(face_up(phase.name)))
 
 
 def _faces(log: Log, is_face: Callable[[Phase], bool]) -> list[Pose]:
-    """Phases that are faces and say what was up."""
+    """Return the phases that are faces and state which axis was up."""
     faces = [phase for phase in log.phases if phase.up and is_face(phase)]
     for phase in faces:
         if phase.up not in UP_AXES:
@@ -145,10 +148,11 @@ def _faces(log: Log, is_face: Callable[[Phase], bool]) -> list[Pose]:
 
 
 def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
-    """Return the mean reading of `sensor` in `pose`; CalibrationError if it read nothing there.
+    """Return the mean reading of `sensor` in `pose`; CalibrationError if it has no readings there.
 
-    The standard error comes from the means of batches, which neighbouring readings of one batch do not make too small.
-    Saturated and suspect readings are left out; CalibrationError if more than one in a thousand is saturated.
+    The standard error is computed from the means of batches, so that correlation of neighbouring readings does not make
+    it too small. Saturated and suspect readings are ignored; CalibrationError if more than one in a thousand is
+    saturated.
     """
     sensor, rows = pose.rows_of(sensor)
     status = np.asarray(sensor.status[rows])
@@ -168,9 +172,9 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
 
 
 def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
-    """Static stretches of a log that names none, found by its accelerometers, and its gyroscopes if it has any (`only`
-    these, if any are named); first and last window cut off. CalibrationError without accelerometers, and for a log that
-    is too short.
+    """Detect the static poses of a log by its accelerometers and, if it has any, its gyroscopes (`only` these, unless
+    that is empty), without the first and last window of each. CalibrationError without accelerometers, and for a log
+    that is too short.
     """
     sensors = _rows_of(log, "specific_force", only)
     if not sensors:
@@ -182,7 +186,7 @@ def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
 
 
 def find_rests(log: Log) -> list[Pose]:
-    """`find_poses`, in a log without accelerometers by its gyroscopes, else by its magnetometers; CalibrationError."""
+    """Detect static poses by `rest_windows`; CalibrationError."""
     return poses_in(log, rest_windows(log))
 
 
@@ -190,8 +194,9 @@ Indices = npt.NDArray[np.int64]
 
 
 class RestWindows(NamedTuple):
-    """Windows of a log: window k starts at `begin_ns` + k `width_ns`. Means (w, 3) and largest standard deviation (w,),
-    in the unit of the `quantity` that tells rests; infinite scatter where nothing was read. `still` (w,): at rest.
+    """Windows of a log: window k starts at `begin_ns` + k `width_ns`. `mean` (w, 3) and `spread` (w,), the largest
+    standard deviation, are in the unit of the `quantity` from which rests are detected; `spread` is infinite without
+    readings. `still` (w,) is true at rest.
     """
 
     quantity: str
@@ -203,14 +208,14 @@ class RestWindows(NamedTuple):
 
     @property
     def read(self) -> Indices:
-        """Indices of the windows in which something was read."""
+        """Indices of the windows with readings."""
         return np.flatnonzero(np.isfinite(self.spread))
 
 
 def rest_windows(log: Log, only: Collection[str] = ()) -> RestWindows:
-    """Return half-second windows of a log and which of them are at rest, by its accelerometers, else its gyroscopes,
-    else its magnetometers (`only` these, if any are named); CalibrationError without any, and for a log that is too
-    short.
+    """Return half-second windows of a log and which of them are at rest, by its accelerometers, or its gyroscopes, or
+    its magnetometers, the first that exist (`only` these, unless that is empty); CalibrationError without any, and for
+    a log that is too short.
     """
     sensors = next(filter(None, (_rows_of(log, quantity, only) for quantity in SAME_POSE)), [])
     if not sensors:
@@ -219,7 +224,7 @@ def rest_windows(log: Log, only: Collection[str] = ()) -> RestWindows:
 
 
 def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> RestWindows:
-    """Windows as these sensors, which measure the same, and the gyroscopes see them; CalibrationError."""
+    """Return the windows by these sensors of one quantity and by the gyroscopes; CalibrationError."""
     width_ns = max(_WIDTH_NS, round(_LEAST_ROWS * 1e9 * max(_length_s(sensor) / len(sensor) for sensor in sensors)))
     begin = max(int(sensor.time[0]) for sensor in sensors)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors)
@@ -230,7 +235,7 @@ def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> R
         )
     starts_ns = begin + width_ns * np.arange(count)
     mean, std = windows_of(sensors, begin, count, width_ns)
-    # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
+    # Most logs contain long rests: the quietest quarter of the windows shows the noise at rest.
     known = np.isfinite(std)
     still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
     still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still, width_ns)
@@ -254,7 +259,7 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
 
 
 def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
-    """The sensors of a quantity that read anything."""
+    """Return the sensors of a quantity that have rows."""
     return [sensor for sensor in log.of(quantity) if len(sensor) and (not only or sensor.name in only)]
 
 
@@ -264,9 +269,9 @@ def _turning(
     still: npt.NDArray[np.bool_],
     width_ns: int,
 ) -> npt.NDArray[np.bool_]:
-    """(w,) whether the gyroscopes turn in a window: they read otherwise than in the median of the `still` ones.
+    """Return (w,) whether the box turns in a window: the gyroscopes' mean differs from the median of the `still` ones.
 
-    A window in which one read nothing is left to the accelerometers.
+    A window without readings of a gyroscope counts as still.
     """
     if not gyroscopes or not still.any():
         return np.zeros(len(starts_ns), bool)
@@ -285,11 +290,10 @@ def _length_s(sensor: SensorLog) -> float:
 def windows_of(
     sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int, flags: int = 0
 ) -> tuple[Floats, Floats]:
-    """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
-    over the sensors; infinite scatter where nothing was read. Rows with one of `flags` don't count, nor does the
-    reading that is furthest from the others of a window with `_SPIKED_ROWS`: a single wrong reading is no motion.
-
-    Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
+    """Return mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit,
+    averaged over the sensors in the box frame; the deviation is infinite without readings. Rows with one of `flags` are
+    ignored, and so is, in a window of at least `_SPIKED_ROWS`, the reading that is furthest from the others: a single
+    wrong reading is not motion.
     """
     means, spreads = np.zeros((count, 3)), np.zeros((count, 3))
     for sensor in sensors:
@@ -314,7 +318,7 @@ def windows_of(
                 np.add.at(squares[:, axis], places, np.add.reduceat(column**2, starts))
                 np.minimum.at(lowest[:, axis], places, np.minimum.reduceat(column, starts))
                 np.maximum.at(highest[:, axis], places, np.maximum.reduceat(column, starts))
-        spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
+        spreads[rows < 2] = np.inf  # no scatter is known without readings of every sensor
         may_spike = rows >= _SPIKED_ROWS
         low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T
         furthest = np.where(high - middle > middle - low, high, low)
@@ -330,8 +334,8 @@ def windows_of(
 class PoseReadings:
     """Mean readings of `sensors` (s) in `poses` (k), in counts along their own axes.
 
-    `mean_lsb`, its `variance_lsb2` by the scatter within poses, and `change_lsb`, the mean of a pose's second half
-    less that of its first, with `change_sem_lsb`: all (s, k, 3).
+    All arrays are (s, k, 3): `mean_lsb`, its `variance_lsb2` by the scatter within poses, `change_lsb`, the mean of a
+    pose's second half less that of its first, and its standard error `change_sem_lsb`.
     """
 
     sensors: tuple[SensorLog, ...]
@@ -342,30 +346,32 @@ class PoseReadings:
     change_sem_lsb: Floats
 
     def only(self, kept: Sequence[int] | Indices) -> PoseReadings:
-        """The same in some of the poses."""
+        """Return the readings in some of the poses."""
         places = np.asarray(kept, int)
         columns = (self.mean_lsb, self.variance_lsb2, self.change_lsb, self.change_sem_lsb)
         mean, variance, change, sem = (column[:, places] for column in columns)
         return PoseReadings(self.sensors, tuple(self.poses[place] for place in places), mean, variance, change, sem)
 
     def force_box_g(self) -> Floats:
-        """(s, k, 3) specific force in g in the box frame by the data sheets' sensitivities, biases and all."""
+        """Return the specific force (s, k, 3) in g in the box frame by the data sheets' sensitivities, including the
+        biases.
+        """
         turns = np.array([sensor.orientation / sensor.sensitivity for sensor in self.sensors])
         return np.asarray(np.einsum("sij,skj->ski", turns, self.mean_lsb))
 
     @property
     def sensitivity(self) -> Floats:
-        """(s,) counts per unit by the data sheets."""
+        """Counts per unit (s,) according to the data sheets."""
         return np.array([sensor.sensitivity for sensor in self.sensors])
 
     @property
     def middle_s(self) -> Floats:
-        """(k,) middle of each pose, in s since the epoch of its log."""
+        """Middle (k,) of each pose, in s since the epoch of its log."""
         return np.array([(pose.phase.start_ns + pose.phase.end_ns) * 0.5e-9 for pose in self.poses])
 
     def powers_of_time(self, highest: int) -> Floats:
-        """(k, highest + 1) orthogonal polynomials of time over the poses, mean square 1, the first all ones; nothing
-        but that for poses of several logs, which have no common time, and for those that are too few.
+        """Return orthogonal polynomials (k, highest + 1) of time over the poses, with mean square 1, the first all
+        ones; only the first for poses of several logs, which have no common time, and for too few poses.
         """
         if not self.one_run or len(self.poses) <= highest + 1:
             return np.ones((len(self.poses), 1))
@@ -377,16 +383,16 @@ class PoseReadings:
 
     @property
     def one_run(self) -> bool:
-        """True if all poses are in one log, so that their times compare."""
+        """True if all poses are in one log, so that their times are comparable."""
         return len({id(pose.log) for pose in self.poses}) == 1
 
 
 def read_poses(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> PoseReadings:
-    """Read every sensor in every pose; CalibrationError if one read nothing sound there.
+    """Read every sensor in every pose; CalibrationError if one has no valid readings in a pose.
 
-    An axis scatters in all poses alike: its variances are pooled, so that a pose that was calm by luck does not weigh
-    more. Means of counts that hardly scatter keep an error of rounding, ``exp(-4 pi^2 sd^2) / 12`` (the first harmonic
-    of a rounding's bias under a normal scatter sd).
+    The noise of an axis is assumed equal in all poses, so its variances are pooled. Means of counts with little scatter
+    have an error by rounding, ``exp(-4 pi^2 sd^2) / 12`` (the first harmonic of the rounding bias for a normal scatter
+    sd).
     """
     readings = [[read_pose(sensor, pose) for pose in poses] for sensor in sensors]
 
@@ -403,23 +409,23 @@ def read_poses(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> PoseReadi
 
 
 Stretches = Sequence[tuple[SensorLog, slice]]
-"""A sensor at rest: rows of its logs."""
+"""Rows of a sensor at rest, in one or several logs."""
 
 SEGMENT_ROWS = 256
-"""The number of rows beyond which a change counts as drift, not as noise."""
+"""Number of rows beyond which a change counts as drift, not as noise."""
 
 _BLOCK_ROWS = 256 * SEGMENT_ROWS
 
 
 class ReadingInterval(NamedTuple):
-    """Readings a second, and the interval that is a gap."""
+    """Readings per second, and the longest interval between two readings without a gap."""
 
     rate_hz: float
     limit_ns: float
 
 
 def clock_of(stretches: Stretches) -> ReadingInterval:
-    """Return the clock of the first block of the longest stretch; no rate where that has no two sound readings."""
+    """Return the interval of readings in the first block of the longest stretch; rate 0 without two valid readings."""
     sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
     part = slice(rows.start, min(rows.stop, rows.start + _BLOCK_ROWS))
     sound = (np.asarray(sensor.status[part]) & LEFT_OUT) == 0
@@ -432,8 +438,8 @@ def clock_of(stretches: Stretches) -> ReadingInterval:
 
 
 class SegmentReadings(NamedTuple):
-    """Sound readings of one block: counts (n, 3), the segment of the stretch that each is in, and whether it doesn't
-    continue the one before.
+    """Valid readings of one block: counts (n, 3), the number of the segment that contains each, and whether there is a
+    gap before it.
     """
 
     counts: Floats
@@ -442,7 +448,7 @@ class SegmentReadings(NamedTuple):
 
 
 def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[SegmentReadings]:
-    """The sound readings of `rows`, block after block; an interval longer than `limit_ns` is a gap."""
+    """Yield the valid readings of `rows` block by block; an interval longer than `limit_ns` is a gap."""
     last_ns, breaks, breaks_then = -np.inf, 0, 0
     for start in range(rows.start, rows.stop, _BLOCK_ROWS):
         part = slice(start, min(start + _BLOCK_ROWS, rows.stop))
@@ -452,7 +458,7 @@ def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Segmen
         breaks = int(so_far[-1])
         if not sound.any():
             continue
-        kept = slice(None) if sound.all() else sound  # no copies of what is whole
+        kept = slice(None) if sound.all() else sound  # avoids a copy
         time = np.asarray(sensor.time[part])[kept].astype(float)
         apart = np.diff(time, prepend=last_ns) > limit_ns
         apart |= np.diff(so_far[kept], prepend=breaks_then) > 0
@@ -462,7 +468,7 @@ def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Segmen
 
 
 def runs_of(part: SegmentReadings) -> Iterator[tuple[bool, Floats]]:
-    """The readings between gaps, and whether there is one before them."""
+    """Yield the runs of readings between gaps, and whether there is a gap before each."""
     edges = np.flatnonzero(part.is_first)
     if len(edges) == 0 or edges[0] > 0:
         yield False, part.counts[: edges[0]] if len(edges) else part.counts

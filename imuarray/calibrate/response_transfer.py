@@ -1,21 +1,21 @@
-"""Columns of a gyroscope's response that no turn determined, from other gyroscopes of the box, or else from gravity.
+"""Columns of a gyroscope's response that no turn determined, from other gyroscopes of the box or from gravity.
 
 All gyroscopes of a rigid box measure one angular rate. After turns about two box axes the third column of a response is
-known as well as the data sheet promises (`imuarray.calibrate.turns`); where another gyroscope's response is known, its
+known only to the data sheet's tolerance (`imuarray.calibrate.turns`). If another gyroscope's response is known, its
 rates in any log in which the box turns about that axis determine the column::
 
     counts = response @ (rate_box + delay * d rate_box / dt) + bias + noise
 
 for means over windows of `WINDOW_S`. The fit is linear least squares of response, bias and delay of each axis, with the
 calibration's response and covariance as prior (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
-2.3.3); bias and delay of this log are free. What noise does not explain of the residuals widens the covariance, and the
-errors of the reference's own response are added to it.
+2.3.3); bias and delay of this log are free. Residuals larger than noise widen the covariance, and the errors of the
+reference's own response are added to it.
 
-Where no gyroscope's response is known, gravity is the reference: a log in which the box rests between turns about the
-missing axis determines the column as the turns of a calibration do (`imuarray.calibrate.turns`), again with the
+If no gyroscope's response is known, gravity is the reference: a log in which the box rests between turns about the
+missing axis determines the column like the turns of a calibration (`imuarray.calibrate.turns`), again with the
 calibration's response and covariance as prior. The directions at both ends of a turn are those of the calibrated
-accelerometers; they are taken to be as wrong as the length of their mean force is. Turns about the vertical tell
-nothing, and motion without rests of one and a half seconds has no ends.
+accelerometers; their error is estimated from the length of the mean force. Turns about the vertical contain no
+information, and a turn needs rests of at least one and a half seconds at both ends.
 """
 
 from __future__ import annotations
@@ -37,20 +37,21 @@ from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 WINDOW_S = 0.1
-"""Length of the windows whose means are compared: short against turns by hand, long against the times between the
-readings of different sensors."""
+"""Length of the windows whose means are compared: short compared with turns by hand, long compared with the times
+between the readings of different sensors."""
 
 _CHUNK = 4096
-"""Windows that are in memory at a time."""
+"""Number of windows in memory at a time."""
 
 _FEWEST = 100
-"""Fewest windows that are a measurement."""
+"""Fewest windows for a measurement."""
 
 _IMPOSSIBLE = 1e-6
-"""Chance of a change of the response below which calibration or gyroscope is wrong, and nothing is transferred."""
+"""Probability of a change of the response below which the calibration or the gyroscope is considered wrong, so that
+nothing is transferred."""
 
 GRAVITY = "gravity"
-"""The reference where no gyroscope is one."""
+"""Name of the reference if no gyroscope is one."""
 
 _PARAMETERS = 15
 """Nine entries of the response row by row, three biases, three delays."""
@@ -62,8 +63,8 @@ Calibrated = tuple[SensorLog, SensorCalibration]
 
 @dataclass(frozen=True)
 class ResponseTransfer:
-    """A calibration whose uncertain columns were determined: `axes` by sensor, from the rates of `references` (or from
-    "gravity"); `refused` names sensors whose rates contradict their calibration.
+    """A calibration with newly determined columns: box `axes` by sensor, determined from the rates of `references` (or
+    from "gravity"). `refused` are the sensors whose rates contradict their calibration.
     """
 
     calibration: Calibration
@@ -73,9 +74,9 @@ class ResponseTransfer:
 
 
 def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = ()) -> ResponseTransfer:
-    """Determine the uncertain columns of the gyroscopes of `log` (`only` these, if any are named) from the gyroscopes
-    whose response is known, or from gravity if none is, as far as the box turned in `log`. Returns the same calibration
-    if there is nothing to do.
+    """Determine the uncertain columns of the gyroscopes of `log` (`only` these, unless that is empty) from the
+    gyroscopes with a known response, or from gravity if there are none, as far as the box turned in `log`. Without
+    uncertain columns the calibration is returned unchanged.
     """
     gyroscopes = [sensor for sensor in log.of("angular_rate") if not only or sensor.name in only]
     measured = _measured(gyroscopes, calibration)
@@ -107,8 +108,8 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
 
 
 class _Ends(NamedTuple):
-    """Rests between turns (k): the direction of gravity (k, 3) in each, up, in the box frame, and the covariance of all
-    directions (3 k, 3 k).
+    """Rests between turns (k): the upward direction (k, 3) in each in the box frame, and the covariance (3 k, 3 k) of
+    all directions.
     """
 
     poses: tuple[Pose, ...]
@@ -117,13 +118,13 @@ class _Ends(NamedTuple):
 
 
 def _find_ends(log: Log, accelerometers: Sequence[Calibrated]) -> _Ends | None:
-    """Return the rests of a log, as calibrated accelerometers feel them; None without these or without two rests."""
+    """Return the rests of a log by its calibrated accelerometers; None without these or without two rests."""
     if not accelerometers:
         return None
     try:
         poses = tuple(find_poses(log, [sensor.name for sensor in (*log.of("angular_rate"), *_logged(accelerometers))]))
         readings = read_poses(_logged(accelerometers), poses) if len(poses) > 1 else None
-    except CalibrationError:  # too short, or a sensor that clips at rest: no reference
+    except CalibrationError:  # too short, or a sensor that clips at rest
         return None
     if readings is None:
         return None
@@ -147,12 +148,12 @@ def _logged(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
 def _turned(
     sensor: SensorLog, known: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
 ) -> SensorCalibration | None:
-    """Return the calibration with the response that turns between rests leave of it, the same if they are too few;
-    None if they contradict it.
+    """Return the calibration with the response updated by turns between rests, unchanged if they are too few; None if
+    they contradict it.
     """
     try:
         fit = fit_turns(sensor, known, ends.poses, ends.up_box, ends.covariance, accelerometers)
-    except CalibrationError:  # no sound reading in a rest
+    except CalibrationError:  # no valid reading in a rest
         return known
     if fit is None:
         return known
@@ -163,7 +164,7 @@ def _turned(
 
 
 def _is_impossible(change: Floats, prior: Floats) -> bool:
-    """Return whether a change (9,) of a response is beyond the covariance (9, 9) that it is known with."""
+    """Return whether a change (9,) of a response is improbable under its covariance (9, 9)."""
     from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
 
     moved = float(change @ np.linalg.solve(prior, change))
@@ -171,7 +172,7 @@ def _is_impossible(change: Floats, prior: Floats) -> bool:
 
 
 def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
-    """Return the sensors with rows whose response was measured."""
+    """Return the sensors that have rows and a measured response."""
     known = [(sensor, calibration.sensors[sensor.name]) for sensor in sensors if sensor.name in calibration.sensors]
     return [(sensor, each) for sensor, each in known if each.response_sem_lsb_per_unit is not None and len(sensor)]
 
@@ -179,8 +180,8 @@ def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Ca
 def _updated(
     sensor: SensorLog, known: SensorCalibration, references: Sequence[Calibrated], accelerometers: Sequence[Calibrated]
 ) -> SensorCalibration | None:
-    """Return the calibration with the response that the rates of `references` leave of it, the same if they are too
-    few; None if the rates contradict it.
+    """Return the calibration with the response updated by the rates of `references`, unchanged if there are too few;
+    None if the rates contradict it.
     """
     prior = _covariance(known)
     information, right, squares, windows = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS), 0.0, 0
@@ -220,8 +221,8 @@ def _updated(
 
 
 def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats:
-    """(9, 9) covariance of a response by the errors of the references' responses, whose mean is the rate: rate_box is
-    wrong by E rate_box, with E the mean of their errors, and the response by response @ E.
+    """Return the covariance (9, 9) of a response by errors of the references' responses. The error of the rate, the
+    references' mean, is E rate_box with E the mean of their relative errors, and that of the response is response @ E.
     """
     errors = np.zeros((9, 9))
     for _, known in references:
@@ -233,13 +234,15 @@ def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats
 
 
 def _covariance(known: SensorCalibration) -> Floats:
-    """(9, 9) covariance of a measured response, row by row."""
+    """Return the covariance (9, 9) of a measured response, row by row."""
     covariance = known.response_covariance()
     return np.zeros((9, 9)) if covariance is None else covariance
 
 
 def _noise(off: Floats) -> Floats:
-    """(3,) variance of a window's mean: a sixth of the mean square of second differences, without slow motion."""
+    """Return the variance (3,) of a window's mean: a sixth of the mean square of second differences, which slow motion
+    does not affect.
+    """
     bends = np.diff(off, 2, axis=0)
     squares = np.median(bends**2, axis=0) / MEDIAN_SQUARE
     return np.asarray(np.maximum(squares / 6, 1e-6))
@@ -248,8 +251,8 @@ def _noise(off: Floats) -> Floats:
 def _windows(
     gyroscope: Calibrated, references: Sequence[Calibrated], accelerometers: Sequence[Calibrated]
 ) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Yield for windows that all of them have: mean counts (n, 3) of a gyroscope less its g-sensitivity, the mean rate
-    (n, 3) of the references in dps and its slope (n, 3) in dps/s, box frame.
+    """Yield, for windows with readings of all sensors: mean counts (n, 3) of a gyroscope less its g-sensitivity, the
+    mean rate (n, 3) of the references in dps and its derivative (n, 3) in dps/s, in the box frame.
     """
     every = [sensor for sensor, _ in (gyroscope, *references, *accelerometers)]
     width_ns = round(WINDOW_S * 1e9)
@@ -279,15 +282,17 @@ def _windows(
 
 
 def _without_force(counts: Floats, known: SensorCalibration, force_g: Floats | None) -> Floats:
-    """Return counts (n, 3) of a gyroscope less what the specific force (n, 3) in g adds, as far as both are known."""
+    """Return counts (n, 3) of a gyroscope less its g-sensitivity times the specific force (n, 3) in g, if both are
+    known.
+    """
     if force_g is None or known.g_sensitivity_lsb_per_g is None:
         return counts
     return np.asarray(counts - force_g @ known.g_sensitivity_lsb_per_g.T)
 
 
 def _means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:
-    """Return the mean counts (count, 3) of consecutive windows, NaN without rows, and which have rows of which none is
-    flagged as clipped.
+    """Return the mean counts (count, 3) of consecutive windows, NaN without rows, and whether a window has rows of
+    which none is saturated or suspect.
     """
     rows = sensor.between(first_ns, first_ns + count * width_ns)
     place = (np.asarray(sensor.time[rows], np.int64) - first_ns) // width_ns

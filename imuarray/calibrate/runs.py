@@ -1,18 +1,18 @@
-"""Runs of a turn-on series: their mean readings, the runs that came up wrong, and one state or two of the others.
+"""Runs of a turn-on series: their mean readings, runs with a start-up fault, and a test of the others for two states.
 
-A run is a phase or a whole short log. `read_runs` gives what a sensor read in each: the mean, the temperature, and
-means of segments, which show how the reading wandered meanwhile. Runs that came up wrong and states are detected in the
-run means, all axes together.
+A run is a phase or a whole short log. `read_runs` returns the readings of a sensor in each run: the mean, the
+temperature, and means of segments, which show how the reading wandered within the run. Faults and states are detected
+in the run means, all axes together.
 
-For the test of two states the scatter of all runs is made round, that is, the same in all directions; no information is
-lost, because a common covariance is unknown anyway. The likeliest split into two groups is then the one that leaves the
+For the test of two states the scatter of all runs is whitened, that is, made equal in all directions; this loses no
+information, because the common covariance is unknown. The most likely split into two groups is then the one with the
 least scatter within them. The share of the scatter that it explains does not depend on the scale or correlation of the
-axes, so its distribution by chance follows from the number of runs alone. It is simulated, for normal scatter and for
-heavy tails (Student's t with three degrees of freedom), and the share has to exceed both.
+axes, so its distribution by chance depends on the number of runs only. That distribution is simulated, for normal
+scatter and for heavy tails (Student's t with three degrees of freedom), and the share must be significant under both.
 
-With temperatures each group is a line in temperature, and both lines have the same slope, so that a warm-up is not
-taken for a state: scatter is the residual from a line, and a split explains ``|sum of one group|^2 / |its membership
-less a line|^2``.
+If temperatures are known, each group is a line in temperature, and both lines have the same slope, so that a warm-up is
+not mistaken for a state: scatter is the residual from a line, and a split explains ``|sum of one group|^2 / |its
+membership less a line|^2``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.axes import up_vector
-from imuarray.calibrate.correlated import MeanVariance, mean_of_series
+from imuarray.calibrate.correlated_noise import MeanVariance, mean_of_series
+from imuarray.calibrate.pose_readings import sensor_in
 from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 
 MIN_STATE_RUNS = 3
-"""A state was seen in so many runs at least; fewer that lie apart are runs that came up wrong."""
+"""Fewest runs in a state; fewer runs that differ from the others are faults."""
 
 MIN_RUNS = 2 * MIN_STATE_RUNS
 
@@ -42,23 +43,24 @@ SIGNIFICANT = 0.01
 _APART = 8.0
 _DRAWS = 1998
 _PARTS = 9
-"""The draws are worked through in parts, to keep memory small."""
+"""Number of parts in which the draws are processed, to limit memory."""
 
 _DIRECTIONS = 24
-_TOLD = 0.1
-"""Temperatures that say more than nine tenths of who belongs to which group leave nothing to tell a state by."""
+_UNEXPLAINED = 0.1
+"""Least share of the group membership that temperature does not explain; below it a state can't be distinguished from
+temperature."""
 
-_LOOKS_LIKE = 0.15
-"""Another range explains a reading within this share of what it gives: each range has an offset of its own (BMA-79)."""
+_RANGE_TOLERANCE = 0.15
+"""Relative tolerance of a reading in another range: each range has an offset of its own (BMA-79)."""
 
 Ranges = Mapping[str, Mapping[float, float]]
-"""Keyed by name of a chip or sensor: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+"""Counts per unit at each measuring range, keyed by chip or sensor, as in `imuarray.chips.CHIPS`."""
 
 
 @dataclass(frozen=True)
 class BootFault:
-    """A run that came up wrong: its number, its reading over the usual one on the axis that carries gravity (nan if
-    none does), and the range that this is the sensitivity of (None: nothing explains it).
+    """A run with a start-up fault: its number, the ratio of its reading to the usual one on the axis that carries
+    gravity (nan if none does), and the `range` whose sensitivity explains it (None: unexplained).
     """
 
     run: int
@@ -75,9 +77,10 @@ class BootFault:
 def explained_range(
     mean_lsb: Floats, usual_lsb: Floats, sensitivity: float, ranges: Mapping[float, float]
 ) -> tuple[float, float | None]:
-    """Reading over the usual one on the axis that carries gravity, and the other range whose sensitivity it shows.
+    """Return the ratio of a reading to the usual one on the axis that carries gravity, and the other range whose
+    sensitivity explains it (None if there is none).
 
-    (nan, None) unless an axis usually carries more than half a g; None if no other range is near.
+    (nan, None) unless an axis usually carries more than half a g.
     """
     axis = int(np.abs(usual_lsb).argmax())
     if not abs(usual_lsb[axis]) > sensitivity / 2 or not np.isfinite(mean_lsb[axis]):
@@ -85,16 +88,16 @@ def explained_range(
     ratio = float(mean_lsb[axis] / usual_lsb[axis])
     off = {each: abs(ratio * sensitivity / lsb - 1) for each, lsb in ranges.items()}
     nearest = min(off, key=lambda each: off[each], default=None)
-    if nearest is None or ranges[nearest] == sensitivity or off[nearest] > _LOOKS_LIKE:
+    if nearest is None or ranges[nearest] == sensitivity or off[nearest] > _RANGE_TOLERANCE:
         return ratio, None
     return ratio, nearest
 
 
-def runs_apart(means: Floats, floor: Floats) -> Booleans:
-    """Find the runs (r, 3) that have no company: the distance to the second nearest other run is more than 8 spreads.
+def isolated_runs(means: Floats, floor: Floats) -> Booleans:
+    """Return which runs (r, 3) are isolated: the distance to the second-nearest other run exceeds 8 spreads.
 
     The spread of an axis is the first quartile of the differences of all pairs (Rousseeuw and Croux, J. Am. Stat.
-    Assoc. 88, 1993, p. 1273), which two states don't widen; `floor` (3,) is the least that it can be.
+    Assoc. 88, 1993, p. 1273), which two states do not widen; `floor` (3,) is its lower limit.
     """
     if len(means) < MIN_RUNS:
         return np.zeros(len(means), bool)
@@ -106,18 +109,18 @@ def runs_apart(means: Floats, floor: Floats) -> Booleans:
 
 
 def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[Booleans, float]:
-    """The likeliest split of runs (r, 3), True for those that are not in the first run's group, and the probability of
-    as good a one by chance.
+    """Return the most likely split of runs (r, 3), True for runs that are not in the first run's group, and the
+    probability of so good a split by chance.
 
-    What `temperatures` (r,) explain linearly is taken out first, in the draws too. (nothing, 1.0) for fewer than 6
-    runs.
+    The linear effect of `temperatures` (r,) is removed first, also from the simulated draws. No split and 1.0 for fewer
+    than 6 runs.
     """
     rows = len(means)
     if rows < MIN_RUNS:
         return np.zeros(rows, bool), 1.0
     warm = _unit(temperatures, rows)
     remaining = _without(means, warm)
-    remaining = _rounded(remaining / np.maximum(remaining.std(axis=0), 1e-12))
+    remaining = _whitened(remaining / np.maximum(remaining.std(axis=0), 1e-12))
     if remaining.shape[1] == 0:
         return np.zeros(rows, bool), 1.0
     share, second = best_split(remaining[None], warm)
@@ -127,15 +130,15 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
     return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
 
 
-def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Booleans]:
-    """Return for each set of points (b, r, d) with unit scatter about lines in `warm` (r,), a unit vector about zero or
-    zero, the split into two groups of at least three that explains most of it: the share explained (b,) and the members
-    (b, r) of one group.
+def best_split(points: Floats, warm: Floats) -> tuple[Floats, Booleans]:
+    """Return for each set of white points (b, r, d), residuals of lines in `warm` (r,) (centred, of unit length or
+    zero), the split into two groups of at least three that explains most of the scatter: the share explained (b,) and
+    the members (b, r) of one group.
 
-    The best split is a cut of the points sorted along some direction of their d coordinates and `warm`. Tried are the
-    directions of the first 24 points; then, three times, the one that tells the best groups apart.
+    The best split is a cut of the points sorted along some direction of their d coordinates and `warm`. The directions
+    of the first 24 points are tried; then, three times, the direction that best separates the groups.
     """
-    lifted = np.concatenate([rounded, np.broadcast_to(warm[:, None], (*rounded.shape[:2], 1))], axis=2)
+    lifted = np.concatenate([points, np.broadcast_to(warm[:, None], (*points.shape[:2], 1))], axis=2)
     best, members = _cut(lifted, lifted[:, :_DIRECTIONS])
     for _ in range(3):
         share, cut = _cut(lifted, _towards(lifted, members)[:, None])
@@ -145,7 +148,9 @@ def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Booleans]:
 
 
 def _towards(lifted: Floats, members: Booleans) -> Floats:
-    """The direction (b, d + 1) that tells the groups apart: from one centre to the other, across the common slope."""
+    """Return the direction (b, d + 1) that separates the groups: from one centre to the other, with the common slope
+    removed.
+    """
     sums = np.einsum("br,brd->bd", members, lifted)
     count, rows = members.sum(axis=1), members.shape[1]
     alone = count * (rows - count) / rows - sums[:, -1] ** 2
@@ -154,7 +159,9 @@ def _towards(lifted: Floats, members: Booleans) -> Floats:
 
 
 def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
-    """The best cut (b,) along any of the directions (b, k, d + 1), and the members (b, r) of its first group."""
+    """Return the share explained (b,) by the best cut along any of the directions (b, k, d + 1), and the members (b, r)
+    of its first group.
+    """
     draws, rows, _ = lifted.shape
     order = np.argsort(np.einsum("brd,bkd->bkr", lifted, directions), axis=2)
     sums = np.cumsum(lifted[np.arange(draws)[:, None, None], order], axis=2)
@@ -162,7 +169,7 @@ def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
     first = np.arange(MIN_STATE_RUNS, rows - MIN_STATE_RUNS + 1)
     whole = first * (rows - first) / rows
     alone = whole - sums[..., -1] ** 2
-    known = alone > _TOLD * whole
+    known = alone > _UNEXPLAINED * whole
     explained = np.where(known, (sums[..., :-1] ** 2).sum(axis=3) / np.where(known, alone, 1.0), 0.0)
     flat = explained.reshape(draws, -1)
     at = flat.argmax(axis=1)
@@ -172,26 +179,26 @@ def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
 
 
 def _unit(temperatures: Floats | None, rows: int) -> Floats:
-    """Temperatures (r,) about zero with unit length; zeros if they are not known or all the same."""
+    """Return temperatures (r,) centred and of unit length; zeros if they are not known or all equal."""
     centred = np.zeros(rows) if temperatures is None else temperatures - temperatures.mean()
     return np.asarray(centred / (float(np.linalg.norm(centred)) or 1.0))
 
 
 def _without(points: Floats, warm: Floats) -> Floats:
-    """Points (..., r, d) less their mean and what is linear in `warm` (r,)."""
+    """Return points (..., r, d) less their mean and their linear dependence on `warm` (r,)."""
     centred = points - points.mean(axis=-2, keepdims=True)
     return np.asarray(centred - warm[:, None] * np.einsum("r,...rd->...d", warm, centred)[..., None, :])
 
 
-def _rounded(points: Floats) -> Floats:
-    """Centred points (r, d) with unit scatter in every direction in which they scatter at all."""
+def _whitened(points: Floats) -> Floats:
+    """Return centred points (r, d) scaled to unit scatter in every direction in which they scatter."""
     left_vectors, values, _ = np.linalg.svd(points, full_matrices=False)
     return np.asarray(left_vectors[:, values > 1e-9 * max(float(values.max()), 1e-300)])
 
 
 @lru_cache(maxsize=64)
 def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Shares explained (draws,) where there is one state: with normal scatter and with heavy tails."""
+    """Return the shares explained (draws,) if there is one state: with normal scatter and with heavy tails."""
     generator = np.random.default_rng(seed)
     normal, heavy = generator.normal(size=(2, _DRAWS, rows, axes))
     heavy /= np.sqrt(generator.chisquare(3, (_DRAWS, rows, 1)) / 3)
@@ -204,18 +211,17 @@ def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tupl
 
 
 _SEGMENTS = 60
-"""The number of parts into which a run is divided for the test."""
+"""Number of segments of a run."""
 
 _RUN = re.compile(r"run (\d{1,6})")
 
 
 @dataclass(frozen=True)
 class SensorRuns:
-    """One sensor's runs: their numbers, mean counts (r, 3), temperatures (r,) in degC (None: not known) and the
-    segments that the means are made of (none where only the means are known).
+    """Runs of one sensor: their numbers, mean counts (r, 3), temperatures (r,) in degC (None: not known) and the means
+    of their segments (empty if only the run means are known).
 
-    `gravity_lsb` (3,): what gravity adds to the counts in the pose of the runs by the data sheet's scale; zeros for a
-    gyroscope.
+    `gravity_lsb` (3,) is gravity in the pose of the runs in counts by the data sheet's scale; zeros for a gyroscope.
     """
 
     sensor: str
@@ -230,10 +236,11 @@ class SensorRuns:
     gravity_lsb: Floats = field(default_factory=lambda: np.zeros(3))
 
     def in_run(self, used: Sequence[int]) -> tuple[MeanVariance, ...]:
-        """Return for each axis what the runs at `used` places say of the variance of a run's mean; nothing if only
-        means are known.
+        """Return for each axis the variance of a run's mean, estimated within the runs with indices `used`; empty if
+        only the run means are known.
 
-        A wander that is slower than a run is long can't be seen within it and counts as one from run to run.
+        A wander that is slower than the length of a run is not visible within it and counts as a change from run to
+        run.
         """
         parts = [self.segments[place] for place in used] if self.segments else []
         parts = [part for part in parts if len(part.time_s) > 2]
@@ -247,10 +254,10 @@ class SensorRuns:
 
 
 def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
-    """One sensor's runs: every phase called `run <k>`, or a whole log, numbered in their order, that has none.
+    """Read the runs of one sensor: every phase `run <k>`, or the whole log if it has none, numbered in order.
 
-    CalibrationError if the sensor was set otherwise in one of the logs, if two runs have one number, or if the box
-    stood in different ways.
+    CalibrationError if the sensor's configuration differs between logs, if two runs have the same number, or if the
+    box had several poses.
     """
     numbers: list[int] = []
     segments: list[SegmentMeans | None] = []
@@ -258,9 +265,7 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
     kinds: set[str] = set()
     ups: set[str] = set()
     for place, log in enumerate(logs, start=1):
-        here = log[sensor.name]
-        if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
-            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
+        here = sensor_in(log, sensor)
         for number, rows, up in _runs_in(log, here, place):
             if number in numbers:
                 raise CalibrationError(f"{log.path}: run {number} occurs twice")
@@ -291,7 +296,7 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
 
 
 def run_stretches(log: Log, place: int) -> list[tuple[str, int, int]]:
-    """Name, start and end (ns) of every run of one log: its phases `run <k>`, else all of it."""
+    """Return name, start and end (ns) of every run of one log: its phases `run <k>`, or the whole log."""
     named = [phase for phase in log.phases if _RUN.fullmatch(phase.name)]
     if named:
         return [(f"{log.path}, {phase.name}", phase.start_ns, phase.end_ns) for phase in named]
@@ -300,7 +305,7 @@ def run_stretches(log: Log, place: int) -> list[tuple[str, int, int]]:
 
 
 def _runs_in(log: Log, sensor: SensorLog, place: int) -> list[tuple[int, slice, str]]:
-    """(number, rows, up) of the runs of one log."""
+    """Return (number, rows, up) of the runs of one log."""
     named = [(phase, _RUN.fullmatch(phase.name)) for phase in log.phases]
     runs = [(int(match[1]), _rows(sensor, phase), phase.up) for phase, match in named if match]
     ups = {phase.up for phase in log.phases}
@@ -312,7 +317,7 @@ def _rows(sensor: SensorLog, phase: Phase) -> slice:
 
 
 def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:
-    """A run in some sixty parts; None if it has no sound reading."""
+    """Return the means of about sixty segments of a run; None if it has no valid reading."""
     if rows.stop <= rows.start:
         return None
     span_s = (int(sensor.time[rows.stop - 1]) - int(sensor.time[rows.start])) * 1e-9
@@ -324,7 +329,7 @@ def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:
 
 def _temperature(log: Log, sensor: SensorLog, run: SegmentMeans | None) -> tuple[str, float]:
     """Return the kind of thermometer, and the mean temperature over a run in degC; ("", nan) for a run without
-    readings, ("none", nan) if nothing knows it.
+    readings, ("none", nan) without a thermometer.
     """
     if run is None:
         return "", float("nan")
@@ -335,11 +340,11 @@ def _temperature(log: Log, sensor: SensorLog, run: SegmentMeans | None) -> tuple
 
 
 def _gravity(sensor: SensorLog, up: str, means: Floats) -> Floats:
-    """Gravity (3,) in counts by the data sheet's scale: along the axis that the phases say, else as it was felt."""
+    """Return gravity (3,) in counts by the data sheet's scale: along the axis that the phases state, or as measured."""
     if sensor.quantity != "specific_force":
         return np.zeros(3)
     if up:
         return np.asarray(sensor.sensitivity * (sensor.orientation.T @ np.array(up_vector(up))))
-    felt = np.nanmedian(means, axis=0)
-    length = float(np.linalg.norm(felt))
-    return np.asarray(felt * (sensor.sensitivity / length)) if length else np.zeros(3)
+    median = np.nanmedian(means, axis=0)
+    length = float(np.linalg.norm(median))
+    return np.asarray(median * (sensor.sensitivity / length)) if length else np.zeros(3)

@@ -1,6 +1,6 @@
-"""Means of a long log over segments of some seconds, with the temperatures that the thermometer read meanwhile.
+"""Means of a long log over segments of some seconds, and of the temperature over the same time.
 
-Rows are read a block at a time; one row per segment is kept.
+Rows are read block by block; one row per segment is kept.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from imuarray.thermometers import thermometer_scale
 
 _MOST_SEGMENTS = 20_000
 _FULL = 0.5
-"""A segment with fewer than this share of the usual number of rows is left out."""
+"""Least share of the usual number of rows in a segment."""
 
 WITHOUT_ZERO = ("l3g4200d",)
-"""Chips whose thermometer tells changes only (L3G-60)."""
+"""Chips whose thermometer measures changes only (L3G-60)."""
 
 
 def degc_of(sensor: Described) -> tuple[float, float] | None:
-    """Degrees at count 0, and degrees per count, of a sensor's own thermometer: as its log says, else as the data sheet
-    of its chip does; None if it has none, or neither says it.
+    """Return degrees at count 0 and degrees per count of a sensor's own thermometer, as its log states or else the data
+    sheet of its chip; None if it has no thermometer, or neither states it.
     """
     has_thermometer = sensor.temperature_counts is not None if isinstance(sensor, SensorLog) else sensor.has_temperature
     if not has_thermometer:
@@ -40,7 +40,7 @@ def degc_of(sensor: Described) -> tuple[float, float] | None:
 
 
 def has_zero(sensor: Described) -> bool:
-    """Return whether its thermometer tells degrees, and not only by how many these change."""
+    """Return whether a sensor's thermometer measures absolute temperature, and not only changes."""
     return sensor.thermometer is not None or sensor.chip not in WITHOUT_ZERO
 
 
@@ -55,7 +55,7 @@ class SegmentMeans:
 @dataclass(frozen=True)
 class TemperatureSeries:
     """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`.
-    Readings are multiples of `step_degc`, as far as known.
+    Readings are multiples of `step_degc` (0: not known).
     """
 
     kind: str
@@ -64,13 +64,14 @@ class TemperatureSeries:
     step_degc: float = 0.0
 
     def at(self, time_s: Floats) -> Floats:
-        """The temperature at other times: between two readings on a straight line."""
+        """Return the temperature at other times, by linear interpolation."""
         return np.interp(time_s, self.time_s, self.degc)
 
     def lagged(self, time_s: Floats, lags_s: Sequence[float]) -> Floats:
-        """The temperature (len(time_s), len(lags_s)) behind first-order lags, each in balance at the first reading.
+        """Return the temperature (len(time_s), len(lags_s)) after first-order lags, each in equilibrium at the first
+        reading.
 
-        Exact for straight lines between the readings: with slope s a lag L follows x1 - s L + (y0 - x0 + s L)
+        Exact for straight lines between the readings: with slope s, a lag L gives x1 - s L + (y0 - x0 + s L)
         exp(-dt / L).
         """
         lags = np.maximum(np.asarray(lags_s, float), 1e-9)
@@ -88,11 +89,11 @@ class TemperatureSeries:
 def segment_means(
     sensor: SensorLog, width_s: float, left_out: Sequence[Phase] = (), within: slice | None = None
 ) -> SegmentMeans:
-    """Mean counts (n, k) of a sensor over segments of `width_s` (longer where there were more than 20000 of them), of
+    """Return mean counts (n, k) of a sensor over segments of `width_s` (longer if there would be more than 20000), of
     all rows or of the rows `within`.
 
-    Stale, saturated and suspect rows and rows inside the phases `left_out` don't count. CalibrationError if nothing
-    is left.
+    Stale, saturated and suspect rows and rows inside the phases `left_out` are ignored. CalibrationError if no rows
+    remain.
     """
 
     def sound(rows: slice) -> npt.NDArray[np.bool_]:
@@ -114,7 +115,7 @@ def _means(
     where: str,
     rows: slice,
 ) -> SegmentMeans:
-    """Means of columns of values over segments of some rows."""
+    """Return the means of columns of values over segments of some rows."""
     if rows.stop <= rows.start:
         raise CalibrationError(f"{where}: no readings")
     begin = int(time[rows.start])
@@ -125,7 +126,7 @@ def _means(
     for start in range(rows.start, rows.stop, 1 << 16):
         part = slice(start, min(start + (1 << 16), rows.stop))
         counted = sound(part)
-        kept = slice(None) if counted.all() else counted  # no copies of what is whole
+        kept = slice(None) if counted.all() else counted  # avoids a copy
         since = (np.asarray(time[part])[kept] - begin).astype(np.int64)
         segment, value = since // width_ns, values(part)[kept]
         if len(segment) and (segment.min() < 0 or segment.max() >= count):
@@ -144,11 +145,11 @@ def _means(
 
 
 def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSeries | None:
-    """The best thermometer for `sensor` in its log, averaged over `width_s`: the barometer's, that of `/reference`,
-    the chip's own, that of the other chips with one, first those that have a zero; None if there is none.
+    """Return the best thermometer for `sensor` in its log, averaged over `width_s`: the barometer's, that of
+    `/reference`, the chip's own, or another chip's (those with a zero first); None if there is none.
     """
     for barometer in log.of("pressure"):
-        with suppress(CalibrationError, LogError):  # imported without a temperature, say
+        with suppress(CalibrationError, LogError):  # for example imported without a temperature
             return _read("barometer", barometer.time, barometer.compensated("temperature"), 0.0, 1.0, width_s)
     track = log.reference
     if track is not None and track.temperature is not None:
@@ -158,8 +159,8 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSe
 
 
 def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
-    """The first thermometer of a log, averaged over `width_s`: one whose zero is known (a thermometer of its own before
-    those of the chips), else one that measures changes only ("relative"); None without any.
+    """Return the first thermometer of a log, averaged over `width_s`: one whose zero is known (a separate thermometer
+    before those of the chips), or else one that measures changes only ("relative"); None without any.
     """
     sensors = [*log.of("temperature"), *(sensor for sensor in log.sensors.values() if sensor.is_triad)]
     known = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
@@ -179,7 +180,9 @@ def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Temperatur
 def _read(
     kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float
 ) -> TemperatureSeries:
-    """Segment means of a temperature column; values that are not finite don't count. CalibrationError if none are."""
+    """Return the segment means of a temperature column without values that are not finite; CalibrationError if there
+    are no others.
+    """
 
     def values(rows: slice) -> Floats:
         return np.asarray(np.nan_to_num(np.asarray(column[rows], float), posinf=0.0, neginf=0.0)[:, None])

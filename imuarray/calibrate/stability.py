@@ -1,5 +1,5 @@
-"""Changes of a bias after its calibration: with temperature, from one switch-on to the next and while it runs; the
-lines of a sensor's noise; and where each figure came from.
+"""Changes of a bias after its calibration: with temperature, from one switch-on to the next, and during operation; the
+spectral lines of a sensor's noise; and the provenance of each figure.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from imuarray.calibrate.entries import Reader, number, numbers, several, tables,
 
 BIAS = "bias"
 BIAS_OR_SCALE = "bias or scale"
-"""Meaning of a slope on an axis that carried gravity while it was heated, in one orientation only: which of the two it
-is can't be told (section 5.2.5 of the paper leaves it open).
+"""Meaning of a slope on an axis that carried gravity while it was heated in one orientation only, which does not
+distinguish the two (section 5.2.5 of the paper leaves it open).
 """
 
 THERMOMETERS = ("barometer", "reference", "chip", "relative")
-"""The log's barometer, its `/reference`, chips whose thermometer has a zero (BMA180: BMA-63) and chips whose has none
-(L3G4200D: L3G-60).
+"""Kinds of thermometers: the log's barometer, its `/reference`, a chip's thermometer with a zero (BMA180: BMA-63) and a
+chip's thermometer without one (L3G4200D: L3G-60).
 """
 
 
@@ -31,11 +31,11 @@ class Thermal:
     """The change of one sensor's counts with temperature: ``slope (T - reference) + quadratic (T - reference)^2`` with
     T the temperature of the `thermometer` after a first-order lag of `lag_s`.
 
-    Shapes: everything (3,), one figure per sensor axis, but `lag_interval_s` (2,): 95 % likelihood interval. `meaning`
-    says what the slope of an axis is: "bias", or "bias or scale" where one orientation could not tell. `scale_slope`
-    is a share of the scale factor, nan where no two orientations told it. For a "relative" thermometer degrees have no
-    zero and compare with nothing but that thermometer. `quadratic_sem` is known where a curvature was looked for, and
-    `quadratic` where one was significant; the slope is that at the reference either way.
+    Arrays are (3,), one figure per sensor axis, except `lag_interval_s` (2,), the 95 % likelihood interval. `meaning`
+    states what the slope of an axis is: "bias", or "bias or scale" if one orientation does not distinguish them.
+    `scale_slope` is relative to the scale factor, nan without two orientations. The degrees of a "relative" thermometer
+    have no zero and are comparable with readings of the same thermometer only. `quadratic_sem` is known if a curvature
+    was fitted, and `quadratic` if it was significant; the slope is the one at the reference in both cases.
     """
 
     slope_lsb_per_degc: Floats
@@ -52,12 +52,12 @@ class Thermal:
 
     @property
     def significant_lag_s(self) -> float:
-        """The lag, or 0 where its interval holds no lag at all; a lag without an interval is believed."""
+        """The lag, or 0 if its interval includes 0; a lag without an interval counts as significant."""
         return self.lag_s if self.lag_interval_s is None or self.lag_interval_s[0] > 0 else 0.0
 
     def bias_change_lsb(self, to_degc: npt.ArrayLike, from_degc: float) -> Floats:
-        """Change of bias (3,) or (n, 3) in counts between two lagged temperatures, zero on an axis whose slope may be
-        one of scale.
+        """Return the change of bias (3,) or (n, 3) in counts between two lagged temperatures; zero on an axis whose
+        slope may be one of scale.
         """
         known = np.array([meaning == BIAS for meaning in self.meaning], float)
         return known * (self._counts(np.asarray(to_degc, float)) - self._counts(np.asarray(from_degc, float)))
@@ -70,7 +70,7 @@ class Thermal:
 
 @dataclass(frozen=True)
 class BiasState:
-    """One of the biases (3,) that a sensor comes up with, in counts; the share of the runs in it, and their numbers."""
+    """One of the biases (3,) with which a sensor starts, in counts; the share of the runs in it, and their numbers."""
 
     bias_lsb: Floats
     share: float
@@ -81,12 +81,11 @@ class BiasState:
 class TurnOn:
     """The change of a bias from run to run, per sensor axis (3,), in counts.
 
-    `rms_lsb`: standard deviation from run to run about the run's state, the scatter within runs and the slope with
-    temperature taken out, and its standard error; `spread_lsb`: the same with the scatter within runs left in, as a run
-    mean shows it; `p_value` of no change at all about the states, nan where nothing was known of the inside of runs
-    (which is then in `rms_lsb` too). `runs`: how many were used; `apart`: numbers of those that came up wrong. `states`
-    has one entry for a sensor that always comes up alike. `gravity_lsb`: what gravity was taken to be in the runs' pose
-    (accelerometers).
+    `rms_lsb` is the standard deviation from run to run about the run's state, corrected for the scatter within runs and
+    for temperature, with its standard error; `spread_lsb` is the same including the scatter within runs, as in a run
+    mean. `p_value` is that of no change about the states, nan if the scatter within runs is not known (`rms_lsb` then
+    includes it). `runs` is the number of runs used, `apart` the numbers of those with a start-up fault. `states` has
+    one entry for a sensor with a single state. `gravity_lsb` is the gravity assumed in the runs' pose (accelerometers).
     """
 
     rms_lsb: Floats
@@ -101,12 +100,12 @@ class TurnOn:
 
 @dataclass(frozen=True)
 class Drift:
-    """The drift of a bias while the sensor runs, per axis (3,), in counts: a first-order Gauss-Markov process, its
-    correlation ``rms^2 exp(-t / time_constant_s)``; what follows temperature is taken out where slopes are known.
+    """The drift of a bias during operation, per axis (3,), in counts: a first-order Gauss-Markov process with the
+    autocorrelation ``rms^2 exp(-t / time_constant_s)``; changes with temperature are removed if slopes are known.
 
-    `rms_lsb` is what is likeliest (0 where nothing drifts), `rms_sem_lsb` its standard error and `rms_upper_lsb` what
-    it stays below with 95 %. One time constant for the three axes; `time_constant_interval_s` (2,) is its 95 %
-    interval, nan at an end that the log doesn't show. Nothing slower than `span_s`, the longest stretch, was seen.
+    `rms_lsb` is the most likely value (0 without drift), `rms_sem_lsb` its standard error and `rms_upper_lsb` its 95 %
+    upper bound. The three axes share one time constant; `time_constant_interval_s` (2,) is its 95 % interval, nan at an
+    end that the log does not determine. Drift slower than `span_s`, the longest stretch, is not included.
     """
 
     rms_lsb: Floats
@@ -119,9 +118,9 @@ class Drift:
 
 @dataclass(frozen=True)
 class NoiseLine:
-    """A periodic part of one axis's noise (`axis` "x", "y" or "z"): its frequency and the amplitude of its sine, with
-    standard errors where known, and its `share` of the variance of single readings. `range_hz` (2,) is where the
-    frequency was lowest and highest, None where it didn't wander.
+    """A periodic part of one axis's noise (`axis` "x", "y" or "z"): frequency and amplitude of its sine, with standard
+    errors if known, and its `share` of the variance of single readings. `range_hz` (2,) is the lowest and highest
+    frequency of a line that wandered, else None.
     """
 
     axis: str
@@ -135,8 +134,8 @@ class NoiseLine:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a group of figures: logs, the software that made them, when the first log began (ISO 8601 UTC) and how
-    warm it was (mean, degC).
+    """Origin of a group of figures: the logs, the software that computed it, the epoch of the first log (ISO 8601 UTC),
+    and the mean temperature (degC).
     """
 
     logs: tuple[str, ...] = ()

@@ -1,5 +1,5 @@
-"""State in which a sensor came up this time: in which of its stored states, or wrong, so that it should be started
-again; judged from a whole log, or from the first readings of a recording.
+"""Start-up state of a sensor: which of its calibrated turn-on states it started in, or a fault, so that it should be
+restarted; determined from a whole log, or from the first readings of a recording.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _NO_RANGES: Ranges = MappingProxyType({})
 
 @dataclass(frozen=True)
 class StartUp:
-    """The state in which a sensor came up: the place of its state in the calibration's list, how many spreads its
-    reading is from that (root mean square over the axes), and whether it should be started again, and why.
+    """Start-up state of a sensor: its index in the calibration's list, the distance of the reading from it (rms over
+    the axes, in spreads), whether the start is a `fault`, and the explanation.
     """
 
     state: int
@@ -38,7 +38,7 @@ class StartUp:
     explanation: str = ""
 
     def sentence(self, name: str, calibration: Calibration) -> str:
-        """Describe the start of sensor `name`; empty if it was as usual."""
+        """Describe the start of sensor `name`; empty without a fault or a choice of states."""
         known = calibration.sensors[name].turn_on
         if self.fault:
             return f"{name} started in a wrong state ({self.explanation}): do not use it; switch it off and on again"
@@ -57,10 +57,11 @@ def state_of(
     limit: float = 8.0,
     pose_g: float = 0.02,
 ) -> dict[str, StartUp]:
-    """Return how each sensor that has a `turn_on` came up, by its mean counts (3,) over some seconds at rest.
+    """Return the start-up state of each sensor that has a `turn_on`, from its mean counts (3,) over some seconds at
+    rest.
 
-    Accelerometers are read in the pose of the calibrating runs, to `pose_g`. A run more than `limit` spreads from every
-    state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
+    Accelerometers must be in the pose of the calibration runs, within `pose_g`. A start more than `limit` spreads from
+    every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
     """
     known = {name: sensor for name, sensor in calibration.sensors.items() if name in means}
     return {
@@ -80,8 +81,8 @@ def _start_up(
     distances = np.sqrt(np.mean(((mean - usual) / spread) ** 2, axis=1))
     state = int(distances.argmin())
     sensitivity = ranges.get(np.nan if sensor.range is None else sensor.range, np.nan)
-    feels = sensor.quantity == "specific_force"
-    ratio, result = explained_range(mean, usual[state], sensitivity, ranges) if feels else (np.nan, None)
+    is_accelerometer = sensor.quantity == "specific_force"
+    ratio, result = explained_range(mean, usual[state], sensitivity, ranges) if is_accelerometer else (np.nan, None)
     distance = float(distances[state])
     if result is not None:
         return StartUp(
@@ -91,26 +92,28 @@ def _start_up(
     return StartUp(state, distance, far, f"{distance:.1f} spreads from every state" if far else "")
 
 
-def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> tuple[Calibration, dict[str, StartUp]]:
-    """The calibration with the biases of the states in which the gyroscopes of a log came up, which are the only ones
-    left, and how each sensor did.
+def start_up_states(
+    log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES
+) -> tuple[Calibration, dict[str, StartUp]]:
+    """Return the calibration reduced to the states in which the gyroscopes of a log started, with the biases of these,
+    and the start-up state of each sensor.
 
-    Told from the first seconds at rest: a phase that says so, else a pose that is found. Without one, nothing is
-    reported and nothing changed. Where most accelerometers are far from their states the box lies another way than in
-    the calibrating runs, and nothing is said of accelerometers but a wrong range.
+    The states are determined from the first seconds at rest: a phase that states a rest, or a detected pose. Without a
+    rest the calibration is unchanged. If most accelerometers are far from their states, the box is in another pose than
+    in the calibration runs, and only wrong ranges of accelerometers are reported.
     """
     means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
-    result = in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
+    result = without_other_pose(state_of(means, calibration, ranges=ranges), calibration)
     return in_states(result, calibration), result
 
 
 def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibration:
-    """The calibration with the biases of the states in which gyroscopes came up."""
+    """Return the calibration with the biases of the states in which gyroscopes started."""
     sensors = dict(calibration.sensors)
     for name, start in starts.items():
         known = sensors[name].turn_on
-        turns = sensors[name].quantity == "angular_rate"  # an accelerometer's state has the runs' tilt in it
-        if turns and known is not None and len(known.states) > 1 and not start.fault:
+        is_gyroscope = sensors[name].quantity == "angular_rate"  # an accelerometer's state includes the runs' tilt
+        if is_gyroscope and known is not None and len(known.states) > 1 and not start.fault:
             sensors[name] = replace(
                 sensors[name],
                 bias_lsb=_bias_in(start.state, sensors[name], known),
@@ -120,8 +123,8 @@ def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibr
 
 
 def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:
-    """A gyroscope's bias in one state: another calibration's, moved by the difference of this state and the one in
-    which that was made, the nearest; without another, the state's own.
+    """Return a gyroscope's bias in one state: the calibrated bias plus the difference of this state and the state that
+    is nearest to it; the state's own bias if none was calibrated.
     """
     biases = np.array([each.bias_lsb for each in known.states])
     if sensor.bias_sem_lsb is None:
@@ -131,7 +134,7 @@ def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:
 
 
 def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
-    """Mean counts (3,) over the first seconds at rest, by sensor; without sensors that read nothing there."""
+    """Return mean counts (3,) over the first seconds at rest by sensor, for sensors with readings there."""
     still = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name.startswith(_STILL)]
     if names and not still:
         with suppress(CalibrationError):
@@ -147,27 +150,27 @@ def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
     return means
 
 
-def in_this_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
-    """Return the findings without accelerometers that are merely far off, if most are: the box lies another way."""
-    feel = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
-    far = [name for name in feel if starts[name].fault]
-    elsewhere = 2 * len(far) > len(feel)
+def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
+    """Return the states without those of accelerometers if most of these are far from theirs, because the box is in
+    another pose; wrong ranges are kept.
+    """
+    accelerometers = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
+    far = [name for name in accelerometers if starts[name].fault]
+    other_pose = 2 * len(far) > len(accelerometers)
     return {
         name: start
         for name, start in starts.items()
-        if not (elsewhere and name in feel) or start.explanation.endswith(calibration.sensors[name].unit)
+        if not (other_pose and name in accelerometers) or start.explanation.endswith(calibration.sensors[name].unit)
     }
 
 
 PARTS = 10
 _RESTLESS = 25.0
-"""At rest the means of parts scatter as their noise lets expect, five times as much with a wandering bias."""
+"""Largest variance of the means of parts at rest, relative to that by white noise; a wandering bias reaches five."""
 
 
 class StartUpVerdict(NamedTuple):
-    """Verdict on the start of a sensor: whether its readings are unusable, and a sentence ("" if there is nothing to
-    say).
-    """
+    """Verdict on the start of a sensor: whether its readings are unusable, and a sentence ("" for a usual start)."""
 
     fault: bool
     text: str = ""
@@ -176,15 +179,15 @@ class StartUpVerdict(NamedTuple):
 class StartUpJudge:
     """Judges the first readings of sensors (an `imuarray.acquire.start_up.Judge`): a call returns verdicts by name.
 
-    `sentences` keeps every sentence; `tell` receives each when it is new. A box that was moved meanwhile is not judged.
+    `sentences` keeps every sentence; `report` is called with each new one. If the box moved, there are no verdicts.
     """
 
     def __init__(
-        self, calibration: Calibration, ranges: Ranges, tell: Callable[[str], None] = lambda text: None
+        self, calibration: Calibration, ranges: Ranges, report: Callable[[str], None] = lambda text: None
     ) -> None:
         """`ranges` are the sensitivities of each sensor's chip by range, by sensor (`ArrayConfig.sensitivities`)."""
         self.sentences: list[str] = []
-        self._calibration, self._ranges, self._tell = calibration, ranges, tell
+        self._calibration, self._ranges, self._report = calibration, ranges, report
         self._means: dict[str, npt.NDArray[Any]] = {}
         self._starts: dict[str, StartUp] = {}
 
@@ -194,23 +197,24 @@ class StartUpJudge:
         return any(sensor.turn_on is not None for sensor in self._calibration.sensors.values())
 
     def in_states(self) -> Calibration:
-        """The calibration with the biases of the states in which sensors started, as far as known by now."""
+        """Return the calibration with the biases of the states in which sensors started, as far as known."""
         return in_states(dict(self._starts), self._calibration)
 
     def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, StartUpVerdict]:
-        """Verdicts by sensor; a sensor that is judged again is compared with the first readings of the others."""
+        """Return verdicts by sensor; a restarted sensor is judged together with the first readings of the others."""
         known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
         if known and np.median([_restlessness(counts) for counts in known.values()]) > _RESTLESS:
             self._say("the box was moved in the first seconds: the states of the sensors are not known")
             return {}
         self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
         states = state_of(self._means, self._calibration, ranges=self._ranges)
-        starts = {name: start for name, start in in_this_pose(states, self._calibration).items() if name in readings}
+        possible = without_other_pose(states, self._calibration)
+        starts = {name: start for name, start in possible.items() if name in readings}
         self._starts.update(starts)
         verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
         if not any(verdict.text for verdict in verdicts.values()):
             usual = f"{len(starts)} sensors started as usual"
-            self._tell(usual if states else "the calibration holds no turn-on states")
+            self._report(usual if states else "the calibration contains no turn-on states")
         return verdicts
 
     def _verdict(self, name: str, start: StartUp) -> StartUpVerdict:
@@ -222,12 +226,12 @@ class StartUpJudge:
     def _say(self, text: str) -> None:
         if text not in self.sentences:
             self.sentences.append(text)
-            self._tell(text)
+            self._report(text)
 
 
 def _restlessness(counts: npt.NDArray[Any]) -> float:
-    """Return the variance of the means of parts of (n, 3) counts over that due to white noise: the largest ratio of the
-    axes.
+    """Return the ratio of the variance of part means of counts (n, 3) to that due to white noise, for the worst
+    axis.
     """
     if len(counts) < 4 * PARTS:
         return 0.0

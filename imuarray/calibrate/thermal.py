@@ -5,28 +5,29 @@ t + noise``, where T passes a first-order lag that the three axes share and the 
 form: a grid of lags is fitted, each weighted by its likelihood, so that the uncertainty of the lag is part of a slope's
 standard error.
 
-The curvature is in every fit, significant or not. Without it a ramp that spent most of its time at one end would give
-the slope at that end, with a standard error that ignores the rest, and a curvature would be taken for a lag.
+Every fit includes the curvature, significant or not. Without it, a ramp that spends most of its time at one end would
+give the slope at that end, with a standard error that ignores the other temperatures, and a curvature would be mistaken
+for a lag.
 
-An axis that carries g gs of gravity has the slope ``bias slope + g * sensitivity * scale slope``. One orientation gives
-one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both. The result also
-states what pairs of opposing axes cancel (`imuarray.calibrate.opposed`).
+An axis that carries the gravity g (in units of g) has the slope ``bias slope + g * sensitivity * scale slope``. One
+orientation gives one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
+The result also states how much pairs of opposing axes cancel (`imuarray.calibrate.opposed`).
 
-Slopes are fitted by least squares in noise whose slow part is unknown, by cosine transform. The noise
-of the rows (means of segments, a step apart) is modelled as white noise plus a wander: a random walk, or a Gauss-Markov
-process of some correlation time. Cosines of the row number (DCT-II) are the principal components of a
-random walk with unknown level (its increments' Neumann boundary), and nearly those of the others; the constant is the
-zeroth of them and drops out. With ``lambda_k = 2 - 2 cos(pi k / n)`` a cosine then has the variance::
+Slopes are fitted by least squares in noise whose slow part is unknown, by cosine transform. The noise of the rows
+(means of segments, one step apart) is modelled as white noise plus a wander: a random walk, or a Gauss-Markov process
+of some correlation time. Cosines of the row number (DCT-II) are the principal components of a random walk with unknown
+level (its increments' Neumann boundary), and nearly those of the Gauss-Markov processes; the constant is the zeroth
+cosine and drops out. With ``lambda_k = 2 - 2 cos(pi k / n)`` a cosine then has the variance::
 
     S_k = 1 + a^2 / (n (lambda_k + (step / correlation time)^2)),     times an unknown variance
 
-Slopes depend on the few slowest cosines. The restricted likelihood of a whole log says little about these, so it only
-determines their weights. The uncertainty of an estimate is scaled by the residuals of the slow cosines themselves, with
-the few degrees of freedom that they have (as in Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36, 2018).
-Intervals of 95 % then held the truth in 97 to 98 % of logs with white noise, and in 90 to 99 % of those with wander,
-random walks and flicker noise of any size; the likelihood alone held it in 76 to 93 % of the latter two.
+Slopes depend on the few slowest cosines. The restricted likelihood of a whole log contains little information about
+these, so it only determines their weights. The uncertainty of an estimate is scaled by the residuals of the slow
+cosines themselves, with their few degrees of freedom (as in Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36,
+2018). Intervals of 95 % then contained the truth in 97 to 98 % of logs with white noise, and in 90 to 99 % of those
+with wander, random walks and flicker noise of any size; with the likelihood alone, in 76 to 93 % of the latter two.
 
-A gap between rows counts as a step.
+A gap between rows counts as one step.
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.correlated import weights
+from imuarray.calibrate.correlated_noise import weights
 from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
+from imuarray.calibrate.pose_readings import sensor_in
 from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
@@ -56,24 +58,25 @@ if TYPE_CHECKING:
 
 _AMPLITUDES = 14
 _FAINTEST = 0.1
-"""Amplitudes of a wander: the end of a random walk relative to the white noise of a row."""
+"""Smallest amplitude of a wander: the standard deviation at the end of a random walk relative to the white noise of a
+row."""
 
 _FULL = 20.0
-"""Times the root of the rows: a wander that hides all white noise."""
+"""Largest amplitude, as a multiple of the square root of the number of rows: it hides all white noise."""
 
 _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
-"""Correlation times as shares of the log's length. All together are as likely as a random walk."""
+"""Correlation times as shares of the log's length; together they have the prior probability of a random walk."""
 
 _SLOWEST = 8
-"""Cosines whose residuals scale an error, at least: five or more degrees of freedom beside three slow regressors."""
+"""Fewest cosines whose residuals scale a standard error: five or more degrees of freedom with three slow regressors."""
 
 _CONTRIBUTION = 0.8
-"""Share of an estimate's variance that is in the cosines whose residuals scale its error."""
+"""Share of an estimate's variance in the cosines whose residuals scale its standard error."""
 
 
 @dataclass(frozen=True)
 class SlowFit:
-    """Coefficients (p,), their variance (p,), and the degrees of freedom (p,) with which that is known."""
+    """Coefficients (p,), their variance (p,), and the degrees of freedom (p,) of that variance."""
 
     coefficients: Floats
     variance: Floats
@@ -82,7 +85,7 @@ class SlowFit:
 
 def cosines(columns: Floats) -> Floats:
     """Return the cosine transform (n - 1, ...) of columns (n, ...), without the constant."""
-    from scipy.fft import dct  # its weight is for those who ask
+    from scipy.fft import dct  # slow to import
 
     return np.asarray(dct(columns, axis=0, norm="ortho")[1:])
 
@@ -128,14 +131,18 @@ class SlowRegression:
         return profile, restricted
 
     def fits(self, share: Floats) -> list[SlowFit]:
-        """Return the fit of each design, under the noise that is expected when the designs have these shares (d,)."""
+        """Return the fit of each design, under the expected noise if the designs have the probabilities `share`
+        (d,).
+        """
         probable = weights(self._restricted + np.log(self._prior), axis=1)
         expected = share @ probable @ self._spectra
         return [_fit(self._series, design, expected) for design in self._designs]
 
 
 def _fit(series: Floats, design: Floats, spectrum: Floats) -> SlowFit:
-    """Weighted least squares, each coefficient's variance scaled by the residuals of the cosines that it is made of."""
+    """Solve weighted least squares; the variance of each coefficient is scaled by the residuals of the cosines that
+    contribute to it.
+    """
     weight = 1 / spectrum
     inverse = np.linalg.inv((design * weight[:, None]).T @ design)
     estimate = inverse @ (design * weight[:, None]).T
@@ -155,7 +162,7 @@ def _fit(series: Floats, design: Floats, spectrum: Floats) -> SlowFit:
 _LAGS = 16
 _REFINEMENTS = 4
 _FEWEST_INSIDE = 4
-"""Lags of the grid that the interval holds; of fewer the grid is drawn in around them."""
+"""Fewest lags of the grid within the interval; with fewer the grid is refined around it."""
 
 _LONGEST_LAG = 1 / 4
 """Longest lag as a share of the log's duration: a slower lag can't be separated from drift."""
@@ -164,19 +171,19 @@ _INTERVAL_DROP = 1.92
 """Half the 95 % quantile of chi-squared with one degree of freedom: a likelihood interval's ends."""
 
 _CURVED = 1e-3
-"""A quadratic term is reported if chance alone gives one as large with less than this probability."""
+"""Significance level of a reported quadratic term."""
 
 _STRAIGHT = 1e-6
-"""Temperatures the squares of which are a straight line in temperature and time but for this share of their variance
-(two levels, say) tell no curvature: none is fitted.
+"""Least share of the variance of squared temperatures that is not linear in temperature and time; below it (two levels,
+for example) no curvature is fitted.
 """
 
 
 @dataclass(frozen=True)
 class AxesFit:
-    """The three axes of one sensor, arrays (3,): in counts, degC and s. `slope` is that at the reference, with a
-    curvature allowed for; `quadratic` is 0 where it was not significant, its standard error nan where none was fitted;
-    `lag_interval_s` (2,) is the 95 % likelihood interval of the lag.
+    """Fit of the three axes of one sensor, arrays (3,) in counts, degC and s. The slope is the one at the reference,
+    fitted together with a curvature; `quadratic_lsb_per_degc2` is 0 if not significant, its standard error nan if not
+    fitted; `lag_interval_s` (2,) is the 95 % likelihood interval of the lag.
     """
 
     reference_degc: float
@@ -192,7 +199,7 @@ class AxesFit:
 
 
 def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_degc: float) -> AxesFit:
-    """Fit the segment means (n, 3) of one sensor; n of 20 at least."""
+    """Fit the segment means (n, 3) of one sensor; n is at least 20."""
     span_s = float(segments.time_s[-1] - segments.time_s[0])
     shortest_s = float(np.median(np.diff(segments.time_s))) / 2
     half_s = span_s / 2
@@ -200,7 +207,7 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
     lags_s = np.concatenate([[0.0], np.geomspace(shortest_s, span_s * _LONGEST_LAG, _LAGS)])
     for _ in range(_REFINEMENTS):
         warm = thermometer.lagged(segments.time_s, lags_s.tolist()) - reference_degc
-        curved = _tells_curvature(clock, warm[:, 0])
+        curved = _determines_curvature(clock, warm[:, 0])
         regressors = [[warm[:, lag], clock, warm[:, lag] ** 2][: 2 + curved] for lag in range(len(lags_s))]
         designs = [_Design(np.column_stack(columns)) for columns in regressors]
         axes = [_Axis(column, designs) for column in segments.mean.T]
@@ -229,7 +236,7 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
 
 
 class _Design:
-    """The regressors (n, p) at one lag: their means (p,) and, of unit spread, their cosines (n - 1, p)."""
+    """The regressors (n, p) at one lag: their means (p,), and their cosines (n - 1, p) scaled to unit spread."""
 
     def __init__(self, columns: Floats) -> None:
         self.mean = columns.mean(axis=0)
@@ -238,7 +245,7 @@ class _Design:
 
 
 class _Axis:
-    """One axis: its fits at all lags."""
+    """The fits of one axis at all lags."""
 
     def __init__(self, counts: Floats, designs: Sequence[_Design]) -> None:
         self._designs = designs
@@ -248,10 +255,10 @@ class _Axis:
         self.likelihood = self._regression.likelihood
 
     def result(self, share: Floats) -> tuple[float, ...]:
-        """Offset, slope and its standard error, drift and its standard error, quadratic and its standard error, over
-        lags of these shares (l,).
+        """Return offset, slope, drift and quadratic term, the last three each followed by its standard error, averaged
+        over lags of probabilities `share` (l,).
         """
-        from scipy.special import ndtri, stdtr, stdtrit  # their weight is for those who ask
+        from scipy.special import ndtri, stdtr, stdtrit  # slow to import
 
         fits = self._regression.fits(share)
         values = np.array([fit.coefficients / each.spread for fit, each in zip(fits, self._designs, strict=True)])
@@ -262,7 +269,7 @@ class _Axis:
         )
         mean = share @ values
         variance = share @ own + share @ (values - mean) ** 2
-        # Enlarged, so that a normal's 95 % quantile makes the interval that Student's makes.
+        # Enlarged, so that a normal 95 % interval equals that of Student's t.
         sem = self._scale * np.sqrt(variance) * stdtrit(freedom, 0.975) / ndtri(0.975)
         slope, drift = (self._scale * mean[:2]).tolist()
         quadratic, quadratic_sem = 0.0, np.nan
@@ -273,16 +280,18 @@ class _Axis:
         return offset, slope, float(sem[0]), drift, float(sem[1]), quadratic, quadratic_sem
 
 
-def _tells_curvature(clock: Floats, warm: Floats) -> bool:
-    """Return whether squares of temperatures (n,) are anything but a straight line in temperature and time."""
+def _determines_curvature(clock: Floats, warm: Floats) -> bool:
+    """Return whether squares of temperatures (n,) are linearly independent of temperature and time."""
     squares = warm**2
     design = np.column_stack([np.ones(len(warm)), clock, warm])
-    apart = squares - design @ np.linalg.lstsq(design, squares, rcond=None)[0]
-    return bool(np.var(apart) > _STRAIGHT * np.var(warm) ** 2)
+    residual = squares - design @ np.linalg.lstsq(design, squares, rcond=None)[0]
+    return bool(np.var(residual) > _STRAIGHT * np.var(warm) ** 2)
 
 
 def _peak(lags_s: Floats, likelihood: Floats) -> float:
-    """The most likely lag: the top of a parabola over the logarithm of the three best neighbours on the grid."""
+    """Return the most likely lag: the vertex of a parabola through the best lag of the grid and its neighbours, over
+    the logarithm of the lag.
+    """
     best = int(likelihood.argmax())
     if best <= 1 or best == len(lags_s) - 1:
         return float(lags_s[best])
@@ -292,26 +301,26 @@ def _peak(lags_s: Floats, likelihood: Floats) -> float:
 
 
 def _below(lags_s: Floats, lag_s: float) -> float:
-    """The next shorter lag of the grid."""
+    """Return the next shorter lag of the grid."""
     return float(lags_s[max(0, int(np.searchsorted(lags_s, lag_s)) - 1)])
 
 
 def _above(lags_s: Floats, lag_s: float) -> float:
-    """The next longer lag of the grid."""
+    """Return the next longer lag of the grid."""
     return float(lags_s[min(len(lags_s) - 1, int(np.searchsorted(lags_s, lag_s)) + 1)])
 
 
 SEGMENT_S = 5.0
 
 CARRIES_G = 0.5
-"""An axis with more gravity along it than this carries it; slopes at gravities that differ by more tell bias from
-scale."""
+"""Least component of gravity along an axis that carries it, and least difference of that component between two
+orientations that separate bias from scale."""
 
 _FEWEST_SEGMENTS = 20
 
 MOST_SEM_PER_DEGC: Mapping[str, float] = MappingProxyType({"specific_force": 0.01, "angular_rate": 0.5})
-"""Largest standard error of a slope that counts as a measurement, per degC, by quantity in its unit: ten times the
-slope in the data sheets (ADX-62, BMA-115, L3G-71).
+"""Largest standard error of a measured slope, per degC, by quantity in its unit: ten times the slope in the data sheets
+(ADX-62, BMA-115, L3G-71).
 """
 _IMPRECISE = (
     "these logs determine the slope of axis {axis} only to {sem} {unit}/degC; other changes, such as drift, are larger"
@@ -322,8 +331,8 @@ _LEAST_BEND = 0.05
 
 @dataclass(frozen=True)
 class HeatingFit:
-    """One sensor in one log: the fit of its axes, the thermometer's kind and span (coldest, warmest, degC), and the
-    gravity (3,) in g along its axes.
+    """Fit of one sensor in one log: its axes, the kind of thermometer and the lowest and highest temperature
+    (`span_degc`), and the gravity (3,) in g along its axes.
     """
 
     sensor: str
@@ -336,8 +345,8 @@ class HeatingFit:
 
 @dataclass(frozen=True, repr=False)
 class ThermalResult:
-    """Result of `calibrate_thermal`: the calibration (with nothing in it but `thermal`), every sensor in every log, and
-    the pairs.
+    """Result of `calibrate_thermal`: the calibration (of `thermal` only), the fit of every sensor in every log, and the
+    slopes of pairs of opposing axes.
     """
 
     calibration: Calibration
@@ -345,7 +354,9 @@ class ThermalResult:
     pairs: tuple[OpposedSlopes, ...]
 
     def plot(self) -> Figure:
-        """Slope of every axis with two standard errors, mg or dps per degree; MissingExtraError without matplotlib."""
+        """Plot the slope of every axis with two standard errors, in mg or dps per degree; MissingExtraError without
+        matplotlib.
+        """
         return self.calibration.plot("thermal")
 
     def __repr__(self) -> str:
@@ -353,19 +364,20 @@ class ThermalResult:
         return f"<ThermalResult: slopes of {len(self.calibration.sensors)} sensors from {logs} logs>"
 
     def _repr_html_(self) -> str:
-        """Slopes with their standard errors, for notebooks."""
+        """Return a table of slopes with their standard errors, for notebooks."""
         from imuarray.calibrate.plots import slope_rows
         from imuarray.html_table import html_table
 
-        heading = ("axis", "unit", "slope per degC", "standard error", "lag, s", "is")
+        heading = ("axis", "unit", "slope per degC", "standard error", "lag, s", "slope of")
         return html_table(repr(self), heading, slope_rows(self.calibration))
 
 
 def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult:
-    """Slopes of every inertial sensor of one log, or of several of the same array in different orientations.
+    """Measure the slopes with temperature of every inertial sensor from one log, or from several logs of the same array
+    in different orientations.
 
-    The box stands still in a log; what it does in a phase called `motion` is left out. CalibrationError says which log
-    has no thermometer, is too short, or hardly changed its temperature, and which was not of one orientation.
+    The box must stand still in a log, except in phases called `motion`, which are ignored. CalibrationError for a log
+    without a thermometer, that is too short, whose temperature hardly changed, or that has several orientations.
     """
     first = logs[0]
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL and len(sensor)]
@@ -387,7 +399,7 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
 
 
 def _refuse_moving(log: Log) -> None:
-    """CalibrationError for a log in which the box moved outside the phases `motion`."""
+    """Raise CalibrationError for a log in which the box moved outside the phases `motion`."""
     times = [(int(sensor.time[0]), int(sensor.time[len(sensor) - 1])) for sensor in log.sensors.values() if len(sensor)]
     if times:
         whole = ("", min(times)[0], max(end for _, end in times))
@@ -395,39 +407,37 @@ def _refuse_moving(log: Log) -> None:
 
 
 def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
-    """The unit vector (3,) in the box frame that pointed up in a log: what its phases say, else what its
-    accelerometers felt; None without either. CalibrationError if the phases name several.
+    """Return the unit vector (3,) in the box frame that pointed up in a log, as its phases state or its accelerometers
+    measured; None without either. CalibrationError if the phases state several.
     """
     named = {phase.up for phase in log.phases if phase.up}
     if len(named) > 1 or not named <= set(UP_AXES):
         raise CalibrationError(
-            f"{log.path}: its phases say up {', '.join(sorted(named))}; each log must have one orientation"
+            f"{log.path}: its phases have up {', '.join(sorted(named))}; each log must have one orientation"
         )
     if named:
         return np.array(up_vector(named.pop()))
-    felt = [
+    forces_g = [
         sensor.orientation @ segment_means(sensor, segment_s).mean.mean(axis=0) / sensor.sensitivity
         for sensor in log.of("specific_force")
         if len(sensor) and sensor.sensitivity > 0
     ]
-    mean = np.sum(felt, axis=0) if felt else np.zeros(3)
+    mean = np.sum(forces_g, axis=0) if forces_g else np.zeros(3)
     return np.asarray(mean / np.linalg.norm(mean)) if mean.any() else None
 
 
 def _heatings(
     sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float
 ) -> list[HeatingFit]:
-    """The sensor in every log, all about the middle of the first one's temperatures: a parabola's slope there is the
-    mean one over them, wherever the box spent most of its time.
+    """Fit the sensor in every log, with the middle of the first log's temperatures as reference: the slope of a
+    parabola there is the mean slope over the range, wherever the box spent most of its time.
     """
     results: list[HeatingFit] = []
     for log, up in zip(logs, ups, strict=True):
-        here = log[sensor.name]
-        if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
-            raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
+        here = sensor_in(log, sensor)
         thermometer = thermometer_of(log, here, segment_s)
         if thermometer is None:
-            raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
+            raise CalibrationError(f"{here.where}: no thermometer: no barometer, reference or chip has one")
         if results and thermometer.kind != results[0].thermometer:
             raise CalibrationError(f"{here.where}: the thermometer differs from {sensor.where}")
         reference = (
@@ -468,7 +478,7 @@ def _heating(
 
 
 def _combined(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibration:
-    """One sensor's slopes from all its heatings; the lag of the one that knows it best."""
+    """Combine the slopes of one sensor from all its heatings; the lag is the one with the narrowest interval."""
     slopes, sems = (
         np.array([getattr(h.fit, f"slope_{name}") for h in heatings]) for name in ("lsb_per_degc", "sem_lsb_per_degc")
     )
@@ -478,8 +488,8 @@ def _combined(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibr
     )
     curve_sem = np.sqrt(np.sum(curve_sems**2, axis=0)) / len(heatings)
     gravity = np.array([heating.gravity_g for heating in heatings])
-    feels = sensor.quantity == "specific_force"
-    axes = [_axis(slopes[:, k], sems[:, k], gravity[:, k] * feels, sensor.sensitivity) for k in range(3)]
+    is_accelerometer = sensor.quantity == "specific_force"
+    axes = [_axis(slopes[:, k], sems[:, k], gravity[:, k] * is_accelerometer, sensor.sensitivity) for k in range(3)]
     bias, bias_sem, scale, scale_sem = np.array([values for values, _ in axes]).T
     sharpest = min(heatings, key=lambda heating: float(np.diff(np.log(heating.fit.lag_interval_s + 1.0))[0]))
     thermal = Thermal(
@@ -499,21 +509,21 @@ def _combined(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibr
 
 
 def _axis(slopes: Floats, sems: Floats, gravity_g: Floats, sensitivity: float) -> tuple[tuple[float, ...], str]:
-    """(slope, its standard error, scale slope as a share, its standard error) of one axis from its slopes (n,) at n
-    gravities, nan for a scale slope that can't be told; and what the slope means.
+    """Return the slope of one axis, its standard error, the relative slope of its scale and its standard error (nan if
+    not determined), from slopes (n,) at n gravities; and the meaning of the slope.
 
-    Weighted least squares; slopes that scatter more than their standard errors say make these larger.
+    The fit is weighted least squares; the standard errors are enlarged if the slopes scatter more than expected.
     """
-    apart = float(np.ptp(gravity_g)) > CARRIES_G
-    sems = np.maximum(sems, 1e-12)  # counts that never moved
-    design = np.column_stack([np.ones(len(slopes)), gravity_g])[:, : 2 if apart else 1]
+    separable = float(np.ptp(gravity_g)) > CARRIES_G
+    sems = np.maximum(sems, 1e-12)  # counts that never changed
+    design = np.column_stack([np.ones(len(slopes)), gravity_g])[:, : 2 if separable else 1]
     weighted = design / sems[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     values = covariance @ weighted.T @ (slopes / sems)
     freedom = len(slopes) - design.shape[1]
     excess = float(np.sum(((slopes - design @ values) / sems) ** 2)) / freedom if freedom else 1.0
     errors = np.sqrt(np.diag(covariance) * max(1.0, excess))
-    if apart:
+    if separable:
         return (values[0], errors[0], values[1] / sensitivity, errors[1] / sensitivity), BIAS
     meaning = BIAS_OR_SCALE if np.abs(gravity_g).max() > CARRIES_G else BIAS
     return (values[0], errors[0], np.nan, np.nan), meaning

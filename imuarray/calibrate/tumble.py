@@ -1,20 +1,19 @@
-"""`calibrate tumble`: every inertial sensor of a log from static poses, named faces if the log has them, or from a slow
+"""`calibrate tumble`: every inertial sensor of a log from static poses (named faces if the log has them) or from a slow
 tumble by hand.
 
 Bias and g-sensitivity of gyroscopes follow from any static poses (the method of the paper's Table 4, the whole matrix):
 ``mean counts = g_sensitivity @ up + bias (+ drift)``, with the directions of gravity from the accelerometers. The
-paper's caveat holds: a change of the bias from pose to pose, by temperature above all, looks like g-sensitivity. A
-steady drift is part of the fit where it is significant, and the residuals raise the standard errors.
+paper's caveat holds: a change of the bias from pose to pose, mainly by temperature, looks like g-sensitivity. The fit
+includes a steady drift if that is significant, and residuals increase the standard errors.
 
-Quasi-static: a hand that turns a box slowly adds tens of mg to gravity, as often with its sign as against it. The path
-is cut into stretches of half a second. In each, the reading of every axis in the middle is taken from a parabola
-through its readings (a mean would be too short, by the turn within it), and all sensors are fitted to one g as static
-poses are (`imuarray.calibrate.gravity`).
+Quasi-static calibration: a hand that turns a box slowly adds accelerations of tens of mg to gravity, with either sign.
+The path is divided into stretches of half a second. In each, the reading of every axis in the middle is taken from a
+parabola through its readings (a mean would be too short, because of the turn within it), and all sensors are fitted to
+one g like static poses (`imuarray.calibrate.gravity`).
 
 The weight of a stretch depends on its motion q: the scatter of its readings about the parabola beyond the noise, and
-the acceleration of a turn about a wrist, ``r w^2``. The length of the force is off by ``a q`` (one sigma), where a is
-estimated from the lengths themselves. The error is the same in all sensors, so more of them don't make the lengths
-better known.
+the acceleration of a turn about a wrist, ``r w^2``. The error of the length of the force is ``a q`` (one sigma), where
+a is estimated from the lengths themselves. All sensors have the same error, so more sensors do not reduce it.
 """
 
 from __future__ import annotations
@@ -31,12 +30,19 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, face_up
-from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, exclusion_of
-from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
+from imuarray.calibrate.faces import (
+    Faces,
+    determine_response,
+    face_fit,
+    fit_faces,
+    leave_one_out_residual,
+    select_faces,
+)
 from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
 from imuarray.calibrate.gravity import MIN_POSES, GravityFit, fit_gravity, fit_weighted
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
-from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, noted_faces, read_poses
+from imuarray.calibrate.outliers import Outlier, misfit_probability, outlier_of
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, labelled_faces, read_poses
 from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
@@ -51,42 +57,43 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STRETCH_S = 0.5
-"""Long beside a reading, short beside a turn: at 60 degrees a second a parabola errs by a ten-thousandth in it."""
+"""Length of a stretch: long compared with the interval of readings, short compared with a turn (at 60 degrees per
+second the error of a parabola is one ten-thousandth)."""
 
 ARM_M = 0.3
 """Distance from the wrist to the box: a turn about the wrist adds ARM_M w^2 to gravity."""
 
 FEWEST_STRETCHES = 30
-"""Three times the unknowns of a sensor, and one more is asked of the motion."""
+"""Three times the unknowns of a sensor, and the factor of the motion."""
 
 MOST_STRETCHES = 100
-"""Stretches that are fitted at once; if there are more, the calmest of every direction."""
+"""Largest number of stretches in the fit; the calmest of every direction are selected."""
 
 WORTHLESS_G = 0.05
-"""The standard error of a bias from which a path gives no information: a data sheet promises as much (BMA-113)."""
+"""Largest standard error of a bias from a path: a data sheet's tolerance is as small (BMA-113)."""
 
 _ROUNDS = 3
-"""Fit and motion in turn; they settle in two."""
+"""Iterations of fit and motion; they converge in two."""
 
 _PARABOLA = 9 / 4
 """Variance of a parabola's value in the middle of evenly spaced readings over that of their mean."""
 
 _LEAST_ROWS = 5
 _FAST = 0.15
-"""In g: a stretch that scatters by more about its parabola is shaken, not turned slowly."""
+"""Largest scatter about its parabola, in g, of a stretch in which the box is turned slowly."""
 
 _LEAST_MOTION_G = 1e-3
-"""The least motion of a box that is held by hand."""
+"""Least motion of a box that is held by hand."""
 
 _CELLS = 3
-"""The number of cells along each box axis by which directions are distinguished."""
+"""Number of cells along each box axis by which directions are distinguished."""
 
-_STRANGE = 4.0
-"""Standard deviations by which the length of a stretch may be off before it is left out."""
+_LARGEST_ERROR = 4.0
+"""Largest error of the length of a stretch, in standard deviations; longer or shorter ones are excluded."""
 
 
 def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
-    """Calibrate accelerometers jointly from the path of the box in `logs`; CalibrationError if it tells too little."""
+    """Calibrate accelerometers jointly from the path of the box in `logs`; CalibrationError if that is insufficient."""
     readings, motion_g = _stretches(sensors, logs)
     if len(readings.poses) < FEWEST_STRETCHES:
         raise CalibrationError(
@@ -97,17 +104,17 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
     readings, motion_g = readings.only(kept), motion_g[kept]
     scale = readings.sensitivity[:, None, None]
     noise = (readings.variance_lsb2 / scale**2).transpose(0, 2, 1).reshape(-1, len(readings.poses))
-    left_out: list[Exclusion] = []
+    left_out: list[Outlier] = []
     factor = 1.0
     for _ in range(_ROUNDS):
         fit = fit_weighted(readings, noise + len(sensors) * (factor * motion_g) ** 2, left_out)
         off = fit.force_g.mean(axis=0) - 1
         free = len(off) / (len(off) - 9)
         factor = float(np.sqrt(free * np.median((off / motion_g) ** 2) / MEDIAN_SQUARE))
-        sound = np.abs(off) < _STRANGE * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
+        sound = np.abs(off) < _LARGEST_ERROR * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
         if not sound.all() and sound.sum() >= FEWEST_STRETCHES:
             left_out += [
-                exclusion_of(pose, f"{1e3 * each:+.0f} mg from one g: moved")
+                outlier_of(pose, f"{1e3 * each:+.0f} mg from one g: moved")
                 for pose, each, good in zip(readings.poses, off, sound, strict=True)
                 if not good
             ]
@@ -116,15 +123,16 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
     worst_g = max(float(f.bias_sem_lsb.max() / s.sensitivity) for f, s in zip(fit.fits, sensors, strict=True))
     if not worst_g < WORTHLESS_G:
         raise CalibrationError(
-            f"{sensors[0].where}: the path determines biases to {1e3 * worst_g:.0f} mg only: turn the box"
-            f" slower, and to all"
-            " sides"
+            f"{sensors[0].where}: the path determines biases to {1e3 * worst_g:.0f} mg only: turn the box more"
+            " slowly, and to all sides"
         )
     return fit
 
 
 def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseReadings, Floats]:
-    """Return the readings in the middle of every stretch that all of them read soundly, and its motion (k,) in g."""
+    """Return the readings in the middle of every stretch in which all sensors have valid ones, and its motion (k,) in
+    g.
+    """
     parts = [_of_log(sensors, log) for log in logs]
     poses = tuple(pose for each, _, _, _ in parts for pose in each)
     means = np.concatenate([mean for _, mean, _, _ in parts], axis=1)
@@ -135,7 +143,9 @@ def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseR
 
 
 def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats, Floats, Floats]:
-    """Poses (k), readings in their middle and their variances by noise (s, k, 3), and motion (k,), of one log."""
+    """Return the poses (k), the readings in their middle and their variances by noise (s, k, 3), and the motion (k,) of
+    one log.
+    """
     here = [log[sensor.name] for sensor in sensors]
     begin = max(int(sensor.time[0]) for sensor in here)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in here)
@@ -148,7 +158,7 @@ def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats,
             means[place, index], scatters[place, index], rows[place, index] = _middle(sensor, start_ns, width_ns)
     sound = np.flatnonzero(np.isfinite(means).all(axis=(0, 2)))
     means, scatters, rows = means[:, sound], scatters[:, sound], rows[:, sound]
-    # The calmest tenth of the stretches shows the noise; what others scatter more is motion.
+    # The calmest tenth of the stretches shows the noise; additional scatter of the others is motion.
     noise = np.quantile(scatters, 0.1, axis=1, keepdims=True) if len(sound) else scatters
     variances = _PARABOLA * noise / rows if len(sound) else scatters
     counts = np.array([sensor.sensitivity for sensor in here])[:, None, None]
@@ -166,8 +176,8 @@ def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats,
 
 
 def _middle(sensor: SensorLog, start_ns: int, width_ns: int) -> tuple[Floats, Floats, Floats]:
-    """Value (3,) in the middle of a parabola through the readings of a stretch, their variance (3,) about it, and how
-    many there are (3,); nan where a reading is doubtful or too few are there.
+    """Return the value (3,) in the middle of a parabola through the readings of a stretch, their variance (3,) about
+    it, and their number (3,); nan if a reading is saturated or suspect, or if there are too few.
     """
     part = sensor.between(start_ns, start_ns + width_ns)
     status = np.asarray(sensor.status[part])
@@ -183,7 +193,9 @@ def _middle(sensor: SensorLog, start_ns: int, width_ns: int) -> tuple[Floats, Fl
 
 
 def _rate(force: Floats, number: npt.NDArray[np.int64]) -> Floats:
-    """(k,) rad/s by which the direction of a force (k, 3) turns in stretches of these numbers."""
+    """Return the rate (k,) in rad/s at which the direction of a force (k, 3) turns; `number` (k,) are the numbers of
+    the stretches.
+    """
     if len(force) < 2:
         return np.zeros(len(force))
     unit = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
@@ -193,7 +205,7 @@ def _rate(force: Floats, number: npt.NDArray[np.int64]) -> Floats:
 
 
 def _spread(readings: PoseReadings, motion_g: Floats) -> npt.NDArray[np.int64]:
-    """The stretches that are fitted: the calmest of every direction, in order of time."""
+    """Return the stretches of the fit: the calmest of every direction, in order of time."""
     if len(motion_g) <= MOST_STRETCHES:
         return np.arange(len(motion_g))
     force = readings.force_box_g().mean(axis=0)
@@ -213,8 +225,8 @@ _MOST_DRIFT = 2
 def fit_g_sensitivity(
     sensor: SensorLog, poses: tuple[Pose, ...], up_box: Floats
 ) -> tuple[SensorCalibration, TriadFit, Floats]:
-    """One gyroscope from its readings in `poses` (k), in which `up_box` (k, 3) pointed up: its calibration with the
-    mean bias over the poses, the fit, and the drift (3,) in counts, first pose less last.
+    """Calibrate one gyroscope from its readings in `poses` (k), in which `up_box` (k, 3) pointed up. Returns the
+    calibration with the mean bias over the poses, the fit, and the drift (3,) in counts, first pose less last.
     """
     readings = read_poses([sensor], poses)
     fit, terms = _fit(readings, up_box)
@@ -230,41 +242,41 @@ def fit_g_sensitivity(
 
 
 def _fit(readings: PoseReadings, up_box: Floats) -> tuple[TriadFit, Floats]:
-    """Straight lines with as many powers of time as fit better beyond chance, and those terms (k, q)."""
+    """Fit straight lines with as many powers of time as are significant. Returns the fit and these terms (k, q)."""
     powers = readings.powers_of_time(_MOST_DRIFT)
     fits = [_line(readings, up_box, powers[:, :count]) for count in range(1, powers.shape[1] + 1)]
     used = 0
     for (_, squares), (better, fewer) in pairwise(fits):
-        if chance_of_misfit(squares, fewer, 3, int(better.freedom)) > DRIFTS:
+        if misfit_probability(squares, fewer, 3, int(better.freedom)) > DRIFTS:
             break
         used += 1
     return fits[used][0], powers[:, : used + 1]
 
 
 def _line(readings: PoseReadings, up_box: Floats, terms: Floats) -> tuple[TriadFit, float]:
-    """One fit and its weighted squares."""
+    """Return one fit and its weighted sum of squares."""
     fit, residual = straight_lines(readings.mean_lsb[0], readings.variance_lsb2[0], np.column_stack([up_box, terms]))
     return fit, float((residual**2 / readings.variance_lsb2[0]).sum())
 
 
 PATH = "path"
-"""The method where the box never rested (`quasi_static.py`)."""
+"""The method if the box never rested (`fit_path`)."""
 
 UNSURE_G = 0.01
-"""A bias whose standard error is larger is warned of: a table tells it ten times better."""
+"""A larger standard error of a bias causes a warning: poses on a table reach a tenth of it."""
 
 
 @dataclass(frozen=True, repr=False)
-class Tumble:
-    """The calibration, how it was made and how well it fits.
+class TumbleResult:
+    """Result of `calibrate_tumble`: the calibration, how it was made and how well it fits.
 
-    `method` is "faces", "gravity" or "path" (a box that never rested), `poses` how many readings were used. By sensor:
-    `drift_lsb` (3,), first reading less last of the same bias, as a face read twice or a fitted drift says; `fits`;
-    `turns` of gyroscopes that had enough of them. By accelerometer, over the poses named `pose_names` (k):
-    `pose_residual_g` (k,) length of the calibrated specific force less one g, a fitted drift allowed for, and
-    `residual_g` its rms; `residual_apart_g` the rms in poses that the calibration had not seen (nan where those that
-    remain are too few); `residual_steady_g` the rms by the mean bias alone, which is what the calibration keeps.
-    `left_out` names what was not used, and why.
+    `method` is "faces", "gravity" or "path" (a box that never rested), `poses` the number of poses used. By sensor:
+    `drift_lsb` (3,), the first reading less the last of the same bias, from a face read twice or a fitted drift;
+    `fits`; `turns` of gyroscopes that were turned enough. By accelerometer, over the poses `pose_names` (k):
+    `pose_residual_g` (k,) is the length of the calibrated specific force less one g, with a fitted drift corrected, and
+    `residual_g` its rms; `held_out_residual_g` is the rms with each pose calibrated from the other poses (nan if those
+    are too few); `residual_steady_g` is the rms with the mean bias, which the calibration contains. `left_out` are the
+    excluded poses and turns, with reasons.
     """
 
     calibration: Calibration
@@ -272,18 +284,18 @@ class Tumble:
     poses: int
     drift_lsb: Mapping[str, Floats]
     residual_g: Mapping[str, float]
-    residual_apart_g: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    held_out_residual_g: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     residual_steady_g: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     pose_names: tuple[str, ...] = ()
     pose_residual_g: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
     fits: Mapping[str, TriadFit] = field(default_factory=lambda: MappingProxyType({}))
     turns: Mapping[str, TurnFit] = field(default_factory=lambda: MappingProxyType({}))
-    left_out: tuple[Exclusion, ...] = ()
+    left_out: tuple[Outlier, ...] = ()
     warnings: tuple[str, ...] = ()
-    """Sentences on what the poses tell badly."""
+    """Sentences on parameters that the poses determine poorly."""
 
     def plot(self) -> Figure:
-        """The residual of every accelerometer in every pose, in mg; MissingExtraError without matplotlib."""
+        """Plot the residual of every accelerometer in every pose, in mg; MissingExtraError without matplotlib."""
         from imuarray.calibrate.plots import residual_figure
 
         names = list(self.pose_residual_g)
@@ -292,14 +304,14 @@ class Tumble:
 
     def __repr__(self) -> str:
         worst = f", residual at most {1e3 * max(self.residual_g.values()):.2f} mg rms" if self.residual_g else ""
-        return f"<Tumble by {self.method}: {self.poses} poses{worst}, {len(self.calibration.sensors)} sensors>"
+        return f"<TumbleResult by {self.method}: {self.poses} poses{worst}, {len(self.calibration.sensors)} sensors>"
 
     def _repr_html_(self) -> str:
-        """Residuals by accelerometer, for notebooks."""
+        """Return a table of residuals by accelerometer, for notebooks."""
         from imuarray.html_table import html_table, number
 
         rows = [
-            (name, number(1e3 * rms), number(1e3 * self.residual_apart_g.get(name, math.nan)))
+            (name, number(1e3 * rms), number(1e3 * self.held_out_residual_g.get(name, math.nan)))
             for name, rms in self.residual_g.items()
         ]
         return html_table(repr(self), ("accelerometer", "residual, mg rms", "in poses not fitted, mg rms"), rows)
@@ -307,9 +319,9 @@ class Tumble:
 
 @dataclass(frozen=True)
 class _Reference:
-    """Reference that the accelerometers give: their calibrations, fits and drifts by name; the length of the calibrated
-    specific force less one g in each pose, and the same by a calibration from the others; directions (k, 3) in all
-    `poses`, and their covariance (3 k, 3 k).
+    """Gravity as measured by the accelerometers: their calibrations, fits and drifts by name; the length of the
+    calibrated specific force less one g in each pose of `names`, and the same with each pose calibrated from the others
+    (`held_out_g`); the upward directions (k, 3) in all `poses`, and their covariance (3 k, 3 k).
     """
 
     method: str
@@ -321,48 +333,52 @@ class _Reference:
     drift_lsb: dict[str, Floats]
     names: tuple[str, ...]
     residual_g: dict[str, Floats]
-    apart_g: dict[str, Floats]
-    left_out: tuple[Exclusion, ...]
+    held_out_g: dict[str, Floats]
+    left_out: tuple[Outlier, ...]
 
 
-def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lambda what, done, of: None) -> Tumble:
-    """Bias and response of the accelerometers, bias, g-sensitivity and (from turns) response of the gyroscopes: from
-    one log or from several of the same array (a log a face, say).
+def calibrate_tumble(
+    *logs: Log, progress: Callable[[str, int, int], None] = lambda what, done, of: None
+) -> TumbleResult:
+    """Measure bias and response of the accelerometers, and bias, g-sensitivity and (from turns) response of the
+    gyroscopes, from one log or from several logs of the same array (one per face, for example).
 
-    With faces that phases name, or of which they say what was up, by Appendix B; without, from at least nine static
-    poses that are found in the logs. `progress` is called with the step and how much of it is done. CalibrationError
-    says what is missing or which face does not fit.
+    If the phases name the faces, or state which axis was up, the paper's Appendix B is used; otherwise at least nine
+    static poses are detected in the logs. `progress` is called with the step, the number done and the total.
+    CalibrationError states what is missing or which face does not fit.
     """
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
         raise CalibrationError(f"{first.path}: it has no accelerometer; tumble needs gravity")
-    noted = noted_faces(logs)
-    if noted and not face_up(noted[0].phase.name) and not tell_all(noted):
-        noted = []  # a few phases that say what was up, in logs of any poses
-    faces = sound_faces(accelerometers, noted) if noted else None
+    labelled = labelled_faces(logs)
+    if labelled and not face_up(labelled[0].phase.name) and not determine_response(labelled):
+        labelled = []  # a few phases state which axis was up, in logs of any poses
+    faces = select_faces(accelerometers, labelled) if labelled else None
     reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
     known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
-    felt = [(sensor, known[sensor.name]) for sensor in accelerometers]
+    calibrated = [(sensor, known[sensor.name]) for sensor in accelerometers]
     for done, sensor in enumerate(() if reference.method == PATH else gyroscopes, start=1):
         at_rest = _at_rest(sensor, reference, faces)
         known[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
-        turned = fit_turns(sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, felt)
-        if turned is not None:
-            turns[sensor.name] = turned
-            known[sensor.name] = turned.complete(known[sensor.name])
+        fit = fit_turns(
+            sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, calibrated
+        )
+        if fit is not None:
+            turns[sensor.name] = fit
+            known[sensor.name] = fit.complete(known[sensor.name])
         progress("gyroscopes", done, len(gyroscopes))
     temperature = _temperature(first, reference.poses)
-    calibrated = {name: replace(calibration, temperature_degc=temperature) for name, calibration in known.items()}
-    return Tumble(
-        Calibration(calibrated, tuple(str(log.path) for log in logs)).stamped(logs),
+    sensors = {name: replace(calibration, temperature_degc=temperature) for name, calibration in known.items()}
+    return TumbleResult(
+        Calibration(sensors, tuple(str(log.path) for log in logs)).stamped(logs),
         reference.method,
         len(reference.poses),
         drift,
         {name: _rms(residual) for name, residual in reference.residual_g.items()},
-        {name: _rms(residual) for name, residual in reference.apart_g.items()},
-        {name: _rms(residual) for name, residual in _steady_g(felt, reference).items()},
+        {name: _rms(residual) for name, residual in reference.held_out_g.items()},
+        {name: _rms(residual) for name, residual in _steady_g(calibrated, reference).items()},
         reference.names,
         reference.residual_g,
         fits,
@@ -378,23 +394,22 @@ def _warnings(
     reference: _Reference,
     faces: Faces | None,
 ) -> Iterator[str]:
-    """List the warnings about a calibration."""
+    """Yield the warnings about a calibration."""
     if faces is not None:
         ups = {pose.phase.up for pose in faces.fitted}
         if missing := [up for up in UP_AXES if up not in ups]:
             yield (
-                f"no face with {', '.join(missing)} up: the opposite one is not checked, and its error"
-                " enters bias and scale factor; record all six"
+                f"no face with {', '.join(missing)} up: the opposite face is not checked, and its error"
+                " affects bias and scale factor; record all six"
             )
-    apart = [sensor.name for sensor in sensors if sensor.name not in known]
-    if apart:
-        yield f"{', '.join(apart)} not calibrated: the bias of a gyroscope needs a box at rest"
+    if uncalibrated := [sensor.name for sensor in sensors if sensor.name not in known]:
+        yield f"{', '.join(uncalibrated)} not calibrated: the bias of a gyroscope can only be measured at rest"
     for sensor in sensors:
         sem = known[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
         worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
         if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
             yield (
-                f"{sensor.name} {'xyz'[worst]}: bias within +- {1e3 * sem[worst] / sensor.sensitivity:.3g} mg only:"
+                f"{sensor.name} {'xyz'[worst]}: bias known to +- {1e3 * sem[worst] / sensor.sensitivity:.3g} mg only:"
                 " the poses disagree; check that the box was still and the labels are right"
             )
 
@@ -402,7 +417,7 @@ def _warnings(
 def _by_gravity(
     accelerometers: Sequence[SensorLog], logs: Sequence[Log], progress: Callable[[str, int, int], None]
 ) -> _Reference:
-    """Any poses."""
+    """Calibrate the accelerometers from any poses, or from the path if there are too few."""
     poses = [pose for log in logs for pose in find_poses(log)]
     method = "gravity" if len(poses) >= MIN_POSES else PATH
     if method == PATH:
@@ -427,13 +442,15 @@ def _by_gravity(
         dict(zip(names, fit.drift_lsb, strict=True)),
         tuple(pose.label for pose in fit.poses),
         dict(zip(names, fit.force_g - 1, strict=True)),
-        dict(zip(names, fit.force_apart_g - 1, strict=True)),
+        dict(zip(names, fit.held_out_force_g - 1, strict=True)),
         fit.left_out,
     )
 
 
 def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
-    """Appendix B. Directions are those that the calibrated accelerometers felt: a table leans, and turns tell more."""
+    """Calibrate the accelerometers by the paper's Appendix B. Directions are those of the calibrated accelerometers,
+    because a table may lean.
+    """
     everything = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
     result = {sensor.name: fit_faces(sensor, everything) for sensor in accelerometers}
     known = {name: calibration for name, (calibration, _) in result.items()}
@@ -456,20 +473,20 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
         {name: drift for name, (_, drift) in result.items()},
         tuple(everything[place].label for place in fitted),
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
-        {sensor.name: faces_apart(sensor, faces.fitted) for sensor in accelerometers},
+        {sensor.name: leave_one_out_residual(sensor, faces.fitted) for sensor in accelerometers},
         faces.left_out,
     )
 
 
 def _place_and_time(pose: Pose) -> tuple[str, int]:
-    """Poses of one log one after the other."""
+    """Sorting key of poses: by log, then by time."""
     return "" if pose.log is None else str(pose.log.path), pose.phase.start_ns
 
 
 def _at_rest(
     sensor: SensorLog, reference: _Reference, faces: Faces | None
 ) -> tuple[SensorCalibration, TriadFit, Floats]:
-    """A gyroscope from its readings at rest: bias and g-sensitivity, the fit, the drift."""
+    """Calibrate a gyroscope from its readings at rest. Returns bias and g-sensitivity, the fit, and the drift."""
     if faces is None:
         return fit_g_sensitivity(sensor, reference.poses, reference.up_box)
     known, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
@@ -477,14 +494,14 @@ def _at_rest(
 
 
 def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:
-    """(k, 3) specific force in g in the box frame."""
+    """Return the specific force (k, 3) in g in the box frame."""
     return np.asarray(known.stimulus_box(mean_lsb) / STANDARD_GRAVITY)
 
 
 def _steady_g(
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], reference: _Reference
 ) -> dict[str, Floats]:
-    """(k,) length of the specific force less one g in the fitted poses, by the bias as it is kept."""
+    """Return the length (k,) of the specific force less one g in the fitted poses with the mean bias, by sensor."""
     poses = [pose for pose in reference.poses if not pose.is_check]
     return {
         sensor.name: np.linalg.norm(_force_g(known, read_poses([sensor], poses).mean_lsb[0]), axis=1) - 1
@@ -497,7 +514,7 @@ def _rms(values: Floats) -> float:
 
 
 def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
-    """Mean temperature over the poses in degC, by the best thermometer of the logs that has a zero."""
+    """Return the mean temperature over the poses in degC, by the best thermometer with a zero; None without one."""
     parts = []
     logs = [log if pose.log is None else pose.log for pose in poses]
     for own in {id(each): each for each in logs}.values():

@@ -1,9 +1,9 @@
 """`calibrate turn-on`: change of a bias from one switch-on to the next, beyond its change within a run.
 
-Runs that came up wrong are set apart first; the others are then tested for two states. The remaining scatter about the
-states, and about a line in temperature (a warm-up is no turn-on), is compared with the variance of a run's mean that
-the scatter within runs predicts: for each noise that the runs may have, the ratio of the two variances follows an F
-distribution if switching on changes nothing.
+Runs with a start-up fault are excluded first; the others are tested for two states. The remaining scatter about the
+states, and about a line in temperature (a warm-up is not a turn-on change), is compared with the variance of a run's
+mean that the scatter within runs predicts: for each noise that the runs may have, the ratio of the two variances
+follows an F distribution if switching on changes nothing.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from imuarray.calibrate.runs import (
     Ranges,
     SensorRuns,
     explained_range,
+    isolated_runs,
     read_runs,
     run_stretches,
-    runs_apart,
     two_states,
 )
 from imuarray.calibrate.stability import BiasState, TurnOn
@@ -46,8 +46,8 @@ _NONE: Mapping[float, float] = MappingProxyType({})
 _FEWEST_RUNS = 3
 
 MOST_SEM: Mapping[str, float] = MappingProxyType({"specific_force": 0.05, "angular_rate": 10.0})
-"""Largest standard error of the change from run to run that counts as a measurement, by quantity in its unit: the data
-sheets give as much for the whole zero level (BMA-113: 60 mg; L3G-70: 10 dps).
+"""Largest standard error of a measured change from run to run, by quantity in its unit: about the tolerance of the
+whole zero level in the data sheets (BMA-113: 60 mg; L3G-70: 10 dps).
 """
 _IMPRECISE = (
     "these runs determine the change of the {axis} bias from run to run only to {sem} {unit}; readings change as much"
@@ -57,13 +57,14 @@ _IMPRECISE = (
 
 @dataclass(frozen=True)
 class TurnOnResult:
-    """One sensor, arrays (3,) in counts.
+    """Turn-on changes of one sensor, arrays (3,) in counts.
 
-    `run_sd_lsb` from run to run about the states and about the line in temperature, with `run_freedom` degrees of
-    freedom; `in_run_sd_lsb` what a run's mean scatters by what happened within runs, with `in_run_freedom`; `p_value`
-    of so large a ratio if switching on changed nothing, before allowing for many axes (`holm`). nan where nothing is
-    known of the inside of runs. `slope_lsb_per_degc` None where temperatures were not known. `p_states` is the
-    probability of as good a split by chance; where it is not below 0.01, shared by all sensors, there is one state.
+    `run_sd_lsb` is the standard deviation from run to run about the states and about the line in temperature, with
+    `run_freedom` degrees of freedom; `in_run_sd_lsb` the standard deviation of a run's mean by the scatter within runs,
+    with `in_run_freedom`; `p_value` the probability of so large a ratio if switching on changed nothing, not corrected
+    for many axes (`holm`). These are nan if the scatter within runs is not known. `slope_lsb_per_degc` is None without
+    temperatures. `p_states` is the probability of so good a split by chance; there is one state unless it is below
+    0.01, divided by the number of sensors. `apart` are the runs with a start-up fault.
     """
 
     runs: SensorRuns
@@ -78,10 +79,10 @@ class TurnOnResult:
     p_value: Floats
 
     def turn_on(self) -> TurnOn:
-        """Return the figures that the calibration file keeps.
+        """Return the figures for the calibration file.
 
-        The scatter within runs is taken out of the variance; the standard error of the root is to first order, or
-        where nothing is left, the root of half the variance's error.
+        The scatter within runs is subtracted from the variance; the standard error of the root is of first order, or,
+        where the difference is about zero, the root of half the variance's error.
         """
         inside = np.nan_to_num(self.in_run_sd_lsb) ** 2
         both = self.run_sd_lsb**2
@@ -100,19 +101,19 @@ class TurnOnResult:
 
 
 class TurnOnSeries(NamedTuple):
-    """Result of a series of runs: the calibration (with nothing in it but `turn_on`), and every sensor's runs."""
+    """Result of `calibrate_turn_on`: the calibration (of `turn_on` only), and the result of every sensor."""
 
     calibration: Calibration
     results: tuple[TurnOnResult, ...]
 
     def plot(self) -> Figure:
-        """Change of the bias from run to run of every axis with two standard errors, in mg or dps; MissingExtraError
-        without matplotlib.
+        """Plot the change of the bias from run to run of every axis with two standard errors, in mg or dps;
+        MissingExtraError without matplotlib.
         """
         return self.calibration.plot("turn_on")
 
     def _repr_html_(self) -> str:
-        """Change from run to run with its standard errors, for notebooks."""
+        """Return a table of the changes from run to run with standard errors, for notebooks."""
         from imuarray.calibrate.plots import turn_on_rows
         from imuarray.html_table import html_table
 
@@ -122,10 +123,11 @@ class TurnOnSeries(NamedTuple):
 
 
 def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int = 1) -> TurnOnSeries:
-    """Every inertial sensor from logs of one pose, switched off in between: a run a log, or a phase `run <k>` a run.
+    """Measure the turn-on changes of every inertial sensor from runs in one pose, between which it was switched off:
+    one log per run, or one phase `run <k>` per run.
 
-    `ranges` are the sensitivities that tell in which range a faulty run came up. CalibrationError if there are fewer
-    than three runs, or if logs don't go together.
+    `ranges` are the sensitivities by which a start in a wrong range is identified. CalibrationError for fewer than
+    three runs, and for logs of different configurations or poses.
     """
     if not logs:
         raise CalibrationError("no log")
@@ -144,29 +146,29 @@ def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int
 
 
 def _refuse_moving(logs: Sequence[Log]) -> None:
-    """CalibrationError for runs in which the box moved, or that were not of one pose."""
+    """Raise CalibrationError for runs in which the box moved, and for runs in several poses."""
     names: list[str] = []
     forces: list[Floats] = []
     for place, log in enumerate(logs, start=1):
         for name, start_ns, end_ns in run_stretches(log, place):
             if words := motion_in(log, start_ns, end_ns):
                 raise CalibrationError(f"{name}: {words}")
-            felt = [
+            medians_g = [
                 np.median(counts, axis=0) @ sensor.orientation.T / sensor.sensitivity
                 for sensor in log.of("specific_force")
                 if sensor.sensitivity > 0 and len(counts := sensor.counts[sensor.between(start_ns, end_ns)])
             ]
             names.append(name)
-            forces.append(np.mean(felt, axis=0) if felt else np.full(3, np.nan))
+            forces.append(np.mean(medians_g, axis=0) if medians_g else np.full(3, np.nan))
     refuse_other_poses(names, np.array(forces).reshape(-1, 3))
 
 
 def compare_runs(
     runs: SensorRuns, ranges: Mapping[float, float] = _NONE, seed: int = 1, significant: float = SIGNIFICANT
 ) -> TurnOnResult:
-    """One sensor's runs (see the head of this file); CalibrationError if fewer than three are left.
+    """Evaluate the runs of one sensor (see the head of this file); CalibrationError if fewer than three are usable.
 
-    `significant`: two states are believed below this probability; where several sensors are looked at, a share of it.
+    `significant` is the level of the test for two states, divided by the number of sensors that are tested.
     """
     apart = _faults(runs, ranges)
     used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
@@ -201,8 +203,8 @@ def compare_runs(
 
 
 def holm(p_values: npt.ArrayLike) -> Floats:
-    """Probabilities (n,) that allow for there being n of them: one below 0.05 is then a false alarm in one of twenty
-    arrays, not of twenty axes (Holm, Scand. J. Stat. 6, 1979, p. 65). nan stays nan and does not count.
+    """Correct p-values (n,) for multiple testing: a corrected value below 0.05 is a false alarm in one of twenty sets
+    of n values (Holm, Scand. J. Stat. 6, 1979, p. 65). nan remains nan and does not count.
     """
     values = np.asarray(p_values, float)
     allowed = np.full(len(values), np.nan)
@@ -214,26 +216,27 @@ def holm(p_values: npt.ArrayLike) -> Floats:
 
 
 def _faults(runs: SensorRuns, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
-    """The runs that came up wrong: without a sound reading, in another range, or far from all others."""
+    """Return the runs with a start-up fault: without a valid reading, in another range, or far from all others."""
     read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
     if not read.any():
         raise CalibrationError(f"sensor {runs.sensor}: no valid readings in any run")
     usual = np.median(runs.mean_lsb[read], axis=0)
     ranges_of_runs: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
-    if runs.quantity == "specific_force":  # a gyroscope's bias says nothing of its range
+    if runs.quantity == "specific_force":  # a gyroscope's bias does not depend on its range
         ranges_of_runs = [explained_range(mean, usual, runs.sensitivity, ranges) for mean in runs.mean_lsb]
     wrong = ~read | np.array([span is not None for _, span in ranges_of_runs])
     sound = np.flatnonzero(~wrong)
     floor = np.array([each.mean for each in runs.in_run(sound.tolist())] or [0.0] * 3) ** 0.5
-    wrong[sound[runs_apart(runs.mean_lsb[sound], floor)]] = True
+    wrong[sound[isolated_runs(runs.mean_lsb[sound], floor)]] = True
     return tuple(BootFault(runs.numbers[i], *ranges_of_runs[i], runs.unit) for i in np.flatnonzero(wrong))
 
 
 def _about(
     means: Floats, groups: Sequence[npt.NDArray[np.bool_]], warm: Floats | None
 ) -> tuple[Floats | None, Floats, int]:
-    """Slope with temperature (3,), standard deviation (3,) of run means (r, 3) about their groups and that slope, and
-    its degrees of freedom. Without temperatures, with the same one always, or with too few runs for it: no slope.
+    """Return the slope with temperature (3,), the standard deviation (3,) of run means (r, 3) about their groups and
+    that slope, and its degrees of freedom. The slope is None without temperatures, if they are all equal, or with too
+    few runs.
     """
     design = np.array(groups, float).T
     usable = warm is not None and np.ptp(warm) > 0 and len(means) > len(groups) + _FEWEST_RUNS - 1

@@ -1,17 +1,17 @@
 """Scale factors and axes of gyroscopes from the turns between poses, with the accelerometers as reference.
 
-A gyroscope's rates, integrated from one pose to the next, must carry gravity's direction before the turn into that
-after it. Each turn gives two equations (a turn about the vertical is not seen) for the nine elements of the response's
-inverse::
+A gyroscope's rates, integrated from one pose to the next, must rotate gravity's direction before the turn into that
+after it. Each turn gives two equations (gravity does not show a turn about the vertical) for the nine elements of the
+response's inverse::
 
     rate_box = inverse @ (counts - bias - g_sensitivity @ force)
 
-The bias over a turn is taken from the poses before and after it, so that drift does not matter. Rates are linear
-between readings; their rotation is that of the mean rate and the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz, IEEE
-Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). The fit is nonlinear least squares, weighted by the noise of the
-poses, carried through a turn, and raised where residuals require it. The response that is known before, with its
-covariance, is one more measurement; where none was measured, it is the data sheet's with its tolerance: directions that
-turns about too few axes leave open are known as well as the data sheet promises, and no better.
+The bias over a turn is interpolated between the poses before and after it, so that drift has no effect. Rates are
+linear between readings; their rotation is that of the mean rate with the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz,
+IEEE Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). The fit is nonlinear least squares, weighted by the noise at
+rest, integrated over the turn; the covariance is enlarged if the residuals require it. The prior response with its
+covariance is one more measurement: the one measured before, or the data sheet's with its tolerance. Columns that turns
+about too few axes leave open are then known to the data sheet's tolerance.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from itertools import pairwise
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.disturbed import Exclusion, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
 from imuarray.calibrate.model import SensorCalibration, uncertain_columns
+from imuarray.calibrate.outliers import Outlier, find_outlier, misfit_probability
 from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
@@ -35,21 +35,21 @@ FEWEST_TURNS = 6
 """Twelve equations for nine unknowns."""
 
 FEWEST_MORE_TURNS = 3
-"""The same of a gyroscope whose response was measured before: six equations for the three unknowns of a column."""
+"""Fewest turns of a gyroscope whose response was measured before: six equations for the three unknowns of a column."""
 
 LONGEST_S = 20.0
-"""A turn that takes longer is left out: what it adds of noise and bias outgrows what it tells."""
+"""Longest turn; the integrated noise and bias of a longer one exceed its information."""
 
 _GAP = 3.0
-"""A pause of this many usual intervals between readings is a hole in the integral."""
+"""Longest pause between readings within a turn, as a multiple of the usual interval."""
 
 _FAR_DEG = 0.3
-"""A turn that misses by less is not left out, however well the others fit."""
+"""Smallest error of a turn that is excluded."""
 
 TOLERANCE = 0.02
 """Standard deviation of each entry of a gyroscope's response about the data sheet's and the configured axes, as a share
-of the sensitivity: L3G-72 allows the scale factor 2 % (over temperature), and an axis that is a degree off adds as much
-of another. Turns that tell a column to 0.03 % are pulled by less than a thousandth of that."""
+of the sensitivity: L3G-72 allows the scale factor 2 % (over temperature), and a misalignment of one degree adds as much
+of another axis. If turns determine a column to 0.03 %, this prior changes it by less than a thousandth of that."""
 
 _ITERATIONS = 10
 
@@ -58,10 +58,10 @@ _ITERATIONS = 10
 class TurnFit:
     """One gyroscope's response from turns.
 
-    `response` (3, 3) in counts per dps, its standard errors `sem` and `covariance` (9, 9) row by row, the data sheet's
-    tolerance or an earlier measurement taken into account; `uncertain_axes`: the box axes about which few turns lead,
-    whose columns are not known to one per cent; `turns` that were used, `residual_deg` rms of the directions that they
-    missed by, `chi_squared` by the noise at rest with `freedom` degrees, and turns `left_out`.
+    `response` (3, 3) in counts per dps, with standard errors `sem` and `covariance` (9, 9) row by row, includes the
+    data sheet's tolerance or an earlier measurement. `uncertain_axes` are the box axes with few turns about them, whose
+    columns are not known to one per cent. `turns` is the number used, `residual_deg` the rms error of the directions
+    after them, `chi_squared` that by the noise at rest with `freedom` degrees; `left_out` are the excluded turns.
     """
 
     response: Floats
@@ -72,7 +72,7 @@ class TurnFit:
     residual_deg: float
     chi_squared: float
     freedom: float
-    left_out: tuple[Exclusion, ...]
+    left_out: tuple[Outlier, ...]
 
     def complete(self, known: SensorCalibration) -> SensorCalibration:
         """Return a gyroscope's calibration with this response."""
@@ -86,9 +86,9 @@ class TurnFit:
 
 @dataclass(frozen=True)
 class _Turn:
-    """The way from one pose to the next: steps between readings (n - 1,) in s, mean counts less bias (n, 3), gravity
-    before and after (3,), the variance of its end in rad^2 by the gyroscope's noise, a name, and the place of the pose
-    before it.
+    """A turn from one pose to the next: its name and log, the index of the pose before it (`place`), steps between
+    readings (n - 1,) in s, counts less bias (n, 3), the upward directions `before` and `after` (3,), and the variance
+    of its end in rad^2 by the gyroscope's noise.
     """
 
     name: str
@@ -109,32 +109,32 @@ def fit_turns(
     up_covariance: Floats,
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]] = (),
 ) -> TurnFit | None:
-    """A gyroscope's response from the turns between neighbouring `poses`, in which `up_box` (k, 3) pointed up, with
-    covariance (3 k, 3 k); None if fewer than `FEWEST_TURNS` can be used (`FEWEST_MORE_TURNS` where `known` has a
+    """Measure a gyroscope's response from the turns between neighbouring `poses`, in which `up_box` (k, 3) pointed up,
+    with covariance (3 k, 3 k). None if fewer than `FEWEST_TURNS` are usable (`FEWEST_MORE_TURNS` if `known` has a
     measured response, which the turns then improve).
 
-    `known` has its g-sensitivity; the calibrated `accelerometers` say what it felt on the way.
+    `known` contains the g-sensitivity; the calibrated `accelerometers` measure the specific force during a turn.
     """
     before = _response_before(sensor, known)
     fewest = FEWEST_TURNS if known.response_sem_lsb_per_unit is None else FEWEST_MORE_TURNS
     good: list[_Turn] = []
-    left_out: list[Exclusion] = []
+    left_out: list[Outlier] = []
     for place, (first, second) in enumerate(pairwise(poses)):
         if first.log is not second.log:
             continue
         turn = _turn(sensor, known, (first, second), place, up_box, accelerometers)
-        if isinstance(turn, Exclusion):
+        if isinstance(turn, Outlier):
             left_out.append(turn)
         else:
             good.append(turn)
     while len(good) >= fewest:
         fit, chances, off = _fit(sensor, before, good, up_covariance, left_out)
-        strange = worst(chances, off, np.radians(_FAR_DEG))
-        if strange is None:
+        outlier = find_outlier(chances, off, np.radians(_FAR_DEG))
+        if outlier is None:
             return fit
-        reason = f"ends {np.degrees(off[strange]):.2f} degrees from where the other turns predict its end"
-        left_out.append(Exclusion(good[strange].name, good[strange].log, reason))
-        good.pop(strange)
+        reason = f"ends {np.degrees(off[outlier]):.2f} degrees from where the other turns predict its end"
+        left_out.append(Outlier(good[outlier].name, good[outlier].log, reason))
+        good.pop(outlier)
     return None
 
 
@@ -145,10 +145,8 @@ def _turn(
     place: int,
     up_box: Floats,
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]],
-) -> _Turn | Exclusion:
-    """Return the readings of the gyroscope between two poses, the first at `place`, or the reason why they can't be
-    integrated.
-    """
+) -> _Turn | Outlier:
+    """Return the turn between two poses, the first of index `place`, or the reason why it can't be integrated."""
     (first, second), before, after = ends, up_box[place], up_box[place + 1]
     here, _ = first.rows_of(sensor)
     name, log = f"{first.phase.name} to {second.phase.name}", "" if first.log is None else str(first.log.path)
@@ -161,26 +159,26 @@ def _turn(
     usual_s = rests_s[0] / readings[0].rows
     clipped = int(np.count_nonzero(np.asarray(here.status[rows]) & (SATURATED | SUSPECT)))
     if clipped:
-        return Exclusion(name, log, f"{clipped} readings clip or are suspect")
+        return Outlier(name, log, f"{clipped} readings clip or are suspect")
     if seconds > LONGEST_S:
-        return Exclusion(name, log, f"took {seconds:.0f} s")
+        return Outlier(name, log, f"took {seconds:.0f} s")
     if len(time) < 4 or np.diff(time).max() > _GAP * usual_s:
-        return Exclusion(name, log, "readings are missing")
+        return Outlier(name, log, "readings are missing")
     share = ((time - time[0]) / seconds)[:, None]
     means = [reading.mean_lsb for reading in readings]
     counts = np.asarray(here.counts[rows], float) - means[0] - share * (means[1] - means[0])
     if accelerometers and known.g_sensitivity_lsb_per_g is not None:
-        felt = _felt_g(accelerometers, first, time) - before - share * (after - before)
-        counts = counts - felt @ known.g_sensitivity_lsb_per_g.T
+        change_g = _force_g(accelerometers, first, time) - before - share * (after - before)
+        counts = counts - change_g @ known.g_sensitivity_lsb_per_g.T
     rad_per_lsb = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
     mean_variance = np.array([np.mean(reading.sem_lsb**2) for reading in readings]) * rad_per_lsb**2
-    white = float(np.mean(mean_variance * rests_s))  # rad^2/s: a mean's variance times the time that it took
+    white = float(np.mean(mean_variance * rests_s))  # rad^2/s: a mean's variance times its averaging time
     variance = white * seconds + float(mean_variance.sum()) * seconds**2 / 4
     return _Turn(name, log, place, np.diff(time), counts, before, after, max(variance, 1e-12))
 
 
-def _felt_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose: Pose, time_s: Floats) -> Floats:
-    """(n, 3) specific force in g in the box frame at these times: the mean of all accelerometers."""
+def _force_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose: Pose, time_s: Floats) -> Floats:
+    """Return the specific force (n, 3) in g in the box frame at these times: the mean of all accelerometers."""
     forces = []
     for sensor, known in accelerometers:
         here, _ = pose.rows_of(sensor)
@@ -192,8 +190,8 @@ def _felt_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose:
 
 
 def _response_before(sensor: SensorLog, known: SensorCalibration) -> tuple[Floats, Floats]:
-    """Return the inverse response (3, 3) in rad/s per count that is known without the turns, and its information (9, 9)
-    row by row: as measured before, else the data sheet's with its tolerance.
+    """Return the prior inverse response (3, 3) in rad/s per count and its information matrix (9, 9), row by row: as
+    measured before, or the data sheet's with its tolerance.
     """
     si = SI_PER_UNIT[sensor.unit]
     covariance = known.response_covariance()
@@ -211,10 +209,10 @@ def _fit(
     before: tuple[Floats, Floats],
     turns: Sequence[_Turn],
     up_covariance: Floats,
-    left_out: Sequence[Exclusion],
+    left_out: Sequence[Outlier],
 ) -> tuple[TurnFit, list[float], Floats]:
-    """The response from all `turns` and from what is known before; for each turn the chance that it misses as far as it
-    does, and how far in radians, by what the others say.
+    """Fit the response to all `turns` and the prior. Returns also for each turn its error in radians with respect to
+    the others, and the probability of so large an error.
     """
     nominal, prior = before
     inverse = nominal.copy()
@@ -230,11 +228,9 @@ def _fit(
         if np.abs(step).max() < 1e-7 * np.abs(nominal).max():
             break
     chi_squared = float(missed @ weight @ missed)
-    freedom = 2 * len(turns) - float(
-        np.trace(own @ information)
-    )  # what the tolerance tells takes nothing of what turns tell
+    freedom = 2 * len(turns) - float(np.trace(own @ information))  # the prior takes no degrees of freedom
     excess = chi_squared / freedom if beyond_noise(chi_squared, freedom) else 1.0
-    chances, off = _each_alone(missed, weight - weight @ slopes @ own @ slopes.T @ weight, chi_squared, freedom)
+    chances, off = _shifts(missed, weight - weight @ slopes @ own @ slopes.T @ weight, chi_squared, freedom)
     response = np.asarray(np.linalg.inv(inverse), float) * SI_PER_UNIT[sensor.unit]
     change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
     covariance = change @ np.linalg.inv(information / excess + prior) @ change.T
@@ -246,8 +242,8 @@ def _fit(
 
 
 def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covariance: Floats) -> Floats:
-    """(2 t, 2 t) of what turns miss by: the gyroscope's noise, and the directions at both ends, which neighbours
-    share.
+    """Return the covariance (2 t, 2 t) of the errors after turns: the gyroscope's noise, and the errors of the
+    directions at both ends, which neighbouring turns share.
     """
     answer = np.zeros((2 * len(turns), len(up_covariance)))
     for row, (turn, part) in enumerate(zip(turns, parts, strict=True)):
@@ -257,22 +253,22 @@ def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covari
     return np.asarray(answer @ up_covariance @ answer.T + np.diag(own))
 
 
-def _each_alone(missed: Floats, projected: Floats, chi_squared: float, freedom: float) -> tuple[list[float], Floats]:
-    """Return for each turn the chance that it misses as far as it does by the scatter of the others, and how far (t,):
-    the shift that would explain it, of the projected weights (2 t, 2 t).
+def _shifts(missed: Floats, projected: Floats, chi_squared: float, freedom: float) -> tuple[list[float], Floats]:
+    """Return for each turn the probability of its error by the scatter of the others, and the error (t,): the mean
+    shift that explains it under the projected weights (2 t, 2 t).
     """
     pulls = (projected @ missed).reshape(-1, 2)
     blocks = np.array([projected[row : row + 2, row : row + 2] for row in range(0, len(missed), 2)])
     alone = np.linalg.solve(blocks, pulls[:, :, None])[:, :, 0]
     gains = (pulls * alone).sum(axis=1)
-    chances = [chance_of_misfit(chi_squared, chi_squared - float(gain), 2, freedom - 2) for gain in gains]
+    chances = [misfit_probability(chi_squared, chi_squared - float(gain), 2, freedom - 2) for gain in gains]
     return chances, np.linalg.norm(alone, axis=1)
 
 
 @dataclass(frozen=True)
 class _GravityMisfit:
-    """How far (2,) the rates carry gravity beside where it was, in radians along two directions `across` (2, 3) it; the
-    derivative (2, 9) of where they carry it by the inverse response, row by row; and the turn (3, 3) `onward`.
+    """Error (2,) of gravity's direction after a turn, in radians along two perpendicular directions `across` (2, 3);
+    the derivative (2, 9) of the direction by the inverse response, row by row; and the rotation (3, 3) `onward`.
     """
 
     missed: Floats
@@ -282,8 +278,8 @@ class _GravityMisfit:
 
 
 def _missed(turn: _Turn, inverse: Floats) -> _GravityMisfit:
-    """Carry gravity through a turn."""
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    """Integrate the rates of a turn and compare the direction of gravity with the one after it."""
+    from scipy.spatial.transform import Rotation  # slow to import
 
     rates = turn.counts @ inverse.T
     steps = turn.steps_s[:, None]
@@ -298,7 +294,7 @@ def _missed(turn: _Turn, inverse: Floats) -> _GravityMisfit:
 
 
 def _products(rotations: Floats) -> Floats:
-    """(n, 3, 3): the product of each rotation and all that follow it, in log2 n steps."""
+    """Return the product (n, 3, 3) of each rotation and all that follow it, in log2 n steps."""
     products, reach = rotations.copy(), 1
     while reach < len(products):
         products[:-reach] = products[:-reach] @ products[reach:]

@@ -176,7 +176,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     imuarray calibrate axes poses.h5 -o array.toml --force
     """
     from imuarray.atomic import write_text
-    from imuarray.calibrate.pointing import find_pointing, held_poses, with_axes
+    from imuarray.calibrate.pointing import find_pointing, upright_poses, with_axes
     from imuarray.commands.calibrate_axes import print_report, report_of
     from imuarray.log import open_log
 
@@ -184,7 +184,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     with open_log(run) as log:
         if not log.config:
             raise click.UsageError(f"{run}: this log has no configuration to write the axes into")
-        pointings = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
+        pointings = find_pointing(log, upright_poses(log, poses.split(",") if poses else ()))
         text = with_axes(log.config, pointings, str(run))
         report = report_of(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)

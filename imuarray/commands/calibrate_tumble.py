@@ -12,7 +12,7 @@ from imuarray.printable import printable
 from imuarray.units import READABLE
 
 if TYPE_CHECKING:
-    from imuarray.calibrate import Tumble, TurnFit
+    from imuarray.calibrate import TumbleResult, TurnFit
     from imuarray.calibrate.fits import TriadFit
     from imuarray.log import Log, SensorLog
 
@@ -24,7 +24,7 @@ _METHODS = {
 }
 
 
-def report_of(log: Log, result: Tumble) -> dict[str, Any]:
+def report_of(log: Log, result: TumbleResult) -> dict[str, Any]:
     """Return the whole result, JSON-ready; residuals in mg, biases in g or dps, None for what can't be determined."""
     from imuarray.calibrate import cancellation
 
@@ -33,7 +33,7 @@ def report_of(log: Log, result: Tumble) -> dict[str, Any]:
         "method": result.method,
         "poses": result.poses,
         "residual_mg": {name: 1e3 * value for name, value in result.residual_g.items()},
-        "residual_apart_mg": {name: 1e3 * value for name, value in result.residual_apart_g.items()},
+        "residual_apart_mg": {name: 1e3 * value for name, value in result.held_out_residual_g.items()},
         "residual_steady_mg": {name: 1e3 * value for name, value in result.residual_steady_g.items()},
         "pose_residuals_mg": {
             name: dict(zip(result.pose_names, (1e3 * residual).tolist(), strict=True))
@@ -46,7 +46,7 @@ def report_of(log: Log, result: Tumble) -> dict[str, Any]:
     }
 
 
-def _sensor(sensor: SensorLog, result: Tumble) -> dict[str, Any]:
+def _sensor(sensor: SensorLog, result: TumbleResult) -> dict[str, Any]:
     """One sensor's Appendix B figures; the matrices, too."""
     known = result.calibration.of(sensor)
     row: dict[str, Any] = {

@@ -15,7 +15,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.start_up import start_up_states
 from imuarray.errors import CalibrationError, FusionError
 from imuarray.fuse import techniques
 from imuarray.fuse.alignment import FIRST_ROWS, choose
@@ -168,7 +168,7 @@ def _in_start_states(
 ) -> tuple[Calibration, list[str], Sequence[str]]:
     """The calibration with the biases of the states in which sensors started; sentences; the sensors to fuse."""
     by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
-    chosen, starts = came_up(log, calibration, by_sensor)
+    chosen, starts = start_up_states(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
     sentences = [start.sentence(name, calibration) for name, start in starts.items()]
     if wrong:

@@ -17,7 +17,7 @@ import numpy as np
 
 from imuarray.array import ArrayConfig, load_array
 from imuarray.atomic import write_text
-from imuarray.calibrate import Calibration, Tumble
+from imuarray.calibrate import Calibration, TumbleResult
 from imuarray.characterise import characterise_log
 from imuarray.errors import ConfigError, LogError
 from imuarray.fuse import errors_of, fuse
@@ -168,7 +168,7 @@ def _sentence(error: ArrayError) -> str:
     )
 
 
-def verdict_of(errors: list[ArrayError], tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
+def verdict_of(errors: list[ArrayError], tumble: TumbleResult, diagnosis: Diagnosis) -> Verdict:
     """Return the verdict: what averaging gains at rest, the quality of the calibration, the gap of the simulator."""
     at_rest = [error for error in errors if error.run == "static"]
     figures = [

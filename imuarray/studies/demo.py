@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imuarray.calibrate import Calibration, Tumble, calibrate_noise, calibrate_tumble
+from imuarray.calibrate import Calibration, TumbleResult, calibrate_noise, calibrate_tumble
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import allan_figure
 from imuarray.errors import LogError, OutputExistsError
@@ -108,7 +108,7 @@ def summary(rows: Rows) -> list[str]:
     ]
 
 
-def demo_verdict(rows: Rows, tumble: Tumble, diagnosis: Diagnosis) -> Verdict:
+def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verdict:
     """Return the verdict: the gain of the three techniques, the quality of the calibration, and the gap of the
     simulator.
     """
@@ -186,7 +186,7 @@ def recorded_section(logs: Mapping[str, Path], about: str = ABOUT_PAPERS_ARRAY) 
     )
 
 
-def calibration_section(tumble: Tumble) -> Section:
+def calibration_section(tumble: TumbleResult) -> Section:
     """Bias and scale factor of every axis, with standard errors."""
     rows = []
     for name, sensor in tumble.calibration.sensors.items():
@@ -455,7 +455,7 @@ def _diagnosed(path: Path, seed: int) -> Diagnosis:
         return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
 
 
-def calibrate_run(path: Path, folder: Path) -> tuple[Tumble, Calibration]:
+def calibrate_run(path: Path, folder: Path) -> tuple[TumbleResult, Calibration]:
     """Calibrate by a run on six faces, and save the result as calibration.toml."""
     with open_log(path) as log:
         tumble = calibrate_tumble(log)

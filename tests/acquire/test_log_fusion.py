@@ -310,13 +310,13 @@ def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_row
     asked: list[bool] = []
     pressure = SensorHeader("P", "bmp180", "pressure", "Pa", 0.0, 0.0)
 
-    def came_up() -> Calibration:
+    def start_up_states() -> Calibration:
         asked.append(True)
         known = {header.name: replace(nominal(header), bias_lsb=np.array([0.0, 0.0, 256.0])) for header in HEADERS}
         return Calibration(known)
 
     paths = tmp_path / "f.h5", tmp_path / "r.h5"
-    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, start_calibration=came_up))
+    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, start_calibration=start_up_states))
     fusion.begin(EPOCH, [*HEADERS, pressure])
     fusion.observe("P", rows(0))
     time.sleep(0.3)

@@ -299,7 +299,7 @@ def test_a_drift_is_told_from_the_rest(pair: tuple[SensorLog, ...]) -> None:
     # First less last; a slope over 20 poses is known to 5 sqrt(12 / 20) of a noise of 5 counts.
     assert found.drift_lsb == pytest.approx(np.full((2, 3), -80.0), abs=6 * 5 * np.sqrt(12 / 20))
     assert found.residual_g.max() < 4 * 5 / 2048
-    assert found.residual_apart_g.max() < 8 * 5 / 2048
+    assert found.held_out_residual_g.max() < 8 * 5 / 2048
 
 
 def test_a_pose_that_was_not_at_rest_is_left_out_and_named(pair: tuple[SensorLog, ...]) -> None:

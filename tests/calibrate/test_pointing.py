@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, held_poses, with_axes
+from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, upright_poses, with_axes
 from imuarray.commands.calibrate_axes import print_report, report_of
 from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log
@@ -91,7 +91,7 @@ AXES = {"a1": "-Y+X+Z", "a2": "+Y+X-Z", "a3": "+Z+X+Y", "g1": "+X-Y-Z", "g2": "-
 @pytest.mark.parametrize("named", [True, False])
 def test_three_poses_tell_every_axis(written: Written, named: bool) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"), named=named)) as log:
-        found = find_pointing(log, held_poses(log))
+        found = find_pointing(log, upright_poses(log))
     assert {each.sensor: each.axes for each in found} == AXES
 
 
@@ -104,7 +104,7 @@ def test_every_way_to_mount_a_chip_is_found(written: Written) -> None:
     assert len(set(signs)) == 24
     ups = ("-Z", "+Y", "-X", "+X")
     with open_log(written(axes, ups, bias=0.2)) as log:
-        found = find_pointing(log, held_poses(log, ups))
+        found = find_pointing(log, upright_poses(log, ups))
     assert {each.sensor: each.axes for each in found} == axes
 
 
@@ -113,32 +113,35 @@ def test_poses_held_in_another_order_are_refused(written: Written) -> None:
         open_log(written(AXES, ("+Z", "+X", "+Y"))) as log,
         pytest.raises(CalibrationError, match=r"not \+X, \+Z, \+Y up"),
     ):
-        find_pointing(log, held_poses(log, ("+X", "+Z", "+Y")))
+        find_pointing(log, upright_poses(log, ("+X", "+Z", "+Y")))
 
 
 def test_one_of_two_accelerometers_that_no_orientation_explains_is_not_determined(written: Written) -> None:
     """Half of them can't outvote the poses; more than half can: the other test. A mirrored triad fits no rotation."""
     with open_log(written({"a1": "-Y+X+Z", "a2": "-X+Y+Z"}, ("+Z", "+X", "+Y"))) as log:
-        pointings = {each.sensor: each for each in find_pointing(log, held_poses(log))}
+        pointings = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
     assert pointings["a1"].axes == "-Y+X+Z"
     assert pointings["a2"].axes == "" and "no orientation explains" in pointings["a2"].reason
 
 
 def test_another_number_of_poses_is_told_with_their_times(written: Written) -> None:
-    with open_log(written(AXES, ("+Z", "+X"))) as log, pytest.raises(CalibrationError, match=r"2 poses found \(.* s\)"):
-        held_poses(log)
+    with (
+        open_log(written(AXES, ("+Z", "+X"))) as log,
+        pytest.raises(CalibrationError, match=r"2 poses detected \(.* s\)"),
+    ):
+        upright_poses(log)
 
 
 def test_one_way_up_tells_nothing(written: Written) -> None:
     alike = pytest.raises(CalibrationError, match="one box axis up")
     with open_log(written(AXES, ("+Z", "+Z", "-Z"), named=True)) as log, alike:
-        find_pointing(log, held_poses(log))
+        find_pointing(log, upright_poses(log))
 
 
 def test_without_a_gyroscope_a_magnetometer_is_not_told(written: Written) -> None:
     axes = {name: text for name, text in AXES.items() if name[0] != "g"}
     with open_log(written(axes, ("+Z", "+X", "+Y"))) as log:
-        found = {each.sensor: each for each in find_pointing(log, held_poses(log))}
+        found = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
     assert found["m1"].axes == "" and "gyroscope" in found["m1"].reason
     assert found["a3"].axes == AXES["a3"]
 
@@ -147,14 +150,14 @@ def test_two_poses_leave_a_gyroscope_untold(written: Written) -> None:
     """One turn: whatever is turned about its axis looks the same."""
     ups = ("+Z", "+X")
     with open_log(written(AXES, ups)) as log:
-        found = {each.sensor: each for each in find_pointing(log, held_poses(log, ups))}
+        found = {each.sensor: each for each in find_pointing(log, upright_poses(log, ups))}
     assert found["a1"].axes == AXES["a1"]
     assert found["g1"].axes == "" and "as good as" in found["g1"].reason
 
 
 def test_an_unknown_pose_is_refused(written: Written) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"))) as log, pytest.raises(CalibrationError, match="allowed are"):
-        held_poses(log, ("+Z", "X", "+Y"))
+        upright_poses(log, ("+Z", "X", "+Y"))
 
 
 FOUND = [Pointing("A", "bma180", "+Y+X-Z", 0.01, 1.0)]

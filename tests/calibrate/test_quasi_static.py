@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from imuarray.calibrate import Tumble, calibrate_tumble
+from imuarray.calibrate import TumbleResult, calibrate_tumble
 from imuarray.calibrate.tumble import STRETCH_S, _middle
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
@@ -67,7 +67,7 @@ def record(path: Path, force: Floats, sensors: dict[str, tuple[Floats, Floats]],
     return path
 
 
-def found(path: Path) -> Tumble:
+def found(path: Path) -> TumbleResult:
     with open_log(path) as log:
         return calibrate_tumble(log)
 

@@ -13,10 +13,10 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.correlated import CorrelatedNoise, products, regress
+from imuarray.calibrate.correlated_noise import CorrelatedNoise, products, regress
 from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means
-from imuarray.calibrate.thermal import ThermalResult, _tells_curvature, calibrate_thermal, fit_axes
+from imuarray.calibrate.thermal import ThermalResult, _determines_curvature, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
@@ -427,7 +427,7 @@ def test_segments_are_means_of_sound_rows(write: Write) -> None:
         ({"warm": np.full(ROWS, 25.0)}, r"G: the temperature changed by 0\.0 degC"),
         ({"warm": 24 + NS * 1e-11}, "G: the temperature changed so steadily"),
         ({"thermometer": "none"}, "G: no thermometer"),
-        ({"phases": [Phase(0, 1, "z_up", "+Z"), Phase(1, 2, "x_up", "+X")]}, r"its phases say up \+X, \+Z"),
+        ({"phases": [Phase(0, 1, "z_up", "+Z"), Phase(1, 2, "x_up", "+X")]}, r"its phases have up \+X, \+Z"),
         ({"phases": [Phase(0, 1190 * 10**9, "motion")]}, "G: 2 segments of 5 s"),
     ],
 )
@@ -521,5 +521,5 @@ def test_the_other_slopes_of_the_published_ramp(tmp_path: Path) -> None:
 def test_two_temperatures_tell_no_curvature_and_a_bow_does_at_any_size(span_degc: float) -> None:
     """Squares of two levels are a straight line in them; those of a sine in time are not, in whatever unit."""
     clock = np.linspace(-1, 1, 101)
-    assert not _tells_curvature(clock, span_degc * (clock > 0.3))
-    assert _tells_curvature(clock, span_degc * np.sin(3 * clock))
+    assert not _determines_curvature(clock, span_degc * (clock > 0.3))
+    assert _determines_curvature(clock, span_degc * np.sin(3 * clock))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imuarray.array import load_array
-from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.gravity import in_box_frame, solve
+from imuarray.calibrate import TumbleResult, calibrate_tumble
+from imuarray.calibrate.gravity import solve, turn_into_box_frame
 from imuarray.log import open_log
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
@@ -29,7 +29,7 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
 }
 
 
-def on_faces(path: Path, tilts: tuple[tuple[float, float], ...]) -> Tumble:
+def on_faces(path: Path, tilts: tuple[tuple[float, float], ...]) -> TumbleResult:
     """Seven faces of 10 s, turns of 3 s, on a table that leans (degrees)."""
     motion = OnFaces(10.0, 3.0, tilts_deg=tilts)
     plan = plan_of(load_array(CONFIG).only(SENSORS), 100.0, motion.seconds)
@@ -110,7 +110,7 @@ def test_the_box_frame_is_the_mean_of_the_configured_axes() -> None:
     readings = rows @ up.T + 0.1 + rng.normal(0, 1e-3, (6, 20))
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     found = [
-        in_box_frame(solve(readings, np.full((6, 20), 1e6), np.ones((20, 1)), start), orientations)
+        turn_into_box_frame(solve(readings, np.full((6, 20), 1e6), np.ones((20, 1)), start), orientations)
         for start in (up, up @ turn)
     ]
     for each in found:
@@ -136,7 +136,7 @@ def test_directions_are_within_their_covariance() -> None:
     for _ in range(200):
         up: Floats = directions(12, rng)
         readings = rows @ up.T + rng.normal(0, 1e-4, (6, 12))
-        found = in_box_frame(solve(readings, np.full((6, 12), 1e8), np.ones((12, 1)), up), orientations)
+        found = turn_into_box_frame(solve(readings, np.full((6, 12), 1e8), np.ones((12, 1)), up), orientations)
         error = (found.up_box - up).ravel()
         squares.append(error @ np.linalg.pinv(found.up_covariance, rcond=1e-7, hermitian=True) @ error)
     assert np.mean(squares) == pytest.approx(24, abs=3.3 * np.sqrt(2 * 24 / 200))

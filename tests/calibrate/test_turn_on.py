@@ -10,8 +10,8 @@ import pytest
 from scipy.stats import f
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
-from imuarray.calibrate.correlated import mean_of_series
-from imuarray.calibrate.runs import SensorRuns, best_split, explained_range, runs_apart, two_states
+from imuarray.calibrate.correlated_noise import mean_of_series
+from imuarray.calibrate.runs import SensorRuns, best_split, explained_range, isolated_runs, two_states
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.calibrate.start_up import state_of
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, compare_runs, holm
@@ -172,9 +172,9 @@ def test_the_smaller_of_two_states_is_not_apart_but_a_lone_run_is() -> None:
     rng = np.random.default_rng(16)
     means = rng.normal(size=(15, 3))
     means[[3, 8, 11]] += 40.0
-    assert not runs_apart(means, np.zeros(3)).any()
+    assert not isolated_runs(means, np.zeros(3)).any()
     means[5] -= 60.0
-    assert np.flatnonzero(runs_apart(means, np.zeros(3))).tolist() == [5]
+    assert np.flatnonzero(isolated_runs(means, np.zeros(3))).tolist() == [5]
 
 
 def wandering(rng: np.random.Generator, runs: int, parts: int, rms: float, correlation_s: float) -> Floats:

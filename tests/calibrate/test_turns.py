@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from imuarray.calibrate import Tumble, calibrate_tumble
+from imuarray.calibrate import TumbleResult, calibrate_tumble
 from imuarray.calibrate.turns import TOLERANCE, _missed, _Turn
 from imuarray.log import open_log
 from imuarray.simulate.effects.misalignment import Misalignment
@@ -29,7 +29,7 @@ def planted(sensitivity: float, orientation: Floats) -> Floats:
 
 def tumble(
     path: Path, motion: Tumbled, noise_g: float, noise_dps: float, seed: int, gyroscopes: tuple[str, ...] = GYROSCOPES
-) -> tuple[Tumble, dict[str, Floats]]:
+) -> tuple[TumbleResult, dict[str, Floats]]:
     """What a calibration of a simulated log finds, and the true responses."""
     record(path, motion, effects(noise_g, noise_dps), seed=seed, only=(*ACCELEROMETERS, *gyroscopes))
     with open_log(path) as log:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.start_up import start_up_states
 from imuarray.errors import LogError
 from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import errors_of, fuse, technique_names
@@ -70,7 +70,7 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
         write_log(simulated(ARRAYS[ARRAY](), motion, seed, 0, FAULTS), path)
         with open_log(path) as log:
             ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
-            calibration, _ = came_up(log, measured(ARRAY, seed)[NO_SLOPES], ranges)
+            calibration, _ = start_up_states(log, measured(ARRAY, seed)[NO_SLOPES], ranges)
             for technique in technique_names():
                 time, errors = errors_of(log, fuse(log, calibration, technique))["angular_rate"]
                 means = ten_second_means(time, errors)

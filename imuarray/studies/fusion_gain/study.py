@@ -22,7 +22,7 @@ import numpy as np
 from imuarray.array import ArrayConfig
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.start_up import start_up_states
 from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
 from imuarray.fuse.compare import both, consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
@@ -146,7 +146,7 @@ def _of_boot(
                 if file == "all.h5":
                     wanted = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
                     for which in wanted:
-                        calibration, _ = came_up(log, known[which], ranges)
+                        calibration, _ = start_up_states(log, known[which], ranges)
                         yield from _compared(log, calibration, names, partial(label, calibration=which))
                 else:
                     yield from _beside_bound(log, simulation, names, partial(label, calibration=TRUE))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.start_up import start_up_states
 from imuarray.fuse import OPTIMAL, error_frames, fuse
 from imuarray.log import Log, open_log
 from imuarray.simulate import Simulation, plan_of, write_log
@@ -82,7 +82,7 @@ def test_opposed_gyroscopes_follow_the_heat_less(tmp_path: Path) -> None:
     array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
     write_log(simulated(array, MOTIONS["heating"](ExperimentOptions(seconds=660.0)), 1, 200, FAULTS), path)
     with open_log(path) as log:
-        calibration, _ = came_up(log, measured("martin2013", 1)[NO_SLOPES])
+        calibration, _ = start_up_states(log, measured("martin2013", 1)[NO_SLOPES])
         mean, opposed = (_drifts(log, calibration, technique)[0] for technique in ("mean", "opposed"))
     x, y, z = np.abs(opposed / mean)
     assert y <= 0.1 and max(x, z) <= 1.01
@@ -105,7 +105,7 @@ def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
         known = measured("martin2013", seed)[NO_SLOPES]
         techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
         with open_log(path) as log:
-            calibration, _ = came_up(log, known)
+            calibration, _ = start_up_states(log, known)
             found = [_drifts(log, calibration, technique) for technique in techniques]
         x, y, z = np.abs(found[1][0] / found[0][0])
         assert y <= 0.1 and max(x, z) <= 1.01

@@ -13,7 +13,7 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.start_up import StartUpJudge, _restlessness, came_up
+from imuarray.calibrate.start_up import StartUpJudge, _restlessness, start_up_states
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
@@ -86,7 +86,7 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
 
     known = load_calibration(calibration_file)
     with open_log(write(tmp_path / "today.h5", 50, second=second)) as log:
-        chosen, starts = came_up(log, known, BY_SENSOR)
+        chosen, starts = start_up_states(log, known, BY_SENSOR)
     lsb_per_dps = 1 / 0.00875  # L3G-40
     expected = [(0.3 + second * offset) * lsb_per_dps for offset in OFFSET_DPS]
     # a state's bias is known to 0.2 counts (turn-on 0.23, noise 20 / sqrt(3000), over four runs at least)
@@ -134,7 +134,7 @@ def test_a_log_without_rest_says_nothing(calibration_file: Path, tmp_path: Path)
     chains = {"G": [effect("white_noise", rms=0.18)]}
     write_log(Simulation(plan_of(ARRAY, 50.0, 60.0), shaken, chains), tmp_path / "shaken.h5")
     with open_log(tmp_path / "shaken.h5") as log:
-        _, starts = came_up(log, known, BY_SENSOR)
+        _, starts = start_up_states(log, known, BY_SENSOR)
     assert "B" not in starts or not starts["B"].fault
 
 

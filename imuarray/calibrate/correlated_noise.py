@@ -26,11 +26,11 @@ from imuarray.arrays import Floats
 
 _CELLS = 6
 _ENOUGH = 8.0
-"""The least number of grid cells that must share the likelihood; with fewer the grid is refined."""
+"""Effective number of grid points under the likelihood; with fewer the grid is refined."""
 
 _RIDGE = 1e-12
-"""The ridge that keeps the normal equations of collinear regressors regular; their coefficients are then practically
-unknown.
+"""Relative ridge that keeps the normal equations of collinear regressors regular; the standard errors of their
+coefficients become very large.
 """
 
 _LOG_ODDS = (-4.0, 6.0)
@@ -48,8 +48,8 @@ class CorrelatedNoise:
 def likely_noises(
     score: Callable[[Sequence[CorrelatedNoise]], Floats], shortest_s: float, longest_s: float
 ) -> tuple[CorrelatedNoise, ...]:
-    """A grid of noises around the likely ones; `score` gives their logarithmic likelihoods (g,), correlation times lie
-    between `shortest_s` and `longest_s`.
+    """Return a grid of noises (g) around the likely ones; `score` returns their log likelihoods (g,). Correlation times
+    are between `shortest_s` and `longest_s`.
     """
     box = np.array([np.log([shortest_s, max(longest_s, 2 * shortest_s)]), _LOG_ODDS])
     for _ in range(4):
@@ -65,11 +65,11 @@ def likely_noises(
 
 
 def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[Floats, float]:
-    """``columns.T @ inverse(C) @ columns`` (k, k) of columns (n, k), and the logarithm of C's determinant.
+    """Return ``columns.T @ inverse(C) @ columns`` (k, k) for columns (n, k), and the logarithm of C's determinant.
 
-    `gaps_s` (n - 1,) are the times between neighbours; an infinite one begins anew.
+    `gaps_s` (n - 1,) are the times between neighbours; an infinite gap separates two independent series.
     """
-    from scipy.linalg.lapack import dpttrf, dpttrs  # their weight is for those who ask
+    from scipy.linalg.lapack import dpttrf, dpttrs  # slow to import
 
     kept = np.exp(-gaps_s / noise.correlation_s)
     steps = columns.copy()
@@ -82,8 +82,8 @@ def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[F
 
 @dataclass(frozen=True)
 class Regression:
-    """Least squares for one pair or for many (leading dimensions): coefficients (..., p), their covariance
-    (..., p, p), the logarithms of the profile likelihood and of the restricted one, and the variance.
+    """Least squares under one noise or many (leading dimensions): coefficients (..., p), their covariance (..., p, p),
+    the logarithms of the profile likelihood and of the restricted likelihood, and the variance.
     """
 
     coefficients: Floats
@@ -94,16 +94,15 @@ class Regression:
 
 
 def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
-    """Least squares from `products` (..., 1 + p, 1 + p) of a series (first) and its p regressors, over `rows` rows."""
+    """Solve least squares from `products` (..., 1 + p, 1 + p) of a series (first) and its p regressors, over `rows`."""
     cross = sums[..., 1:, 0]
     inner = sums[..., 1:, 1:] * (1 + _RIDGE * np.eye(sums.shape[-1] - 1))
     inverse = np.linalg.inv(inner)
     coefficients = np.einsum("...ij,...j->...i", inverse, cross)
     freedom = rows - inner.shape[-1]
     remaining = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
-    remaining = np.maximum(
-        remaining, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300)
-    )  # a series of nothing but its regressors
+    # A series that is exactly a combination of its regressors leaves nothing.
+    remaining = np.maximum(remaining, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300))
     variance = remaining / freedom
     return Regression(
         coefficients,
@@ -115,15 +114,15 @@ def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
 
 
 def weights(log_likelihood: Floats, axis: int | tuple[int, ...] = -1) -> Floats:
-    """Likelihoods over their sum along `axis`."""
+    """Return likelihoods divided by their sum along `axis`."""
     raised = np.exp(log_likelihood - log_likelihood.max(axis=axis, keepdims=True))
     return np.asarray(raised / raised.sum(axis=axis, keepdims=True))
 
 
 @dataclass(frozen=True)
 class MeanVariance:
-    """Variance of a run's mean, as far as it is known: values (g,) under g noises, their shares (g,), and the degrees
-    of freedom that each has.
+    """Estimated variance of a run's mean: values (g,) under g noises, the probabilities `share` (g,) of these, and the
+    degrees of freedom of each value.
     """
 
     values: Floats
@@ -142,20 +141,20 @@ class MeanVariance:
         return 2 * self.mean**2 / scatter if scatter > 0 else float(self.own_freedom)
 
     def chance_of(self, variance: float, freedom: int) -> float:
-        """Probability that run means that differ by this noise alone have so large a variance or a larger one: the
-        upper tail of F under each noise, by its share.
+        """Return the probability that run means that differ by this noise alone have this variance or a larger one: the
+        upper tail of F, averaged over the noises.
         """
-        from scipy.special import fdtrc  # its weight is for those who ask
+        from scipy.special import fdtrc  # slow to import
 
         ratios = variance / np.maximum(self.values, 1e-300)
         return float(self.share @ fdtrc(freedom, self.own_freedom, ratios))
 
 
 def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]) -> MeanVariance:
-    """Return the variance of several runs' own means, averaged over the runs.
+    """Return the variance of the mean of a run, averaged over several runs.
 
-    `values` (n,) are all runs one after the other, with infinite `gaps_s` (n - 1,) between runs that begin at rows
-    `starts` (r,). The noise is the same in all of them, the mean is not.
+    `values` (n,) are all runs in sequence, with infinite `gaps_s` (n - 1,) between runs, which begin at rows `starts`
+    (r,). All runs have the same noise and different means.
     """
     finite = gaps_s[np.isfinite(gaps_s)]
     lengths = np.diff([*starts, len(values)])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.disturbed import another_go, chance_of_misfit, worst
+from imuarray.calibrate import TumbleResult, calibrate_tumble
+from imuarray.calibrate.outliers import find_outlier, misfit_probability, separated_poses
 from imuarray.calibrate.pose_readings import Pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
@@ -32,7 +32,7 @@ def three(mounted: Sequence[str] = AXES) -> list[Part]:
     ]
 
 
-def calibrate(write_log: WriteLog, labels: Mapping[str, str], parts: Sequence[Part] = ()) -> Tumble:
+def calibrate(write_log: WriteLog, labels: Mapping[str, str], parts: Sequence[Part] = ()) -> TumbleResult:
     """Six faces and a check, some under another name."""
     named = [(labels.get(name, name), UPS[labels.get(name, name)]) for name in UPS]
     with open_log(write_log.faces(parts or three(), labels=named, rows=64)) as log:
@@ -114,7 +114,7 @@ def test_a_face_that_leaned_is_left_out_and_named(tmp_path: Path) -> None:
     check_bias(result)
 
 
-def check_bias(result: Tumble) -> None:
+def check_bias(result: TumbleResult) -> None:
     """Of at least five faces, six standard errors of the worse half difference of two."""
     for part in three():
         found = result.calibration.sensors[part.header.name]
@@ -159,15 +159,15 @@ def test_a_table_that_leans_every_time_is_in_the_standard_errors(tmp_path: Path)
 
 def test_a_misfit_s_chance_is_that_of_the_f_distribution() -> None:
     """F(2, 10) above 4.103 in 5 % of cases (tables); a fit without freedom tells nothing."""
-    assert chance_of_misfit(10.0 + 2 * 4.103, 10.0, 2, 10) == pytest.approx(0.05, abs=1e-4)
-    assert chance_of_misfit(10.0, 1.0, 2, 0) == 1.0
+    assert misfit_probability(10.0 + 2 * 4.103, 10.0, 2, 10) == pytest.approx(0.05, abs=1e-4)
+    assert misfit_probability(10.0, 1.0, 2, 0) == 1.0
 
 
 def test_the_worst_is_one_that_is_both_unlikely_and_large() -> None:
     sizes = np.array([0.1, 0.001, 0.1])
-    assert worst([0.5, 1e-9, 0.5], sizes, 0.01) is None
-    assert worst([0.5, 1e-9, 1e-6], sizes, 0.01) == 2
-    assert worst([0.5, 0.5, 5e-4], sizes, 0.01) is None  # one of three at 1e-3 in all
+    assert find_outlier([0.5, 1e-9, 0.5], sizes, 0.01) is None
+    assert find_outlier([0.5, 1e-9, 1e-6], sizes, 0.01) == 2
+    assert find_outlier([0.5, 0.5, 5e-4], sizes, 0.01) is None  # one of three at 1e-3 in all
 
 
 def test_a_go_ends_with_a_long_break() -> None:
@@ -175,11 +175,11 @@ def test_a_go_ends_with_a_long_break() -> None:
         return Pose(Phase(start_s * 10**9, (start_s + 8) * 10**9, "pose"), None)
 
     regular = [pose(10 * k) for k in range(6)]
-    assert another_go(regular) == {}
-    assert list(another_go([*regular, pose(90)])) == [6]
-    assert another_go([*regular, *(pose(200 + 10 * k) for k in range(6))]) == {}  # neither is the larger
+    assert separated_poses(regular) == {}
+    assert list(separated_poses([*regular, pose(90)])) == [6]
+    assert separated_poses([*regular, *(pose(200 + 10 * k) for k in range(6))]) == {}  # neither is the larger
     slow = [pose(50 * k) for k in range(6)]
-    assert another_go([*slow, pose(360)]) == {}
+    assert separated_poses([*slow, pose(360)]) == {}
 
 
 def test_ideal_axes_are_needed_by_none(write_log: WriteLog) -> None:
