@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import bars, force_option, json_option, print_json, refuse_existing
+from imuarray.printable import printable
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
@@ -69,7 +70,9 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     with _opened(runs, output, update, force) as logs, bars() as moved:
         result = calibrate_tumble(*logs, progress=moved)
         report = report_of(logs[0], result)
-    _finish(result.calibration, report, print_report, CalibrationOutput(output, update, force, as_json))
+    target = CalibrationOutput(output, update, force, as_json)
+    _finish(result.calibration, report, print_report, target)
+    _print_verdict(target)
 
 
 @command.command("noise", short_help="noise, its spectrum and drift, from rest")
@@ -93,7 +96,9 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     with _opened(runs, output, update, force) as logs, bars() as moved:
         known = load_calibration(output) if update and output.exists() else None
         calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
-    _finish(calibration, report_of(calibration), print_report, CalibrationOutput(output, update, force, as_json))
+    target = CalibrationOutput(output, update, force, as_json)
+    _finish(calibration, report_of(calibration), print_report, target)
+    _print_verdict(target)
 
 
 @command.command("thermal", short_help="how biases change with temperature")
@@ -116,7 +121,9 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 
     with _opened(runs, output, update, force) as logs:
         result = calibrate_thermal(*logs)
-    _finish(result.calibration, report_of(result), print_report, CalibrationOutput(output, update, force, as_json))
+    target = CalibrationOutput(output, update, force, as_json)
+    _finish(result.calibration, report_of(result), print_report, target)
+    _print_verdict(target)
 
 
 @command.command("turn-on", short_help="how biases change from one switch-on to the next")
@@ -252,6 +259,15 @@ def _finish(
     else:
         calibration.save(output, force=target.force)
     _print_result({**report, "calibration": str(output)}, show, output, target.as_json)
+
+
+def _print_verdict(target: CalibrationOutput) -> None:
+    """Print how good the whole calibration file is, in one sentence."""
+    from imuarray.calibrate import load_calibration
+    from imuarray.report.verdicts import calibration_verdict
+
+    if not target.as_json:
+        click.echo(printable(calibration_verdict(target.output, load_calibration(target.output)).sentence))
 
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:

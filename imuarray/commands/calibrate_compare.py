@@ -72,7 +72,9 @@ def print_report(report: dict[str, Any]) -> None:
 def _print_changes(changes: list[dict[str, Any]]) -> None:
     changed = sorted((row for row in changes if row["changed"]), key=lambda row: -row["sigmas"])
     if changed:
-        click.echo(f"{'axis':14} {'figure':14} {'from':>12} {'to':>12} {'change':>12}        {'sigmas':>7} {'p':>8}")
+        click.echo(
+            f"{'axis':14} {'figure':14} {'from':>12} {'to':>12} {'change':>12}        {'sigmas':>7} {'p':>8}   files"
+        )
     for row in changed[:_MOST]:
         factor, unit = _in_words(row["unit"])
         values = dict(zip(row["calibrations"], row["values"], strict=True))

@@ -26,23 +26,22 @@ def report_of(calibration: Calibration) -> dict[str, Any]:
 
 def print_report(report: dict[str, Any]) -> None:
     """The same as a table, and the lines in a sentence each."""
-    click.echo(
-        f"{'axis':14} {'noise, counts rms':>19} {'noise':>17} {'neighbours':>11} {'lines':>6}"
-        f" {'drift, counts rms':>18} {'time constant':>24}"
-    )
+    drifting = any(row["drift"] is not None for row in report["sensors"])
+    drift_heads = f" {'drift, LSB rms':>18} {'time constant':>24}" if drifting else ""
+    click.echo(f"{'axis':14} {'noise, LSB rms':>19} {'noise':>17} {'lag-1':>8} {'lines':>6}{drift_heads}")
     for row in report["sensors"]:
         for index, axis in enumerate("xyz" if row["noise_lsb"] else ""):
             click.echo(
                 f"{row['name'] + ' ' + axis:14}"
                 f" {_measured(row['noise_lsb'][index], _entry(row['noise_sem_lsb'], index)):>19}"
                 f" {row['noise'][index]:9.3f} {row['noise_unit'] + ' rms':>7}"
-                f" {_correlation(row['noise_correlation'], index):>11} {_lines(row, axis):>6}"
-                f" {_drift(row, index):>18} {_time_constant(row):>24}".rstrip()
+                f" {_correlation(row['noise_correlation'], index):>8} {_lines(row, axis):>6}"
+                + (f" {_drift(row, index):>18} {_time_constant(row):>24}" if drifting else "").rstrip()
             )
     for sentence in _sentences(report):
         click.echo(sentence)
-    if all(row["drift"] is None for row in report["sensors"]):
-        click.echo("drift: not determined, all stretches are too short")
+    click.echo("lag-1: correlation of neighbouring readings; lines: share of spectral lines in the variance")
+    click.echo("drift: slow change of the mean" if drifting else "drift: not determined, all stretches are too short")
 
 
 def _row(sensor: SensorCalibration) -> dict[str, Any]:
@@ -108,7 +107,7 @@ def _time_constant(row: dict[str, Any]) -> str:
     if drift is None or not any(
         rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)
     ):
-        return ""
+        return "-"
     ends = drift["time_constant_interval_s"] or (None, None)
     first, last = (None if end is None or np.isnan(end) else _whole(end) for end in ends)
     if first is None:
@@ -126,7 +125,7 @@ def _whole(seconds: float) -> str:
 def _lines(row: dict[str, Any], axis: str) -> str:
     """Share of all lines of an axis in its variance."""
     share = sum(line["share"] for line in row["lines"] if line["axis"] == axis)
-    return "" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
+    return "-" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
 
 
 def _where(line: dict[str, Any]) -> str:

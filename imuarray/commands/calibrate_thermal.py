@@ -76,15 +76,16 @@ def print_report(report: dict[str, Any]) -> None:
             click.echo(f"{line}  {row['meaning'][index]}{_scale(row, index)}")
     references = sorted({row["reference_degc"] for row in report["sensors"]})
     click.echo(
-        f"slope: at {' and '.join(f'{each:.1f}' for each in references)} degC, the middle of the temperatures, where it"
-        " is the mean one over them;"
+        f"slope: at {' and '.join(f'{each:.1f}' for each in references)} degC, the middle of the temperature range;"
+        " it equals the mean slope over that range"
     )
-    click.echo("  curvature: half the change of the slope per degree, in brackets if within chance")
-    click.echo("+-: standard error, noise that wanders allowed for; 1.96 of them are a 95 % interval")
+    click.echo("curvature: half the change of the slope per degree; [0] if not significant")
+    click.echo("+-: standard error, slow noise allowed for; 1.96 standard errors give a 95 % interval")
+    click.echo("lag: delay of the sensor behind the thermometer, with its 95 % interval")
     click.echo(
-        "lag: delay of the sensor behind the thermometer, with its 95 % interval; of: the quantity with that slope"
+        "of: the quantity that has this slope; an axis along gravity that was heated on one face only does not separate"
+        " bias from scale"
     )
-    click.echo("  (an axis along gravity that was heated on one face only does not separate bias from scale)")
     _print_pairs(report["pairs"])
 
 
@@ -109,7 +110,7 @@ def _print_pairs(pairs: list[dict[str, Any]]) -> None:
     if not pairs:
         return
     click.echo("opposing axes of one design: slopes, and half their difference, by which their mean drifts")
-    click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p':>9}")
+    click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'factor':>8} {'p':>9}")
     for pair in pairs:
         less = "-" if pair["reduction"] is None else f"{pair['reduction']:.1f}"
         line = f"  {pair['first']} and {pair['second']}"
@@ -117,5 +118,5 @@ def _print_pairs(pairs: list[dict[str, Any]]) -> None:
         line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
         click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))
     click.echo(
-        "less by: slope of one axis over that of the mean; p: probability of such slopes if opposing gained nothing"
+        "factor: slope of one axis over that of the mean; p: probability of such slopes if opposing gained nothing"
     )

@@ -24,6 +24,13 @@ _METHODS = {
 }
 
 
+_RESIDUAL_KEY = (
+    "  fitted: after removing the drift of the bias; predicted: each pose by a fit to the other poses;",
+    "  stored: with the mean bias, as in the file; over noise: fitted residuals over what their noise explains;",
+    "  drift: how much the bias changed from the first to the last pose (mg)",
+)
+
+
 def report_of(log: Log, result: TumbleResult) -> dict[str, Any]:
     """Return the whole result, JSON-ready; residuals in mg, biases in g or dps, None for what can't be determined."""
     from imuarray.calibrate import cancellation
@@ -169,23 +176,23 @@ def _print_residuals(report: dict[str, Any]) -> None:
     """Rms over the poses in mg: as fitted, in poses left out in turn, and by the bias that is kept; the drift."""
     click.echo("length of the calibrated specific force less 1 g, rms over the poses (mg):")
     click.echo(
-        f"{'':14} {'fitted':>8} {'others':>8} {'steady':>8}   {'over noise':>10}   worst pose, drift of the bias"
+        f"{'':14} {'fitted':>8} {'predicted':>9} {'stored':>8} {'over noise':>11}   {'worst pose':20} drift x, y, z"
     )
     rows = {row["name"]: row for row in report["sensors"]}
     for name, value in report["residual_mg"].items():
         apart, reduced = report["residual_apart_mg"].get(name), rows[name].get("reduced_chi_squared")
-        cells = [f"{'-' if each is None else f'{each:.3f}':>8}" for each in (value, apart)]
-        cells += [
+        cells = [
+            f"{'-' if value is None else f'{value:.3f}':>8}",
+            f"{'-' if apart is None else f'{apart:.3f}':>9}",
             f"{report['residual_steady_mg'][name]:8.3f}",
-            f"{'-' if reduced is None else f'{reduced**0.5:.2f}':>12}",
+            f"{'-' if reduced is None else f'{reduced**0.5:.2f}':>11}",
         ]
         worst = max(report["pose_residuals_mg"][name].items(), key=lambda pair: abs(pair[1]))
         scales = zip(rows[name]["drift_lsb"], rows[name]["scale_lsb_per_g"], strict=True)
         drift = " ".join(f"{-1e3 * change / scale + 0.0:+.2f}" for change, scale in scales)
-        click.echo(f"{name:14} {' '.join(cells)}   {worst[0]} {worst[1]:+.3f}, {drift}")
-    click.echo(
-        "fitted: drift removed; others: each pose left out of its fit; steady: with the mean bias, which is stored"
-    )
+        click.echo(printable(f"{name:14} {' '.join(cells)}   {f'{worst[0]} {worst[1]:+.3f}':20} {drift}"))
+    for line in _RESIDUAL_KEY:
+        click.echo(line)
 
 
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:

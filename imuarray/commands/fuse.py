@@ -395,9 +395,19 @@ def _print_results(report: dict[str, Any]) -> None:
         click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:
         factor, unit = READABLE_SI[quantity]
+        rows = {result: _error_rows(errors.get(quantity, {}), factor) for result, errors in report["results"].items()}
+        if len(rows) > 1 and len(set(map(str, rows.values()))) == 1:
+            rows = {"both": rows["mean"]}  # the technique gives the average, to every printed digit
         for name, words in _WORDS.items():
-            for result in report["results"]:
-                error = report["results"][result].get(quantity, {})
-                if name in error:
-                    x, y, z = (f"{axis} {factor * value:8.3f}" for axis, value in zip("xyz", error[name], strict=True))
-                    click.echo(f"  {quantity:15} {words:38} {result:8} {x}  {y}  {z} {unit}")
+            for result, cells in rows.items():
+                if name in cells:
+                    click.echo(f"  {quantity:15} {words:38} {result:8} {cells[name]} {unit}")
+
+
+def _error_rows(errors: dict[str, Any], factor: float) -> dict[str, str]:
+    """Return the printed errors of one quantity along x, y, z by the name of the error."""
+    return {
+        name: "  ".join(f"{axis} {factor * value:8.3f}" for axis, value in zip("xyz", errors[name], strict=True))
+        for name in _WORDS
+        if name in errors
+    }

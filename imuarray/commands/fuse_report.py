@@ -54,7 +54,7 @@ _WORTH = 1.25
 _MOST_PAIRS = 20
 """Pairs that are printed."""
 
-_HEADING = f"{'each':>8} {'together':>9} {'less by':>12}"
+_HEADING = f"{'each':>8} {'together':>9} {'factor':>12}"
 
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -84,10 +84,15 @@ def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) ->
     """
     known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
     if known:
-        yield f"{'axes of one design that oppose each other':43}{'drift with 1 degC':>30}{'bias':>33}"
-        yield f"{'':43}{_HEADING}   {_HEADING}"
-        yield from map(_pair_row, known[:_MOST_PAIRS])
-        yield "less by: 95 % interval; -: no significant gain; *: the slope may be that of scale, which does not cancel"
+        drift = any(pair["drift"] is not None for pair in known)
+        width = max(22, *(len(_axes(pair)) for pair in known[:_MOST_PAIRS]))
+        heads = f"   {'drift with 1 degC':{len(_HEADING)}}  " if drift else ""
+        yield f"{'opposing axes of one design':{width + 22}}{heads} bias"
+        yield f"{'':{width + 22}}{f'{_HEADING}   ' if drift else ''}{_HEADING}"
+        for pair in known[:_MOST_PAIRS]:
+            yield _pair_row(pair, width, drift=drift)
+        scale = "; *: the slope may be that of scale, which does not cancel" if drift else ""
+        yield f"factor: by which opposing the axes reduces it, 95 % interval; -: no significant gain{scale}"
         taken = "biases and slopes" if follows_temperature else "biases"
         yield f"the calibration removes known {taken}; opposing the axes cancels what has changed since"
     if len(known) > _MOST_PAIRS:
@@ -96,13 +101,17 @@ def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) ->
         yield f"{len(pairs) - len(known)} opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
 
 
-def _pair_row(pair: dict[str, Any]) -> str:
-    """A pair in the table."""
+def _axes(pair: dict[str, Any]) -> str:
+    return f"{pair['first']} and {pair['second']}"
+
+
+def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
+    """A pair in the table, its axes in `width` characters."""
     factor, unit = READABLE_SI[pair["quantity"]]
-    axes = f"{pair['first']} and {pair['second']}"
     doubt = " " if pair["is_bias"] else "*"
-    drift, bias = (_cells(pair[what], factor) for what in ("drift", "bias"))
-    return f"{axes:22} along {pair['box_axis']}   in {unit:5}   {drift} {doubt} {bias}".rstrip()
+    slope = f"{_cells(pair['drift'], factor)} {doubt} " if drift else ""
+    place = f"{_axes(pair):{width}} along {pair['box_axis']}   in {unit:5}   "
+    return f"{place}{slope}{_cells(pair['bias'], factor)}".rstrip()
 
 
 def _cells(error: dict[str, Any] | None, factor: float) -> str:

@@ -46,6 +46,7 @@ def describe(log: Log) -> dict[str, Any]:
         "losses": list(log.losses),
         "source": log.source,
         "epoch": log.epoch,
+        "dated": log.is_dated,
         **_span(log),
         "software": log.software,
         "frame_rate_hz": log.frame_rate_hz or None,
@@ -64,12 +65,16 @@ def describe(log: Log) -> dict[str, Any]:
     }
 
 
-def _span(log: Log) -> dict[str, str | None]:
+def _span(log: Log) -> dict[str, Any]:
     """Return the wall times of its first and last rows: a part of a rotated log begins after its epoch."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     first = min((int(sensor.time[0]) for sensor in rows), default=None)
     last = max((int(sensor.time[-1]) for sensor in rows), default=None)
-    return {"begins": _wall_time(log.epoch, first), "ends": _wall_time(log.epoch, last)}
+    return {
+        "starts_s": 0.0 if first is None else first * 1e-9,
+        "begins": _wall_time(log.epoch, first),
+        "ends": _wall_time(log.epoch, last),
+    }
 
 
 def _wall_time(epoch: str, at_ns: int | None) -> str | None:
@@ -124,9 +129,14 @@ def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
 def _print(summary: dict[str, Any]) -> None:
     """Print the summary as text."""
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
-    _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
-    if summary["begins"]:
+    dated = summary["dated"]
+    imported = summary["source"] == "imported"
+    begin = ", without a date" if not dated else "" if imported else f", from {summary['epoch']}"
+    _say(f"{summary['log']}: {summary['source']}{emulated}{begin}, written by {summary['software']}")
+    if summary["begins"] and dated:
         _say(f"  rows from {summary['begins']} to {summary['ends']}, {summary['seconds']:.1f} s")
+    elif summary["begins"]:
+        _say(f"  rows over {summary['seconds']:.1f} s")
     if summary["state"] != "finished":
         hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
         shown = "what could be read" if summary["losses"] else "all that was acknowledged"
@@ -151,11 +161,13 @@ def _print(summary: dict[str, Any]) -> None:
             f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
             f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {times}{flags}".rstrip()
         )
+    zero_s = summary["starts_s"] if dated and imported else 0.0  # the seconds since 1970 mean nothing to a reader
     for phase in summary["phases"]:
         up = f" ({phase['up']} up)" if phase["up"] else ""
-        _say(f"  phase {phase['name']:12} {phase['start_s']:9.1f} s to {phase['end_s']:9.1f} s{up}")
+        start_s, end_s = phase["start_s"] - zero_s, phase["end_s"] - zero_s
+        _say(f"  phase {phase['name']:12} {start_s:9.1f} s to {end_s:9.1f} s{up}")
     for event in summary["events"][:20]:
-        _say(f"  event {event['time_s']:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
+        _say(f"  event {event['time_s'] - zero_s:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
     if len(summary["events"]) > 20:
         _say(f"  and {len(summary['events']) - 20} more events (--json lists all)")
 

@@ -26,6 +26,7 @@ from imuarray.fuse.alignment import ElementTemperature
 from imuarray.fuse.optimal.error_model import STEEP, USUAL
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.rotate import runs_of
+from imuarray.printable import listed
 from imuarray.units import READABLE
 
 AWAY_DEGC = 5.0
@@ -172,7 +173,7 @@ def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureM
             factor, unit = READABLE[known.unit]
             worst = factor * float((each.bias_sd_lsb / known.scale_lsb_per_unit).max())
             most[unit] = max(most.get(unit, 0.0), worst)
-        names = ", ".join(each.sensor for each in group)
+        names = listed([each.sensor for each in group])
         sizes = " and ".join(f"{size:.2g} {unit}" for unit, size in most.items())
         unknown = [each.sensor for each in group if calibration.sensors[each.sensor].noise_lsb is None]
         covariances = (

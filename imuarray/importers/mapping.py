@@ -89,7 +89,7 @@ def is_date_format(unit: str) -> bool:
 
 def has_no_day(unit: str) -> bool:
     """Return whether a format of dates and times has the time of day alone, which restarts at midnight."""
-    return not re.search(r"%[dj]", unit)
+    return is_date_format(unit) and not re.search(r"%[dj]", unit)
 
 
 def _time_unit(unit: str) -> str:

@@ -535,7 +535,7 @@ class _Recording:
         zero = f"column {clock.column!r}" if clock.column is not None else "the first row"
         wall = (
             "the times are UTC"
-            if clock.is_date and not has_no_day(clock.unit or "%d")
+            if clock.is_date and not has_no_day(clock.unit or "")
             else f"no wall time: the epoch stands for the zero of {zero}"
         )
         self._log.event(

@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
 
 
+_OLDEST_NS = 10 * 365 * 86_400 * 1_000_000_000
+"""The end of 1979, in ns since 1970: MEMS sensors are younger, so that smaller times of an import are no dates."""
+
+
 class Log:
     """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more.
 
@@ -141,6 +145,14 @@ class Log:
     def epoch(self) -> str:
         """ISO 8601 UTC of time 0."""
         return _text(self._file.attrs.get("epoch", ""))
+
+    @property
+    def is_dated(self) -> bool:
+        """False for an imported log whose source states no wall time: its times count from an unknown instant."""
+        if self.source != "imported" or not self.epoch.startswith("1970-01-01T00:00:00"):
+            return True
+        first_ns = min((int(sensor.time[0]) for sensor in self.sensors.values() if len(sensor)), default=0)
+        return first_ns >= _OLDEST_NS
 
     @property
     def source(self) -> str:

@@ -20,6 +20,9 @@ from imuarray.units import READABLE, STANDARD_GRAVITY
 _FEWEST = 4
 """Poses without which residuals would tell little."""
 
+_WIDEST = 12
+"""Poses up to which the table of residuals has a column for each: more do not fit on a desktop's page."""
+
 
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
     """A line: what it knows, from what."""
@@ -129,10 +132,12 @@ def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Sect
             residual_mg[row, column] = 1e3 * (np.linalg.norm(force) / STANDARD_GRAVITY - 1)
     names, labels = [sensor.name for sensor in sensors], [pose.phase.name for pose in poses]
     rms = np.sqrt(np.nanmean(residual_mg**2, axis=1))
-    rows = [
-        [name, *(f"{value:.2f}" for value in row), f"{own:.2f}"]
-        for name, row, own in zip(names, residual_mg, rms, strict=True)
-    ]
+    table = np.column_stack([residual_mg, rms])
+    if len(labels) > _WIDEST:  # a column for each sensor, so that the page holds all poses
+        heading, labelled = ["pose", *names], list(zip([*labels, "rms"], table.T, strict=True))
+    else:
+        heading, labelled = ["sensor", *labels, "rms"], list(zip(names, table, strict=True))
+    rows = [[name, *(f"{value:.2f}" for value in row)] for name, row in labelled]
     words = "At rest the specific force has a length of 1 g in any attitude. The figure shows the deviation, in mg."
     caption = (
         "All values should be near zero. A pose that is off in all sensors was disturbed; a sensor that"
@@ -142,5 +147,5 @@ def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Sect
     if drawn:
         drawing = residual_figure(names, labels, residual_mg)
         parts.append(Figure(drawing, caption, f"Residuals of {len(names)} accelerometers in {len(labels)} poses"))
-    parts.append(Table(["sensor", *labels, "rms"], rows, caption if not drawn else "The same values in numbers, mg."))
+    parts.append(Table(heading, rows, caption if not drawn else "The same values in numbers, mg."))
     return Section(f"{log.path.name}: residuals of the calibration", words, parts)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.errors import ImuArrayError
@@ -27,12 +27,14 @@ _POINTS = 2000
 """Means that are drawn of a course, however long."""
 
 _EVENTS = 50
-"""Events that are told one by one: the first ones."""
+"""Events that have a row each: the first ones."""
 
 
 @dataclass(frozen=True)
 class _Course:
-    """Means of so many frames each: time (n,) in s and triads (n, 3) in SI by quantity; use of sensors by quantity."""
+    """Means of so many frames each: time (n,) in s and triads (n, 3) in SI by quantity; use of sensors by quantity; the
+    standard error (3,) in SI that the result claims where it is quietest, by quantity.
+    """
 
     time_s: Floats
     triads: dict[str, Floats]
@@ -67,8 +69,10 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict
             rows.append(
                 [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
             )
-    heading = ["box axis", "unit", "scatter at rest", "its own estimate"]
-    caption = "Scatter from frame to frame in the quietest part, and the standard error that the estimate states."
+    heading = ["box axis", "unit", "scatter at rest", "error that it claims"]
+    caption = (
+        "Scatter from frame to frame in the quietest quarter, and the standard error that the result claims there."
+    )
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
     if use := _use_rows(head, course):
         words = "Share of frames in which an axis of the sensor was used; below 1, it was left out of some frames."
@@ -113,29 +117,44 @@ def _course(path: Path, frames: int) -> _Course:
     times: list[Floats] = []
     triads: dict[str, list[Floats]] = {}
     used: dict[str, Floats] = {}
-    variance: dict[str, Floats] = {}
+    variances: dict[str, list[Floats]] = {}
     for block in read_fused(path, block=width * max(1, (1 << 14) // width)):
         first = np.arange(0, len(block.time), width)
         counts = np.diff(np.append(first, len(block.time)))
         times.append(np.add.reduceat(block.time * 1e-9, first) / counts)
         for quantity, rows in block.triads.items():
             triads.setdefault(quantity, []).append(np.add.reduceat(rows, first) / counts[:, None])
-        _add_use(block, used, variance)
+        for quantity, rows in block.covariances.items():
+            variances.setdefault(quantity, []).append(_means(rows[:, :3], first))
+        _add_use(block, used)
     return _Course(
         np.concatenate(times) if times else np.zeros(0),
         {quantity: np.concatenate(parts) for quantity, parts in triads.items()},
         frames,
         {quantity: counts / max(frames, 1) for quantity, counts in used.items()},
-        {quantity: np.sqrt(np.maximum(total, 0) / max(frames, 1)) for quantity, total in variance.items()},
+        {quantity: _quiet_error(np.concatenate(parts)) for quantity, parts in variances.items()},
     )
 
 
-def _add_use(block: FusedBlock, used: dict[str, Floats], variance: dict[str, Floats]) -> None:
+def _means(rows: Floats, first: Indices) -> Floats:
+    """Return the means over stretches that begin at `first`, of the rows that are known; NaN where none is."""
+    known = np.isfinite(rows)
+    counts = np.add.reduceat(known.astype(float), first)
+    sums = np.add.reduceat(np.where(known, rows, 0.0), first)
+    return np.asarray(np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0))
+
+
+def _quiet_error(variances: Floats) -> Floats:
+    """Return the error (3,) of the lower quartile, as the scatter at rest is: in motion, uncertain times are added."""
+    known = variances[np.isfinite(variances).all(axis=1)]
+    quartile = np.quantile(known, 0.25, axis=0) if len(known) else np.full(3, np.nan)
+    return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))
+
+
+def _add_use(block: FusedBlock, used: dict[str, Floats]) -> None:
     for quantity, bits in block.used.items():
         counts = np.stack([(bits & bit != 0).sum(axis=0) for bit in (1, 2, 4)], axis=1).astype(float)
         used[quantity] = used.get(quantity, 0.0) + counts
-    for quantity, rows in block.covariances.items():
-        variance[quantity] = variance.get(quantity, 0.0) + np.nansum(rows[:, :3], axis=0)
 
 
 _Z95 = 1.96

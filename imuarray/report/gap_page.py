@@ -16,6 +16,7 @@ import numpy.typing as npt
 from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Where, needs_both_parts
 from imuarray.gap.findings.text import chance, gap_text, number, scored, share
 from imuarray.gap.model.use import Use
+from imuarray.printable import counted
 from imuarray.report import gap_tables as tables
 from imuarray.report.gap_figures import can_compare, farthest, outside, overlay_figure, shrink_figure, use_figure
 from imuarray.report.gap_map import map_figure
@@ -123,7 +124,7 @@ def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
     yield diagnosis.sentence
     yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
     gap = gap_text(diagnosis.gap)
-    yield f"What differs, on data kept back: {gap}." if diagnosis.gap.closed is not None else f"Over all: {gap}."
+    yield f"The gap, on held-out data: {gap}." if diagnosis.gap.closed is not None else f"Over all: {gap}."
     if diagnosis.unknown > 0:
         yield f"Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
 
@@ -137,8 +138,8 @@ def _map(shown: Map, *, drawn: bool) -> Section:
     small = replace(shown, domains=tuple(kept), before=shown.before[:, said], after=shown.after[:, said])
     words = (
         "The largest score of each sensor in each domain, in standard deviations of chance. Chance alone reaches "
-        f"{number(shown.limit, 2)} somewhere in one of twenty campaigns; amber cells with bold numbers are beyond it, "
-        "hatched cells have no statistic."
+        f"{number(shown.limit, 2)} in some cell in one of twenty diagnoses; amber cells with bold numbers are beyond "
+        "this limit, hatched cells have no statistic."
     )
     if silent:
         words += f" No statistic of: {', '.join(silent)}.".replace("_", " ")
@@ -172,10 +173,10 @@ def _causes(diagnosis: Diagnosis) -> Section:
     if not diagnosis.causes:
         return Section("Causes", "No cause was found.")
     words = (
-        "Effects that the simulation needs so that it looks like the recordings, most probable first; several can be "
-        "true at once, each has a probability of its own. Closes: the share of these sensors' gap that goes with it "
-        "alone, on data to which it was not fitted (unless only both parts of the data show it), with 95 % interval. "
-        "An origin that isn't the sensor means that the environment, or what the log says of itself, is to blame."
+        "Effects that make the simulation look like the recordings. Several can be present at once, so each has a "
+        "probability of its own. Closes: the share of these sensors' gap that disappears if only this effect is "
+        "added, with its 95 % interval, on held-out data (or on all data, if neither part shows the effect alone). "
+        "Origin: the sensor, its environment, or the description in the log."
     )
     each = tables.each_table(diagnosis.causes)
     return Section("Causes", words, [tables.causes_table(diagnosis.causes), *([each] if each else [])])
@@ -205,11 +206,11 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
             else "held-out data, to which nothing was fitted"
         )
         words = (
-            f"Scores of the statistics that differ, on {data}; closed is the share of the squared excess over the "
-            "floor that is gone, with 95 % interval."
+            f"Scores of the statistics that differ, on {data}. Closed is the share of the squared excess over the "
+            "floor that disappears, with its 95 % interval."
         )
     if uses:
-        words += " Figures in units of use show what the difference means in practice."
+        words += " The figures in physical units show what the difference means in practice."
     figures = [*_shrink_figures(gap), *_use_figures(uses)] if drawn else []
     more = [tables.uses_table(uses)] if uses else []
     return Section("How far it shrinks", words, [*figures, tables.shrink_table(gap), *more])
@@ -245,8 +246,8 @@ def _where(diagnosis: Diagnosis) -> Section:
     counts = [f"{sum(place.size == size for place in where)} {size}" for size in ("material", "harmless", "can't tell")]
     words = (
         f"{len(where)} statistics differ by more than chance: {', '.join(counts)}. The score is in standard "
-        "deviations of chance; the size counts margins, the least difference that matters to who uses the sensor: "
-        "material from one on, harmless below, can't tell where the data are too few."
+        "deviations of chance. The size is the difference divided by the smallest one that matters to a user of the "
+        "sensor: material from 1 on, harmless below 1, can't tell if the data are too few."
     )
     return Section("Where it differs", words, [tables.where_table(where, _counted(where))])
 
@@ -280,14 +281,14 @@ def _unshown(diagnosis: Diagnosis) -> Section:
     title = "What the recordings cannot show"
     if not diagnosis.unshown:
         return Section(title, "These recordings can show all effects of the library.")
-    words = "These effects may be present: the recordings cannot show them. The last column says what would show each."
+    words = "The recordings cannot show whether these effects are present. The last column says what to record."
     return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
 
 
 def _missing(diagnosis: Diagnosis) -> Section:
     title = "What is missing"
     if not diagnosis.missing:
-        return Section(title, "Nothing: recordings and simulator have what every statistic needs.")
+        return Section(title, "Nothing: recordings and simulator provide what every statistic needs.")
     words = (
         "What a recording or the simulator lacks is not a difference; the statistics that need it were not compared."
     )
@@ -305,8 +306,9 @@ def _judged(diagnosis: Diagnosis) -> Section:
     placebos = sum(candidate.effect == "" for candidate in judged)
     accepted = [candidate for candidate in judged if candidate.is_accepted]
     words = (
-        f"{len(judged)} candidates, {len(accepted)} of them accepted. {placebos} of them placebos, which change "
-        f"nothing that matters; {sum(candidate.effect == '' for candidate in accepted)} placebos were accepted."
+        f"{counted(len(judged), 'candidate')}, {len(accepted)} accepted. Among them {counted(placebos, 'placebo')}, "
+        "an effect that changes nothing and shows what a candidate gains by chance; "
+        f"{sum(candidate.effect == '' for candidate in accepted)} placebos were accepted."
     )
     if len(judged) > tables.MOST_ROWS:
         words += f" The best {tables.MOST_ROWS} are shown."

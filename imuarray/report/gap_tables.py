@@ -88,9 +88,7 @@ def map_table(shown: Map) -> Table:
         for sensor, before, after in zip(shown.sensors, shown.before.tolist(), shown.after.tolist(), strict=True)
     ]
     heading = ["sensor", *(domain.replace("_", " ") for domain in shown.domains)]
-    caption = (
-        f"Before → after; marked if beyond the limit of {number(shown.limit, 2)} in the end; – where nothing is said."
-    )
+    caption = f"Before → after; marked if beyond the limit of {number(shown.limit, 2)} after; –: no statistic."
     return Table(heading, rows, caption)
 
 

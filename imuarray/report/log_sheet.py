@@ -80,7 +80,8 @@ def _recorded(log: Log) -> Section:
         longest = f"{1e3 * _longest_s(sensor):.1f}"
         rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, listed or "none"])
     lost = flagged.get("lost_before", 0)
-    words = f"Epoch {log.epoch}, written by {log.software}. "
+    begin = f"Epoch {log.epoch}" if log.is_dated else "Recorded at an unknown date"
+    words = f"{begin}, written by {log.software}. "
     words += "No reading is flagged as lost. " if not lost else f"{lost} readings follow missing ones. "
     words += (
         "The flags come from the log: stale means that the chip had no new reading, saturated that an axis was at its"
@@ -153,6 +154,8 @@ def _duration(log: Log) -> str:
         if seconds < 7200
         else f"{seconds / 3600:.2f} h"
     )
+    if not log.is_dated:
+        return length
     try:
         begun = datetime.fromisoformat(log.epoch).astimezone(UTC) + timedelta(microseconds=first // 1000)
     except (ValueError, OverflowError):

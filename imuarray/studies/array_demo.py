@@ -153,7 +153,10 @@ def _rms(log: Log, calibration: Calibration, technique: str, *only: str) -> dict
 def summary(errors: list[ArrayError]) -> list[str]:
     """Return what averaging gained, run by run."""
     lines = [_sentence(error) for error in errors]
-    return [*lines, "all figures: rms error against the emulated world's truth, after the calibration from six faces"]
+    return [
+        *lines,
+        "All figures are rms errors against the truth of the emulated world, after the calibration from six faces.",
+    ]
 
 
 def _sentence(error: ArrayError) -> str:

@@ -99,12 +99,12 @@ def summary(rows: Rows) -> list[str]:
     opposed, planes, ranges = (_best(rows, case) for case in CASES if case.claim)
     case, worst = max((row for row in rows if row[1].box_axis == "XYZ"), key=lambda row: row[1].ratio)
     return [
-        f"opposed: gyroscope drift about box {opposed.box_axis} while heated {_from_to(opposed)}",
-        f"planes: specific force along box {planes.box_axis} at rest {_from_to(planes)}",
-        f"ranges: the four BMA180 along box {ranges.box_axis} at rest {_from_to(ranges)}",
-        f"the worst of all comparisons, {case.label}, {worst.quantity.replace('_', ' ')}: {worst.ratio:.3f} ± "
-        f"{worst.ratio_se:.3f} times the average (length of the error)",
-        "all figures: rms error against the emulated world's truth, simple average of the same sensors first",
+        f"opposed: gyroscope drift about box {opposed.box_axis} while heated, {_comparison(opposed)}",
+        f"planes: specific force along box {planes.box_axis} at rest, {_comparison(planes)}",
+        f"ranges: the four BMA180 along box {ranges.box_axis} at rest, {_comparison(ranges)}",
+        f"worst of all comparisons: {case.label}, {worst.quantity.replace('_', ' ')}, {worst.ratio:.3f} ± "
+        f"{worst.ratio_se:.3f} times the error of the average (all axes together)",
+        "All figures are rms errors against the truth of the emulated world.",
     ]
 
 
@@ -126,9 +126,10 @@ def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verd
     return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
 
 
-def _from_to(gain: Gain) -> str:
+def _comparison(gain: Gain) -> str:
+    """The error of the simple average and that of the technique, and their ratio."""
     factor, unit = READABLE_SI[gain.quantity]
-    errors = f"{factor * gain.average:.3g} to {factor * gain.technique_error:.3g} {unit}"
+    errors = f"simple average {factor * gain.average:.3g} {unit}, fused {factor * gain.technique_error:.3g} {unit}"
     return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"
 
 
@@ -265,16 +266,15 @@ def gain_section(rows: Rows) -> Section:
         factor, unit = READABLE_SI[gain.quantity]
         name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
         figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
-        table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.3f}"])
+        table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.1g}"])
         labels.append(name)
         ratios.append(gain.ratio)
         errors.append(gain.ratio_se)
     return Section(
         "What each technique gains",
-        "Rms error of each technique over that of the simple average of the same sensors, on runs "
-        "whose truth is known. The first "
-        "rows, axis by axis, are where the paper expects a gain; the others, for the whole vector, "
-        "are everywhere else.",
+        "Rms error of each technique divided by that of the simple average of the same sensors, in runs whose truth "
+        "is known. The first rows show, axis by axis, the cases in which the paper expects a gain; the other rows "
+        "show all axes together in the remaining cases.",
         [
             Figure(
                 ratio_figure(labels, ratios, errors),

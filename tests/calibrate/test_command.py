@@ -152,7 +152,16 @@ def test_update_of_a_file_that_is_no_calibration(run: Path, tmp_path: Path, caps
 def test_noise_prints_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "noise", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["axis", *["A1"] * 3, *["A2"] * 3, *["G1"] * 3, "drift:", "wrote"]
+    assert [line.split()[0] for line in lines] == [
+        "axis",
+        *["A1"] * 3,
+        *["A2"] * 3,
+        *["G1"] * 3,
+        "lag-1:",
+        "drift:",
+        "wrote",
+        "cal.toml",
+    ]
     assert "mg rms" in lines[1] and "dps rms" in lines[7] and " +- " in lines[1]
 
 

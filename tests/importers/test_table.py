@@ -76,6 +76,19 @@ def test_a_table_with_a_header(tmp_path: Path) -> None:
         (event,) = log.events
         assert event.kind == "imported"
         assert "data.csv by map.toml; no wall time" in event.message
+        assert not log.is_dated
+
+
+def test_a_table_with_dates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "t,x,y,z\n2024-05-01T10:00:00.000Z,1,-2,3\n2024-05-01T10:00:00.020Z,4,5,-6\n"
+    write(tmp_path, rows, NAMED.replace('unit = "s"', 'unit = "iso8601"'))
+    with open_log(tmp_path / "out.h5") as log:
+        assert log.is_dated
+        assert "the times are UTC" in log.events[0].message
+    assert main(["info", str(tmp_path / "out.h5")]) == 0
+    out = capsys.readouterr().out
+    assert "rows from 2024-05-01T10:00:00.000Z to 2024-05-01T10:00:00.020Z" in out
+    assert "event     0.000 s" in out and "1970" not in out
 
 
 def test_what_the_counts_of_a_thermometer_mean(tmp_path: Path) -> None:

@@ -86,6 +86,23 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: back in use" in text
 
 
+def test_the_claimed_error_is_that_at_rest(tmp_path: Path) -> None:
+    """A third of the frames is motion, whose claimed error of 0.5 m/s2 (uncertain times) says nothing of the rest."""
+    rng, motion = np.random.default_rng(1), np.arange(3000) >= 2000
+    force = rng.normal(0.0, np.where(motion, 5.0, 0.02)[:, None], (3000, 3))
+    claimed = np.repeat(np.where(motion, 0.5, 0.02)[:, None] ** 2, 6, axis=1) * [1, 1, 1, 0, 0, 0]
+    frames = FusedBlock(
+        np.arange(3000) * 10_000_000, {"specific_force": force}, covariances={"specific_force": claimed}
+    )
+    fused, page = tmp_path / "fused.h5", tmp_path / "page.html"
+    write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="mean", log="r.h5")
+    write_report([fused], page)
+    row = page.read_text().split("specific force X")[1].split("</tr>")[0]
+    scatter, own = (float(cell) for cell in re.findall(r">([0-9.]+)<", row))
+    assert scatter == pytest.approx(2.04, rel=0.1)  # mg
+    assert own == pytest.approx(2.039, abs=0.001)
+
+
 @pytest.mark.slow
 def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Path) -> None:
     table = {
