@@ -273,13 +273,15 @@ class _OtherProcess:
 
     def files(self, progress: Progress) -> dict[str, Path]:
         """Wait for the files of frames by quantity; what `fuse` raises."""
+        share = 0.0
         while True:
             try:
                 return self._future.result(timeout=_LOOK_S)
             except TimeoutError:
                 if self._future.done():
                     raise
-                progress(_share_in(Path(self._folder.name)))
+                share = max(share, _share_in(Path(self._folder.name)))  # which is 0 while the file is being written
+                progress(share)
 
     def __enter__(self) -> Self:
         return self
@@ -350,7 +352,7 @@ def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple
     end = 0
     for start in range(0, len(first), AT_ONCE):
         mine, begin = first[start : start + AT_ONCE], end
-        end = bisect_right(range(len(second)), mine.time[-1], lo=begin, key=lambda row: second[row : row + 1].time[0])
+        end = bisect_right(range(len(second)), mine.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0])
         other = second[begin:end]
         if not np.array_equal(mine.time, other.time):  # mostly they are the same
             _, of_mine, of_other = np.intersect1d(mine.time, other.time, assume_unique=True, return_indices=True)
@@ -360,16 +362,31 @@ def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple
 
 def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: ErrorFrameSource) -> Score:
     """Compare an estimate with the simple average."""
-    with RowSpool(6) as errors:  # of both, at common times
-        for before, after in _common(average, estimate):
-            errors.append(np.concatenate([before.errors, after.errors], axis=1))
-        count = min(BLOCKS, len(errors) // 2)
-        if count < FEWEST_BLOCKS:
-            known = f"{len(errors)} values of {quantity} with a truth"
-            raise FusionError(f"technique {technique}: {known}, too few to compare")
-        squares = block_squares(errors, count)
+    if _have_the_same_times(average, estimate):
+        squares = _squares_of(technique, quantity, average.errors, estimate.errors)
+    else:
+        with RowSpool(3) as before, RowSpool(3) as after:
+            for mine, other in _common(average, estimate):
+                before.append(mine.errors)
+                after.append(other.errors)
+            squares = _squares_of(technique, quantity, before, after)
     ratio = {axis: ratio_of(squares[:, k], squares[:, k + 3]) for k, axis in enumerate(AXES[:3])}
     ratio[AXES[3]] = ratio_of(squares[:, :3].sum(axis=1), squares[:, 3:].sum(axis=1))
     return Score(
         technique, quantity, error_of(estimate.errors), ratio, consistency(estimate.errors, estimate.covariances)
     )
+
+
+def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> bool:
+    """Return whether both have the same frames; mostly they have."""
+    parts = (slice(start, start + AT_ONCE) for start in range(0, len(first), AT_ONCE))
+    return len(first) == len(second) and all(np.array_equal(first.times(part), second.times(part)) for part in parts)
+
+
+def _squares_of(technique: str, quantity: str, before: RowSource, after: RowSource) -> Floats:
+    """(b, 6) the sums of squared errors before and after in consecutive stretches; FusionError for too few errors."""
+    count = min(BLOCKS, len(after) // 2)
+    if count < FEWEST_BLOCKS:
+        known = f"{len(after)} values of {quantity} with a truth"
+        raise FusionError(f"technique {technique}: {known}, too few to compare")
+    return np.concatenate([block_squares(before, count), block_squares(after, count)], axis=1)

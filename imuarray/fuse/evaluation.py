@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
 
@@ -19,7 +20,7 @@ from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fuse import fuse
-from imuarray.fuse.row_spool import RowSource, RowSpool, parts_of, row_blocks, row_sum
+from imuarray.fuse.row_spool import RowSource, RowSpool, parts_of, row_blocks, square_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
@@ -158,6 +159,10 @@ class ErrorFrames:
     def __len__(self) -> int:
         return len(self.time)
 
+    def times(self, frames: slice) -> npt.NDArray[np.int64]:
+        """Return the times of some of them, in ns."""
+        return self.time[frames]
+
     def __getitem__(self, frames: slice | Indices) -> ErrorFrames:
         """Return some of them."""
         return ErrorFrames(self.time[frames], self.errors[frames], self.truth[frames], self.covariances[frames])
@@ -256,58 +261,82 @@ def _errors_in(
 
 
 def error_of(rows: RowSource) -> Error:
-    """Return the figures of errors (n, 3), n > 1, which are read block by block.
+    """Return the figures of errors (n, 3), n > 1, which are read block by block, once.
 
     Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means.
     """
     frames = len(rows)
-    parts = parts_of(frames, min(_SLOW_MEANS, frames))
-    slow = np.array([row_sum(rows, begin, end) / (end - begin) for begin, end in parts])
+    ends = np.array([end for _, end in parts_of(frames, min(_SLOW_MEANS, frames))])
     steps = frames - 1
-    change = (rows[steps:frames][0] - rows[0:1][0]) / steps
-    blocks = (np.ascontiguousarray(block.T) for block in row_blocks(rows, overlap=1))
-    changes = sum((((np.diff(columns) - change[:, None]) ** 2).sum(axis=1) for columns in blocks), 0.0)
+    change = ((rows[steps:frames][0] - rows[0:1][0]) / steps)[:, None]
+    sums, squares, changes = np.zeros((len(ends), 3)), np.zeros(3), np.zeros(3)
+    done, before = 0, np.zeros((3, 0))
+    for block in row_blocks(rows):
+        columns = np.ascontiguousarray(block.T)  # several times as fast
+        cuts = [*(ends[(ends > done) & (ends < done + len(block))] - done).tolist(), len(block)]
+        first = int(np.searchsorted(ends, done, "right"))
+        for part, (begin, end) in enumerate(pairwise([0, *cuts]), first):
+            sums[part] += columns[:, begin:end].sum(axis=1)
+        squares += np.square(columns).sum(axis=1)
+        changes += np.square(np.diff(columns, prepend=before) - change).sum(axis=1)
+        done, before = done + len(block), columns[:, -1:]
     return Error(
-        mean=row_sum(rows) / frames,
+        mean=sums.sum(axis=0) / frames,
         noise=np.sqrt(changes / steps) / np.sqrt(2),
-        rms=np.sqrt(row_sum(rows, power=2) / frames),
-        drift=np.ptp(slow, axis=0),
+        rms=np.sqrt(squares / frames),
+        drift=np.ptp(sums / np.diff(ends, prepend=0)[:, None], axis=0),
         frames=frames,
     )
 
 
 class ErrorFrameSpool:
-    """`ErrorFrames` of one quantity in a temporary file, or in one with a name, which are read as they are asked for. A
-    context manager.
+    """`ErrorFrames` of one quantity in temporary files, one for each column, or in files whose names begin with a path;
+    what is asked for is read. A context manager.
     """
 
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
-        self._rows = RowSpool(13, path, mode)
-        self.errors: RowSource = self._rows.columns(1, 4)
-        self.covariances: RowSource = self._rows.columns(7, 13)
+        self._path = path
+        self._time, self.errors, self._truth, self.covariances = (
+            RowSpool(columns, None if path is None else path.with_name(f"{path.name}.{name}"), mode)
+            for name, columns in (("time", 1), ("errors", 3), ("truth", 3), ("covariances", 6))
+        )
+
+    @property
+    def _spools(self) -> tuple[RowSpool, ...]:
+        return (self._time, self.errors, self._truth, self.covariances)
 
     def add(self, frames: ErrorFrames) -> None:
         """Add more of them."""
-        time = np.ascontiguousarray(frames.time, np.int64).view(np.float64)  # the same bits
-        self._rows.append(np.concatenate([time[:, None], frames.errors, frames.truth, frames.covariances], axis=1))
+        self._time.append(np.ascontiguousarray(frames.time, np.int64).view(np.float64)[:, None])  # the same bits
+        self.errors.append(frames.errors)
+        self._truth.append(frames.truth)
+        self.covariances.append(frames.covariances)
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._time)
+
+    def times(self, frames: slice) -> npt.NDArray[np.int64]:
+        """Read the times of some of them, in ns."""
+        return self._time[frames][:, 0].view(np.int64)
 
     def __getitem__(self, frames: slice) -> ErrorFrames:
         """Read some of them."""
-        time, errors, truth, covariances = np.split(self._rows[frames], (1, 4, 7), axis=1)
-        return ErrorFrames(time[:, 0].copy().view(np.int64), errors, truth, covariances)
+        return ErrorFrames(self.times(frames), self.errors[frames], self._truth[frames], self.covariances[frames])
 
     def complete(self) -> Path:
-        """Write everything to the file that has a name, and return it; ValueError for one without."""
-        return self._rows.complete()
+        """Write everything to the files that have names, and return how these begin; ValueError for those without."""
+        for spool in self._spools:
+            spool.complete()
+        if self._path is None:
+            raise ValueError("temporary files have no names")
+        return self._path
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._rows.close()
+        for spool in self._spools:
+            spool.close()
 
 
 def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
@@ -436,4 +465,4 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
 
 def block_squares(rows: RowSource, count: int = BLOCKS) -> Floats:
     """Return the sums of squares (count, k) of `count` consecutive stretches of rows (n, k)."""
-    return np.array([row_sum(rows, begin, end, power=2) for begin, end in parts_of(len(rows), count)])
+    return np.array([square_sum(rows, begin, end) for begin, end in parts_of(len(rows), count)])

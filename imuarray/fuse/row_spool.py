@@ -50,10 +50,6 @@ class RowSpool:
         self._file.readinto(result.data)  # type: ignore[attr-defined]  # a file on the disk has it
         return result
 
-    def columns(self, first: int, last: int) -> RowSource:
-        """Return a source of the columns from `first` up to `last`, without that."""
-        return _Columns(self, slice(first, last))
-
     def complete(self) -> Path:
         """Write everything to the file that has a name, and return it; ValueError for one without."""
         if self._path is None:
@@ -72,32 +68,17 @@ class RowSpool:
         self.close()
 
 
-class _Columns:
-    """Some columns of a spool."""
-
-    def __init__(self, spool: RowSpool, columns: slice) -> None:
-        self._spool, self._columns = spool, columns
-
-    def __len__(self) -> int:
-        return len(self._spool)
-
-    def __getitem__(self, rows: slice, /) -> Floats:
-        return self._spool[rows][:, self._columns]
-
-
-def row_blocks(rows: RowSource, begin: int = 0, end: int | None = None, *, overlap: int = 0) -> Iterator[Floats]:
-    """Yield the rows from `begin` to `end` (None: all) in blocks of `AT_ONCE`, each with the first `overlap` rows of
-    the next.
-    """
+def row_blocks(rows: RowSource, begin: int = 0, end: int | None = None) -> Iterator[Floats]:
+    """Yield the rows from `begin` to `end` (None: all) in blocks of `AT_ONCE`."""
     end = len(rows) if end is None else end
     for first in range(begin, end, AT_ONCE):
-        yield rows[first : min(first + AT_ONCE + overlap, end)]
+        yield rows[first : min(first + AT_ONCE, end)]
 
 
-def row_sum(rows: RowSource, begin: int = 0, end: int | None = None, *, power: int = 1) -> Floats:
-    """Return the sum (k,) of the rows from `begin` to `end` (None: all), or of their squares (`power` 2)."""
+def square_sum(rows: RowSource, begin: int, end: int) -> Floats:
+    """Return the sum (k,) of the squares of the rows from `begin` to `end`."""
     columns = (np.ascontiguousarray(block.T) for block in row_blocks(rows, begin, end))  # several times as fast
-    return np.asarray(sum((np.sum(each**power, axis=1) for each in columns), np.zeros(rows[:1].shape[1])))
+    return np.asarray(sum((np.sum(np.square(each), axis=1) for each in columns), np.zeros(rows[:1].shape[1])))
 
 
 def parts_of(rows: int, parts: int) -> Iterator[tuple[int, int]]:
