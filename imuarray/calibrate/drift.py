@@ -44,6 +44,11 @@ _INTERVAL = 1.92
 
 _CONFIDENCE = 0.95
 
+_PRODUCTS = 32
+"""Variances that are multiplied before the logarithm is taken of their product: by the largest of `_RATIOS` it stays
+below 1e180.
+"""
+
 
 def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None:
     """Estimate the drift of one sensor from the means over segments of `width_s` (times in s, counts (n, 3)) of its
@@ -163,15 +168,26 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
     steps = np.diff(part.time_s, append=np.inf)
-    for mean, step in zip(part.mean, steps, strict=True):
+    kept, square, added, last = times, times, shared, np.nan
+    spreads = np.ones(shared.shape)
+    for number, (mean, step) in enumerate(zip(part.mean, steps.tolist(), strict=True), start=1):
         spread = variance + noise
         innovation, unit_innovation = mean - state, 1 - level
-        values += innovation**2 / spread
-        ones += unit_innovation**2 / spread
-        mixed += innovation * unit_innovation / spread
-        logs += np.log(spread)
-        kept = np.exp(-step / times)
-        gain = variance / spread
-        state, level = kept * (state + gain * innovation), kept * (level + gain * unit_innovation)
-        variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
-    return _Sums(values, ones, mixed, logs)
+        weighted, weighted_unit = innovation / spread, unit_innovation / spread
+        values += innovation * weighted
+        ones += unit_innovation * weighted_unit
+        mixed += innovation * weighted_unit
+        spreads *= spread
+        if number % _PRODUCTS == 0:
+            logs += np.log(spreads)
+            spreads[...] = 1.0
+        if step != last:
+            kept, last = np.exp(-step / times), step
+            square = kept**2
+            added = (1 - square) * shared
+        state += variance * weighted
+        state *= kept
+        level += variance * weighted_unit
+        level *= kept
+        variance = square * variance * (noise / spread) + added
+    return _Sums(values, ones, mixed, logs + np.log(spreads))

@@ -312,12 +312,11 @@ def windows_of(
             starts = np.flatnonzero(np.diff(window, prepend=-1))
             value = sensor.orientation / sensor.sensitivity @ np.ascontiguousarray(counts.T)
             places = window[starts]
-            np.add.at(rows, places, np.diff(starts, append=len(window)))
-            for axis, column in enumerate(value):
-                np.add.at(sums[:, axis], places, np.add.reduceat(column, starts))
-                np.add.at(squares[:, axis], places, np.add.reduceat(column**2, starts))
-                np.minimum.at(lowest[:, axis], places, np.minimum.reduceat(column, starts))
-                np.maximum.at(highest[:, axis], places, np.maximum.reduceat(column, starts))
+            rows[places] += np.diff(starts, append=len(window))  # times increase: a window begins once in a block
+            sums[places] += np.add.reduceat(value, starts, axis=1).T
+            squares[places] += np.add.reduceat(value**2, starts, axis=1).T
+            lowest[places] = np.minimum(lowest[places], np.minimum.reduceat(value, starts, axis=1).T)
+            highest[places] = np.maximum(highest[places], np.maximum.reduceat(value, starts, axis=1).T)
         spreads[rows < 2] = np.inf  # no scatter is known without readings of every sensor
         may_spike = rows >= _SPIKED_ROWS
         low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.log import SensorLog
 
 PIECE_ROWS = 64
@@ -29,6 +29,9 @@ CHANGED = 1.25
 
 GAP = 3.0
 """Interval, in median intervals of a piece, from which on it is a gap."""
+
+_BLOCK_ROWS = 1 << 16
+"""Rows whose pieces are evaluated at once."""
 
 LISTED = 3
 """Most runs that are described one by one."""
@@ -51,7 +54,10 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
     edges = np.arange(0, rows - piece_rows, piece_rows)
     if len(edges) < 4:
         return ()
-    intervals_s = np.array([_intervals_s(sensor, start, start + piece_rows + 1) for start in edges.tolist()])
+    at_once = max(1, _BLOCK_ROWS // piece_rows)
+    intervals_s = np.concatenate(
+        [_intervals_s(sensor, edges[first : first + at_once], piece_rows) for first in range(0, len(edges), at_once)]
+    )
     if not (intervals_s > 0).all():
         return ()
     begins = _runs(np.log(intervals_s))
@@ -71,11 +77,16 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
     )
 
 
-def _intervals_s(sensor: SensorLog, start: int, stop: int) -> tuple[float, float]:
-    """Return the median of the intervals between rows, and the mean of those that are no gaps, in s."""
-    intervals = np.diff(np.asarray(sensor.time[start:stop], np.int64)).astype(float) * 1e-9
-    median = float(np.median(intervals))
-    return median, float(intervals[intervals <= GAP * median].mean())
+def _intervals_s(sensor: SensorLog, edges: Indices, piece_rows: int) -> Floats:
+    """Return the median of the intervals in each of consecutive pieces that begin at rows `edges` (k,), and the mean of
+    those that are no gaps, in s: (k, 2).
+    """
+    times = np.asarray(sensor.time[int(edges[0]) : int(edges[-1]) + piece_rows + 1], np.int64)
+    intervals = (np.diff(times).astype(float) * 1e-9).reshape(len(edges), piece_rows)
+    medians = np.median(intervals, axis=1)
+    usual = intervals <= GAP * medians[:, None]
+    means = intervals.mean(axis=1) if usual.all() else np.mean(intervals, axis=1, where=usual)
+    return np.stack([medians, means], axis=1)
 
 
 def _runs(levels: Floats) -> list[int]:
