@@ -305,7 +305,7 @@ class _Column:
         first, last = (int(np.searchsorted(self._ends, at, "right")) for at in (start, stop - 1))
         before = [self.runs[at].start - (int(self._ends[at - 1]) if at else 0) for at in (first, last)]
         begin, end = start + before[0], stop + before[1]
-        counts = np.asarray(self.sensor.counts[begin:end, self.column])
+        counts = np.asarray(self.sensor.counts[begin:end])[:, self.column]  # of rows that are kept in memory
         if first == last:
             return counts
         kept = np.zeros(end - begin, bool)
