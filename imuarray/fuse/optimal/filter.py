@@ -220,10 +220,12 @@ class SegmentEvidence:
             if not sums.squares[0, 0]:  # no frame was taken in
                 continue
             parity = self._parities[key]
-            seen = parity @ rows
-            for size, weights in _components(sums):
-                values = parity @ (weights @ sums.products) / size
-                parts.append(np.column_stack([np.tensordot(weights, seen, axes=1) * size, values]))
+            sizes, weights = _components(sums)
+            seen = weights @ (parity @ rows).reshape(len(rows), len(parity) * rows.shape[2])
+            measured = np.empty((len(sizes), len(parity), rows.shape[2] + 1))
+            measured[:, :, :-1] = seen.reshape(len(sizes), len(parity), rows.shape[2]) * sizes[:, None, None]
+            measured[:, :, -1] = weights @ sums.products @ parity.T / sizes[:, None]
+            parts.append(measured.reshape(-1, measured.shape[2]))
         self._sums = {}
         if len(self._parities) > _KEPT:
             self._parities = {}
@@ -243,22 +245,19 @@ class SegmentEvidence:
         return valid & (np.abs(np.nan_to_num(triad) @ self._geometry.rows[:, :3].T) < fair)
 
 
-def _components(sums: _Sums) -> list[tuple[float, npt.NDArray[np.float64]]]:
-    """Root of size, and weights (terms,), of the independent components of the sums of (1, stimulus), without what the
-    stimulus's own noise makes of them.
+def _components(sums: _Sums) -> tuple[Floats, Floats]:
+    """Roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1, stimulus),
+    without what the stimulus's own noise makes of them.
     """
     if len(sums.squares) == 1:
-        return [(float(np.sqrt(sums.squares[0, 0])), np.ones(1))]
+        return np.sqrt(sums.squares[0]), np.ones((1, 1))
     squares = sums.squares.copy()
     frames = squares[0, 0]
     squares[1:, 1:] -= sums.blur
     sizes, vectors = np.linalg.eigh(squares)
     noise = _DOUBT * np.sqrt(2 / frames) * np.linalg.eigvalsh(sums.blur)[-1]
-    return [
-        (float(np.sqrt(size)), vectors[:, index])
-        for index, size in enumerate(sizes)
-        if size > max(noise, 1e-9 * sizes[-1])
-    ]
+    known = sizes > max(noise, 1e-9 * sizes[-1])
+    return np.sqrt(sizes[known]), vectors[:, known].T
 
 
 class Step(NamedTuple):
@@ -369,6 +368,8 @@ class Spool:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
         self._starts = array("q")
         self._end = self._place = 0
+        self._heads: dict[tuple[tuple[int, ...], ...], bytes] = {}
+        """The begin of a group by the shapes of its arrays, of which there are few."""
 
     def __bool__(self) -> bool:
         """Return whether there is anything on it."""
@@ -376,13 +377,16 @@ class Spool:
 
     def push(self, arrays: Sequence[Floats]) -> None:
         """Put a group on top."""
-        shapes = [rows.shape for rows in arrays]
-        head = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
+        shapes = tuple([rows.shape for rows in arrays])
+        head = self._heads.get(shapes)
+        if head is None:
+            numbers = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
+            head = self._heads[shapes] = _LENGTH.pack(len(numbers)) + numbers
         if self._place != self._end:  # to seek empties the file's buffer
             self._file.seek(self._end)
         self._starts.append(self._end)
-        self._file.write(_LENGTH.pack(len(head)) + head)
-        self._end += _LENGTH.size + len(head)
+        self._file.write(head)
+        self._end += len(head)
         for rows in arrays:
             self._file.write(np.ascontiguousarray(rows, np.float64).data)
             self._end += 8 * rows.size

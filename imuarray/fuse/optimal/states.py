@@ -58,7 +58,9 @@ def predicted(before: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
 def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
     """The states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
     seen = rows @ before.covariance
-    root = np.linalg.cholesky(seen @ rows.T + np.eye(len(rows)))
+    innovations = seen @ rows.T
+    innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
+    root = np.linalg.cholesky(innovations)
     inverse_root = np.linalg.inv(root)
     gain = inverse_root @ seen
     innovation = inverse_root @ (values - rows @ before.mean)
