@@ -11,7 +11,6 @@ numpy assembles the rows together.
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,9 +21,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import as_strided
 
 from imuarray import __version__
-from imuarray.arrays import Times
+from imuarray.arrays import Indices, Times
 from imuarray.atomic import whole_file
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import mcap_schemas as schemas
@@ -53,19 +53,69 @@ _STAND_IN = re.compile(rf"(?<=:){_SECONDS}(?=,)|(?<=:){_NANOSECONDS}(?=}})|7\.(\
 """Those, and the numbers that stand for cells in a form: no text of a message holds the like."""
 
 
+class _Part(NamedTuple):
+    """Equally long messages, each with its head, as items of numpy: `places` (k,), ascending, among the rows."""
+
+    places: Indices
+    messages: npt.NDArray[np.void]
+
+
 class _Rows(NamedTuple):
-    """Messages of one channel in the order of their times: when (n,) ns, how many bytes (n,), and each with its
-    head.
-    """
+    """Messages of one channel in the order of their times: when (n,) ns, how many bytes (n,), and their parts."""
 
     time_ns: Times
     lengths: Times
-    messages: list[bytes]
+    parts: list[_Part]
+
+    def then(self, other: _Rows) -> _Rows:
+        """These messages and then the others."""
+        count = len(self.time_ns)
+        return _Rows(
+            np.concatenate([self.time_ns, other.time_ns]),
+            np.concatenate([self.lengths, other.lengths]),
+            [*self.parts, *(_Part(part.places + count, part.messages) for part in other.parts)],
+        )
+
+    def split(self, count: int) -> tuple[_Rows, _Rows]:
+        """The first messages, and the rest."""
+        first, rest = [], []
+        for places, messages in self.parts:
+            at = int(np.searchsorted(places, count))
+            if at:
+                first.append(_Part(places[:at], messages[:at]))
+            if at < len(places):
+                rest.append(_Part(places[at:] - count, messages[at:]))
+        return (
+            _Rows(self.time_ns[:count], self.lengths[:count], first),
+            _Rows(self.time_ns[count:], self.lengths[count:], rest),
+        )
+
+    def copy_to(self, content: npt.NDArray[np.uint8], starts: Indices) -> None:
+        """Copy each message into the bytes `content`, to where it starts (n,)."""
+        for places, messages in self.parts:
+            width = messages.dtype.itemsize
+            anywhere = as_strided(content[:width].view(messages.dtype), (len(content) - width + 1,), (1,))
+            anywhere[starts[places]] = messages
 
 
-def _sized(time_ns: Times, messages: list[bytes]) -> _Rows:
-    """Return messages with their lengths."""
-    return _Rows(time_ns, np.fromiter(map(len, messages), np.int64, len(messages)), messages)
+def _ordered(time_ns: Times, parts: Sequence[_Part]) -> _Rows:
+    """Return the messages of rows at times (n,), in the order of these: whoever wrote the rows, messages are in it."""
+    if (np.diff(time_ns) < 0).any():
+        order = np.argsort(time_ns, kind="stable")
+        ranks = np.empty(len(order), np.intp)
+        ranks[order] = np.arange(len(order))
+        time_ns = time_ns[order]
+        parts = [_Part(*_sorted(ranks[places], messages)) for places, messages in parts]
+    lengths = np.empty(len(time_ns), np.int64)
+    for places, messages in parts:
+        lengths[places] = messages.dtype.itemsize
+    return _Rows(time_ns, lengths, list(parts))
+
+
+def _sorted(places: Indices, messages: npt.NDArray[np.void]) -> tuple[Indices, npt.NDArray[np.void]]:
+    """Return messages by ascending place."""
+    order = np.argsort(places)
+    return places[order], messages[order]
 
 
 class _Stream:
@@ -88,16 +138,13 @@ class _Stream:
             if block is None:
                 self._last = True
                 continue
-            time_ns = np.concatenate([self.waiting.time_ns, block.time_ns])
-            lengths = np.concatenate([self.waiting.lengths, block.lengths])
-            self.waiting = _Rows(time_ns, lengths, self.waiting.messages + block.messages)
+            self.waiting = self.waiting.then(block)
 
     def take(self, until_ns: int) -> _Rows:
-        """Yield the messages that wait, up to a time."""
+        """Return the messages that wait, up to a time."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
-        time_ns, lengths, messages = self.waiting
-        self.waiting = _Rows(time_ns[count:], lengths[count:], messages[count:])
-        return _Rows(time_ns[:count], lengths[:count], messages[:count])
+        taken, self.waiting = self.waiting.split(count)
+        return taken
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -136,21 +183,25 @@ def _merge(container: Container, streams: Sequence[_Stream], source: str) -> Non
             return
         until_ns = min(int(stream.waiting.time_ns[-1]) for stream in going)
         parts = [stream.take(until_ns) for stream in going]
-        channels = np.repeat([stream.channel for stream in going], [len(part.messages) for part in parts])
-        time_ns = np.concatenate([part.time_ns for part in parts])
+        numbers = [len(part.time_ns) for part in parts]
+        time_ns, lengths = (np.concatenate([part[column] for part in parts]) for column in (0, 1))
         order = np.argsort(time_ns, kind="stable")
-        time_ns, channels = time_ns[order], channels[order]
+        ends = np.cumsum(lengths[order])
+        starts = np.empty(len(order), np.int64)
+        starts[order] = ends - lengths[order]
+        channels = np.repeat([stream.channel for stream in going], numbers)[order]
+        time_ns = time_ns[order]
         if time_ns[0] < 0:
             raise ExportError(f"{source}: a row of {time_ns[0]} ns since 1970; MCAP has no such times")
-        messages = list(itertools.chain.from_iterable(part.messages for part in parts))
-        messages = [messages[index] for index in order.tolist()]
-        ends = np.cumsum(np.concatenate([part.lengths for part in parts])[order])
+        content = np.empty(ends[-1], np.uint8)
+        for part, own in zip(parts, np.split(starts, np.cumsum(numbers)[:-1]), strict=True):
+            part.copy_to(content, own)
         first = 0
-        while first < len(messages):
+        while first < len(ends):
             begin = int(ends[first - 1]) if first else 0
-            last = min(int(np.searchsorted(ends, begin + _CHUNK_BYTES)) + 1, len(messages))
-            part, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - begin])
-            container.chunk(b"".join(messages[part]), channels[part], time_ns[part], offsets)
+            last = min(int(np.searchsorted(ends, begin + _CHUNK_BYTES)) + 1, len(ends))
+            chosen, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - begin])
+            container.chunk(content[begin : ends[last - 1]], channels[chosen], time_ns[chosen], offsets)
             first = last
 
 
@@ -212,12 +263,13 @@ def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[
     """The messages of a topic with their heads."""
     first = 0
     for time_ns, texts in blocks:
-        if (np.diff(time_ns) < 0).any():  # as of JSON: messages are in order
+        sequence = np.arange(first, first + len(time_ns))
+        first += len(time_ns)
+        if (np.diff(time_ns) < 0).any():
             order = np.argsort(time_ns, kind="stable")
             time_ns, texts = time_ns[order], texts[order]
-        sequence = np.arange(first, first + len(time_ns)) & 0xFFFF_FFFF
-        first += len(time_ns)
-        yield _sized(time_ns, _with_heads(texts, channel, sequence, time_ns))
+        messages = _with_heads(texts, channel, sequence & 0xFFFF_FFFF, time_ns)
+        yield _ordered(time_ns, [_Part(np.arange(len(time_ns)), messages)])
 
 
 def _frame(content: Content) -> str:
@@ -244,25 +296,20 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
         cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
         finite = np.stack([np.isfinite(cell).all(axis=1) for cell in cells], axis=1)
         sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
-        made: list[bytes] = [b""] * len(time_ns)
         if len(finite) and (finite == finite[0]).all():  # the usual case: to compare rows of flags takes long
             patterns, which = finite[:1], np.zeros(len(finite), np.intp)
         else:
             patterns, which = np.unique(finite, axis=0, return_inverse=True)
+        parts = []
         for number, there in enumerate(patterns):
-            chosen = np.flatnonzero(which.reshape(-1) == number)
+            chosen: Indices | slice = slice(None)
+            places = np.arange(len(time_ns))
+            if len(patterns) > 1:
+                chosen = places = np.flatnonzero(which.reshape(-1) == number)
             form = _form(message, columns, there.tolist())
             texts = _filled(form, time_ns[chosen], [cell[chosen] for cell in cells])
-            own = _with_heads(texts, channel, sequence[chosen], time_ns[chosen])
-            if len(patterns) == 1:
-                made = own
-            else:
-                for place, text in zip(chosen.tolist(), own, strict=True):
-                    made[place] = text
-        if (np.diff(time_ns) < 0).any():  # whoever wrote that, its messages are in order
-            order = np.argsort(time_ns, kind="stable")
-            time_ns, made = time_ns[order], [made[index] for index in order.tolist()]
-        yield _sized(time_ns, made)
+            parts.append(_Part(places, _with_heads(texts, channel, sequence[chosen], time_ns[chosen])))
+        yield _ordered(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
 
@@ -348,14 +395,13 @@ def _texts(values: npt.NDArray[Any]) -> Texts:
     return np.asarray(table[which.reshape(-1)].view(np.uint8).reshape(len(values), -1))
 
 
-def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> list[bytes]:
-    """Equally long messages (n, l), each with its head."""
+def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
+    """(n,) equally long messages (n, l), each with its head."""
     from imuarray.export.mcap_container import message_heads
 
     heads = message_heads(channel, sequence, time_ns, texts.shape[1])
     whole = np.concatenate([heads.view(np.uint8).reshape(len(texts), -1), texts], axis=1)
-    messages: list[bytes] = whole.view(f"V{whole.shape[1]}")[:, 0].tolist()
-    return messages
+    return whole.view(f"V{whole.shape[1]}")[:, 0]
 
 
 class _Entry(NamedTuple):
@@ -383,11 +429,11 @@ def _entries(
     if not said:
         return
     time_ns = np.array([entry.time_ns + zero_ns for entry in said], np.int64)
-    messages: list[bytes] = []
+    parts = []
     for number, entry in enumerate(said):
-        text = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8)
-        messages += _with_heads(text[None], channel, np.array([number]), time_ns[number : number + 1])
-    yield _sized(time_ns, messages)
+        text, place = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8), np.array([number])
+        parts.append(_Part(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
+    yield _ordered(time_ns, parts)
 
 
 def _events(content: Content) -> list[_Entry]:

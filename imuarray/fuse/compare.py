@@ -352,7 +352,9 @@ def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple
     end = 0
     for start in range(0, len(first), AT_ONCE):
         mine, begin = first[start : start + AT_ONCE], end
-        end = bisect_right(range(len(second)), mine.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0])
+        end = bisect_right(
+            range(len(second)), mine.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0]
+        )
         other = second[begin:end]
         if not np.array_equal(mine.time, other.time):  # mostly they are the same
             _, of_mine, of_other = np.intersect1d(mine.time, other.time, assume_unique=True, return_indices=True)
