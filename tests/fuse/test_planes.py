@@ -12,7 +12,7 @@ from imuarray.array import parse_array
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import TurnOn
 from imuarray.fuse import TECHNIQUES, Axis, Frames, axes_of, changes, fuse
-from imuarray.fuse.techniques.planes import Monitor, PlaneBlend
+from imuarray.fuse.techniques.planes import Monitor, PlaneBlend, dilution
 from imuarray.log import open_log
 from imuarray.simulate import Simulation, parse_model, write_log
 from imuarray.simulate.motion.still import Still
@@ -240,6 +240,37 @@ def test_a_monitor_without_anything_to_compare_says_so() -> None:
     first = technique.monitors()[0]
     assert first.frames == 0 and np.isnan(first.sigmas)
     assert first.sentence("specific_force") == "A z has no axis to compare with"
+
+
+def test_a_flat_board_has_nothing_to_compare_its_normal_with() -> None:
+    """Tilts of 0.3 degrees give in-plane axes half a percent of the normal; a value from them would have 300 times the
+    noise, and whatever scale errors do in motion would be called a difference of the out-of-plane axes.
+    """
+    noise = (6.0, 6.0, 12.0)
+    axes = [*triad("A", "+X+Y+Z", noise), *triad("B", "+X+Y+Z", noise)]
+    tilted = [
+        replace(axis, direction_box=(axis.direction_box[0], axis.direction_box[1], axis.direction_box[2] + 5e-3 * at))
+        for at, axis in enumerate(axes)
+    ]
+    technique = PlaneBlend(tilted)
+    technique(at_once(np.random.default_rng(4).normal(0, 6, (100, 6)) + [0, 0, 900, 0, 0, 900]))
+    assert [monitor.frames for monitor in technique.monitors()] == [0, 0]
+    assert technique.remarks("specific_force") == [
+        "2 axes of lower weight cannot be compared: no axis of full weight lies near their direction"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("others", "wanted"),
+    [
+        (np.eye(3), 1.0),
+        (np.eye(3)[:2], np.inf),
+        (np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.6, 0.8]]), np.hypot(1, 0.6) / 0.8),
+    ],
+)
+def test_the_noise_of_the_comparison(others: np.ndarray, wanted: float) -> None:
+    """By hand: along Z from axes along X, Y and (Y, Z) at angles with sine 0.8, z = (m - 0.6 y) / 0.8."""
+    assert dilution(np.array([[0.0, 0, 1]]), others)[0] == pytest.approx(wanted)
 
 
 def test_a_repeated_reading_is_no_new_evidence() -> None:

@@ -27,6 +27,12 @@ AVERAGED = 100
 _REMARKABLE_SIGMAS = 3.0
 """An axis that stands watch is told of if it differs by so much."""
 
+_MOST_DILUTION = 3.0
+"""Largest factor from the noise of one axis to that of the comparison value, from all axes that weigh in full. With
+more, no such axis lies near the direction (a flat board has none along its normal), and their small misalignments
+would be compared instead.
+"""
+
 _KINDS = {True: "x and y", False: "z"}
 
 
@@ -67,6 +73,8 @@ class PlaneBlend:
         weights = plane_weights(axes)
         self._mean = FixedWeights(self._rows, weights, known_noise_of(axes), SlowErrors(axes))
         self._watched = np.flatnonzero(weights < 1 - 1e-9)
+        others = self._rows[weights >= 1 - 1e-9]
+        self._comparable = dilution(self._rows[self._watched], others) <= _MOST_DILUTION
         self._sums = np.zeros((3, len(self._watched)))
 
     def __call__(self, frames: Frames) -> Estimate:
@@ -82,12 +90,16 @@ class PlaneBlend:
 
     def remarks(self, quantity: str) -> list[str]:
         """Describe how the axes that weigh less differ from the others, and count those that do not."""
-        result = self.monitors()
+        monitors = self.monitors()
+        result = [monitor for monitor in monitors if monitor.frames]
         apart = [monitor for monitor in result if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
         said = [monitor.sentence(quantity) for monitor in apart]
         if agreed := len(result) - len(apart):
             more = "more " if apart else ""
             said.append(f"{agreed} {more}axes of lower weight differ by less than {_REMARKABLE_SIGMAS:g} sigma")
+        if alone := len(monitors) - len(result):
+            axes = "1 axis" if alone == 1 else f"{alone} axes"
+            said.append(f"{axes} of lower weight cannot be compared: no axis of full weight lies near their direction")
         return said
 
     def _watch(self, frames: Frames) -> None:
@@ -98,7 +110,7 @@ class PlaneBlend:
         full[self._watched] = 0.0
         others = solve_frames(frames.values, full * frames.valid, self._rows)
         difference = frames.values[:, self._watched] - others @ self._rows[self._watched].T
-        known = np.isfinite(difference) & frames.valid[:, self._watched]
+        known = np.isfinite(difference) & frames.valid[:, self._watched] & self._comparable
         if frames.stale is not None:
             known &= ~frames.stale[:, self._watched]
         difference = np.where(known, difference, 0.0)
@@ -112,6 +124,17 @@ class PlaneBlend:
         slow = 0.0 if axis.stability_si is None else axis.stability_si
         allowed = math.hypot(sem, slow)
         return Monitor(axis.label, mean, sem, mean / allowed if allowed > 0 else math.nan, int(count))
+
+
+def dilution(watched: Floats, others: Floats) -> Floats:
+    """Return the noise (k,) along `watched` directions (k, 3) of a solution from the axes `others` (m, 3), in that of
+    one axis; inf where they do not determine it.
+    """
+    u, size, _ = np.linalg.svd(others.T @ others)
+    with np.errstate(divide="ignore"):
+        variance = np.where(size > 1e-9 * max(len(others), 1), 1 / size, np.inf)
+    along = (watched @ u) ** 2
+    return np.sqrt(np.where(along > 1e-12, along * np.where(along > 1e-12, variance, 0.0), 0.0).sum(axis=1))
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
