@@ -44,8 +44,8 @@ _WIDTH = 110
 def command(**options: Any) -> None:
     """Convert a recording made by other software into a log: a known format, or any table of numbers with a map.
 
-    SOURCE is a text (also .gz, or a folder or zip file with a text for each sensor), .npz, .npy, .mat, .parquet, a ROS
-    bag or an MCAP file. Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are
+    SOURCE is a text (also .gz, or a folder or zip file with a text for each sensor), JSON, .npz, .npy, .mat, .parquet,
+    a ROS bag or an MCAP file. Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are
     restored without loss. After every import a short report describes the recording (~) and lists what is doubtful (?):
     units, range, rate, clipping, stalls, times in bursts. `--guess` examines a recording and proposes a map.
 

@@ -37,6 +37,10 @@ _HEADER_WITHIN = 50
 MOST_RESTARTS = 1000
 """Most falls of a clock in a recording; a column that falls more often holds no times, or rows are out of order."""
 
+FEWEST_WHOLE_ROWS = 100
+MOST_TORN = 0.01
+"""Share of the rows so far that may have another number of cells and are left out, once so many rows were whole."""
+
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
 
@@ -154,7 +158,9 @@ class TextTable:
         """The cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
         row = self._row()
         header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
-        if len(header) != len(row) or not all(map(_is_number, row)) or any(map(_is_number, header)):
+        kinds = self._layout.kind_columns
+        numbers_ = [_is_number(cell) for at, cell in enumerate(row) if at not in kinds]
+        if len(header) != len(row) or not all(numbers_) or any(map(_is_number, header)):
             return row
         self._first_row = row
         return header
@@ -176,16 +182,16 @@ class TextTable:
 
     def _rows(self, kind: str | None) -> Iterator[tuple[int, list[str]]]:
         """Yield line number and cells of every row of a kind. All rows must be equally long, or cells would silently
-        change their column.
+        change their column; a few torn ones of a serial line are left out.
         """
-        kinds, width_of_kind = self._layout.kind_column, 0
+        kinds, width_of_kind, rows_read = self._layout.kind_columns, 0, 0
         while row := self._row():
-            if kinds is not None and (len(row) <= kinds or row[kinds].strip() != kind):
+            if kinds and (len(row) <= max(kinds) or " ".join(row[at].strip() for at in kinds) != kind):
                 continue
             if row == self.header:
                 self.left_out["header"] += 1
                 continue
-            if kinds is not None and self.header and len(row) < self.width:
+            if kinds and self.header and len(row) < self.width:
                 # Readings of fewer values than the header has names; those of one kind have the same number.
                 width_of_kind = width_of_kind or len(row)
                 row = [*row, *[""] * (self.width - len(row))] if len(row) == width_of_kind else row
@@ -202,11 +208,15 @@ class TextTable:
                 if row[0].strip()[:1].isalpha() and not any(map(_is_number, row)):
                     self.left_out["text"] += 1
                     continue
+                if rows_read >= FEWEST_WHOLE_ROWS and self.left_out["torn"] < MOST_TORN * rows_read:
+                    self.left_out["torn"] += 1
+                    continue
                 raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
-            if not self._has_data and self.header and kinds is None and is_unit_row(row):
+            if not self._has_data and self.header and not kinds and is_unit_row(row):
                 self.left_out["units"] += 1
                 continue
             self._has_data = True
+            rows_read += 1
             yield self.line, row
 
     def index(self, column: str | int) -> int:
@@ -251,22 +261,35 @@ class TextTable:
             "units": "{} of units below the header left out",
             "cut": "{} at the end of the file left out: it is cut off",
             "text": "{} of text without a number left out",
+            "torn": "{} with another number of cells left out: torn, or two that run into each other",
         }
         return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
 
 
 _MONITOR_STAMP = re.compile(r"(\d\d:\d\d:\d\d[.,]\d+) -> ")
 _CHECKSUM = re.compile(r"(\$.*)\*[0-9A-Fa-f]{2}")
+_NOVATEL = re.compile(r"[#%]([A-Z0-9]+A,[^;]*);(.*)\*[0-9A-Fa-f]{8}")
 
 
 def plain_line(line: str, delimiter: str) -> str:
     """Return a line without what terminals and instruments wrap it in: the Arduino IDE's "12:34:56.789 -> " becomes a
-    cell of its own, and the checksum of a sentence "$VNYMR,...*5C" (NMEA 0183) is left out.
+    cell of its own, and the checksum of a sentence "$VNYMR,...*5C" (NMEA 0183) or "%RAWIMUSA,...;...*5aa97065"
+    (NovAtel) is left out. A semicolon behind the last of cells that commas separate ends the row.
     """
+    line = plain_sentence(line)
+    if line.endswith(";") and delimiter == "," and ";" not in line[:-1]:
+        line = line[:-1]
     if (stamp := _MONITOR_STAMP.match(line)) is not None:
         line = stamp[1].replace(",", ".") + delimiter + line[stamp.end() :]
     if line.startswith("$") and (sentence := _CHECKSUM.fullmatch(line)) is not None:
         return sentence[1]
+    return line
+
+
+def plain_sentence(line: str) -> str:
+    """Return a sentence of NovAtel's receivers, which begins like a comment, as cells that commas separate."""
+    if line.startswith(("#", "%")) and (sentence := _NOVATEL.fullmatch(line)) is not None:
+        return f"{sentence[1]},{sentence[2]}"
     return line
 
 
@@ -300,7 +323,7 @@ _REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(e
 
 _UNIT_CELL = re.compile(
     r"[\[(].*[\])]|-|[mun\u00b5\u03bc]?(s|sec|g|G|T|gauss|V)|m/s[/^*]*(s|2|\u00b2)|m?(\u00b0|\u00ba|deg|rad)(/s(ec)?)?|m?dps"
-    r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|m/\(s\^2\)|local_flux|no_units|(un)?cal|raw|",
+    r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|m/\(s\^2\)|local_flux|no[_ ]units|(un)?cal|raw|",
     re.IGNORECASE,
 )
 

@@ -42,7 +42,7 @@ _BEGIN = r"(?<![a-z])"
 """Before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
 _QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
-    ("angular_rate", re.compile(rf"gyr|rot|omega|ang|rate|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
+    ("angular_rate", re.compile(rf"gyr|rot|omega|{_BEGIN}ang|rate(?!d)|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
     ("specific_force", re.compile(rf"acc|force|{_BEGIN}(?:l?a|g?_?f)\*|gravity|lin", re.IGNORECASE)),
 )
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
@@ -61,16 +61,19 @@ _COUNTS_OF_MAGNETOMETER = 1090.0
 COUNTS_OF_GYROSCOPE = 131.0
 _CODES_16 = 1 << 16
 _LEAST_MIDDLE = 128.0
-_NEAR_MIDDLE = 0.3
-"""Least middle of the range of an unsigned converter (8 bits), and the distance of the axes' medians from it: 1 g on an
-axis is at most a fourth of the range.
+_NEAR_MIDDLE = 0.15
+_GRAVITY_FROM_MIDDLE = 0.55
+"""Least middle of the range of an unsigned converter (8 bits), and the relative distances of the axes' medians from it:
+of two axes, and of the one along gravity, which is half of the middle at +-2 g.
 """
 _PART = re.compile(r"(.*)\[\d+\]")
+_FOURTH: Mapping[str, str] = {"012": "3", "123": "0", "xyz": "w", "XYZ": "W"}
+"""What the fourth of four numbers is called, of which three look like a triad; 0 may be their time."""
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
-_VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\*", re.IGNORECASE)
+_VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\[?\*\]?|[bl]e\[\*\]", re.IGNORECASE)
 """Names of columns that say nothing but that they hold values, as those of Android's SensorEvent."""
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
@@ -90,6 +93,8 @@ class Proposal:
     doubts: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     units: Mapping[str, str] = field(default_factory=dict)
+    gravity: dict[tuple[int, int, int], tuple[int, int, int]] = field(default_factory=dict)
+    """Columns of accelerations without gravity, and those of the gravity that was subtracted."""
 
     def text(self, head: Sequence[str]) -> str:
         """Return the map as TOML."""
@@ -142,6 +147,21 @@ def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | No
     return None
 
 
+def column_label(names: Sequence[str], index: int) -> str:
+    """Return a column as a map names it: by its name, or by its index if it has none of its own."""
+    if index >= len(names) or not names[index] or names.count(names[index]) > 1:
+        return str(index)
+    return quoted(names[index])
+
+
+def quantity_of(name: str) -> str:
+    """Return the quantity that a name states, its last part ("imu.gyro") before the whole; "" if it states none."""
+    for part in dict.fromkeys((re.split(r"[./](?!\*)", name)[-1], name)):
+        if by_name := next((what for what, words in _QUANTITIES if words.search(part)), ""):
+            return by_name
+    return ""
+
+
 def _unit_in(name: str) -> str:
     """Return the unit in a column's name; "" without one."""
     texts = [match[1] or match[2] or "" for match in _UNIT_IN_NAME.finditer(name)]
@@ -188,15 +208,19 @@ def propose_columns(
     """Propose a map of a table whose columns may have names; `units` of those whose unit is known."""
     proposal = Proposal(layout, units=units)
     if names and any(names.count(name) > 1 for name in names):
-        proposal.doubts.append("some columns have the same name and cannot be distinguished by it")
+        proposal.doubts.append("some columns have the same name; they are selected by their indices")
     columns = _without_padding(columns)
     time = _time_index(names, columns, dates)
+    if time is not None and time not in dates:
+        timed = np.isfinite(columns[time])
+        columns = columns if timed.all() else [column[timed[: len(column)]] for column in columns]
     taken = set() if time is None else {time}
-    triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, proposal)
+    triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, columns, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
-        proposal.time.append("rate_hz = 100   # ? no column increases like time")
-        proposal.doubts.append("no column increases like time: 100 rows a second are assumed")
+        proposal.time.append(rate_line(proposal))
+        if layout.rate_hz is None:
+            proposal.doubts.append("no column increases like time: 100 rows a second are assumed")
     else:
         proposal.time += time_lines(names, columns, time, dates, proposal)
     force_unit = ""
@@ -221,6 +245,18 @@ def propose_columns(
     return proposal
 
 
+UNKNOWN_RATE = "rate_hz = 100   # ? enter the true rate"
+"""The line of `[time]` for rows of unknown rate."""
+
+
+def rate_line(proposal: Proposal) -> str:
+    """Return the line of `[time]` for rows without times: the rate that the recording states, or a guess."""
+    layout = proposal.layout
+    if layout.rate_hz is None:
+        return UNKNOWN_RATE
+    return f"rate_hz = {layout.rate_hz:g}   # stated by {printable(layout.rate_source)[:80]}"
+
+
 def _add_own_time(
     item: list[str],
     names: Sequence[str],
@@ -233,7 +269,7 @@ def _add_own_time(
     own = _own_time(names[first], names, columns, time[0]) if names else None
     if own is None:
         return
-    label = quoted(names[own])
+    label = column_label(names, own)
     units = [
         _unit_of_time(_unit_in(names[index]), columns[index][np.isfinite(columns[index])])[0]
         for index in (own, time[0])
@@ -298,8 +334,15 @@ _OWN_PREFIX = 2
 
 def increases(values: Floats) -> bool:
     """Return whether values (n,) increase like time: all but a hundredth of the steps, as a counter may wrap."""
-    steps = np.diff(values)
-    return len(steps) > 1 and bool(np.isfinite(steps).all()) and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
+    known = values[np.isfinite(values)]
+    if len(known) < _MOSTLY_KNOWN * len(values):
+        return False
+    steps = np.diff(known)
+    return len(steps) > 1 and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
+
+
+_MOSTLY_KNOWN = 0.5
+"""Least share of rows that have a time: events between readings may have none."""
 
 
 def time_lines(
@@ -311,7 +354,7 @@ def time_lines(
 ) -> list[str]:
     """Return the lines of `[time]` for the column `index`; adds doubts to the proposal."""
     name = names[index] if index < len(names) else ""
-    lines = [f"column = {quoted(name) if names else index}"]
+    lines = [f"column = {column_label(names, index)}"]
     if index in dates:
         month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
         return [*lines, f"unit = {quoted(dates[index])}{month}"]
@@ -330,12 +373,15 @@ def time_lines(
             f"ticks = {ticks[1]}",
         ]
         return lines + _restarts(values)
-    if said not in NS_PER_UNIT and _INDEX.fullmatch(name.strip()) and (steps == 1).all():
-        proposal.doubts.append(
-            f"column {name!r} counts the rows and says nothing about time: 100 rows a second are assumed; enter the"
-            " rate in rate_hz"
-        )
-        return ["rate_hz = 100   # ? enter the true rate"]
+    is_number = names and (not name.strip() or _INDEX.fullmatch(name.strip()))
+    if said not in NS_PER_UNIT and is_number and (steps == 1).all():
+        what = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
+        if proposal.layout.rate_hz is None:
+            proposal.doubts.append(
+                f"{what} counts the rows and says nothing about time: 100 rows a second are assumed; enter the rate in"
+                " rate_hz"
+            )
+        return [rate_line(proposal)]
     unit, step = _unit_of_time(said, values)
     rate_hz = _rate_hz(unit, step)
     inferred, _ = _unit_of_time("", values)
@@ -412,7 +458,11 @@ def _triads(
     """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken and np.isfinite(columns[index]).any()]
-        yield from _nameless(columns, free)
+        said = quantity_of(stem_of_file)
+        if said and 3 <= len(free) <= _MOST_OF_ONE_SENSOR:
+            yield said, (free[0], free[1], free[2])
+        else:
+            yield from _nameless(columns, free)
         return
     used: set[int] = set()
     for prefix in dict.fromkeys(match[1] for name in names if (match := _PART.fullmatch(name))):
@@ -423,14 +473,20 @@ def _triads(
     for index, name in enumerate(names[:-2]):
         if names[index + 1 : index + 3] == ["1", "2"]:
             used.update(range(index, index + 3))
-            by_name = next((what for what, words in _QUANTITIES if words.search(name)), "")
-            yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), by_name), (index, index + 1, index + 2)
+            yield (
+                _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), quantity_of(name)),
+                (index, index + 1, index + 2),
+            )
     for axes in ("xyz", "XYZ", "012", "123"):
         for index, name in enumerate(names):
             for place in (at for at, letter in enumerate(name) if letter == axes[0]):
                 stems = [name[:place] + letter + name[place + 1 :] for letter in axes]
                 if index in used or not all(stem in names for stem in stems):
                     continue
+                fourth, fifth = (f"{name[:place]}{letter}{name[place + 1 :]}" for letter in (_FOURTH[axes], "4"))
+                is_time = _FOURTH[axes] == "0" and fourth in names and increases(columns[names.index(fourth)])
+                if fourth in names and fifth not in names and not is_time:
+                    continue  # four numbers: a quaternion, motors, channels
                 indices = (names.index(stems[0]), names.index(stems[1]), names.index(stems[2]))
                 if used.intersection(indices) or taken.intersection(indices):
                     continue
@@ -439,12 +495,56 @@ def _triads(
                 if _QUATERNION.fullmatch(stem):
                     continue
                 called = stem if stem.strip("*_.- []()") and not _VALUES.fullmatch(stem) else stem_of_file
-                by_name = next((what for what, words in _QUANTITIES if words.search(called)), "")
-                yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), by_name), indices
+                yield _QUANTITY_OF_UNIT.get(units.get(name) or _unit_in(name), quantity_of(called)), indices
+
+
+def _with_gravity_again(
+    triads: list[tuple[str, tuple[int, int, int]]],
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    proposal: Proposal,
+) -> list[tuple[str, tuple[int, int, int]]]:
+    """Return the triads with gravity and the acceleration without it as one, if there is no accelerometer's reading."""
+    forces = [indices for quantity, indices in triads if quantity == "specific_force"]
+    if names:
+        pulls = [indices for indices in forces if _GRAVITY.search(names[indices[0]])]
+        rests = [indices for indices in forces if _FREE.search(names[indices[0]])]
+    else:
+        pulls = [indices for indices in forces if _is_computed_gravity(columns, indices)]
+        rests = [(last + 1, last + 2, last + 3) for *_, last in pulls if last + 3 < len(columns)]
+        rests = [indices for indices in rests if not any(set(indices) & set(used) for _, used in triads)]
+    if len(pulls) != 1 or len(rests) != 1 or len(forces) > len(pulls) + (len(rests) if names else 0):
+        return triads
+    proposal.gravity[rests[0]] = pulls[0]
+    proposal.doubts.append(
+        "gravity and acceleration are separate: a program estimated and subtracted it, and it is added again"
+        " (gravity_columns); noise and biases are those after its filters"
+    )
+    return [("specific_force", rests[0]), *(triad for triad in triads if triad[1] not in (*pulls, *rests))]
+
+
+_GRAVITY = re.compile("grav", re.IGNORECASE)
+_FREE = re.compile("user|lin|free", re.IGNORECASE)
+_APPLE = re.compile(
+    r"user_?acceleration|accelerometerAcceleration|motionGravity|DeviceMotion|CMAcceleration", re.IGNORECASE
+)
+"""Names of Apple's CoreMotion, in which a device that lies on its back reads -1 g along z."""
+
+
+def _is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]) -> bool:
+    """Return whether a triad is gravity from a filter: its length is 1, or g, to a thousandth while it turns."""
+    lengths = _lengths(columns, indices)
+    if not len(lengths) or not _keeps_its_length(columns, indices):
+        return False
+    low, middle, high = np.quantile(lengths, (0.05, 0.5, 0.95))
+    return bool(high - low < 2 * _UNIT_LENGTH * middle)
 
 
 def _with_quantity(
-    triads: list[tuple[str, tuple[int, int, int]]], names: Sequence[str], proposal: Proposal
+    triads: list[tuple[str, tuple[int, int, int]]],
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    proposal: Proposal,
 ) -> list[tuple[str, tuple[int, int, int]]]:
     """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
 
@@ -470,6 +570,7 @@ def _with_quantity(
         proposal.doubts.append(
             "columns that are called 1 and 2 do not say which axes they hold: GoPro writes z, x, y, for example"
         )
+    triads = _with_gravity_again(triads, names, columns, proposal)
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]
@@ -481,17 +582,122 @@ def _with_quantity(
     return known
 
 
+_MOST_OF_ONE_SENSOR = 5
+"""Most columns besides time of a table of one sensor: its axes, and perhaps an accuracy or a magnitude."""
+
+_PLAIN_COLUMNS = 9
+"""Most columns without names that are read as force, rate and field in this order."""
+
+_MOST_LABELS = 64
+_KNOWN_SHARE = 0.5
+_UNIT_LENGTH = 2e-3
+"""Scatter of the length of a quaternion, or of gravity from a filter, relative to it: no sensor scatters so little."""
+
+_FOLLOWS_GRAVITY = 0.35
+"""Correlation between the change of gravity and that by a rate from which on the rate is that of a gyroscope."""
+
+_SMOOTHED_ROWS = 5
+
+
 def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Yield consecutive threes of columns; the magnitude of specific force is constant under rotation, so the first is
-    taken for a force.
+    """Yield the triads of columns without names: consecutive threes, or among many others those that behave like it.
+    The magnitude of specific force is constant under rotation, so the first is taken for a force.
     """
+    if len(free) > _PLAIN_COLUMNS or len(free) % 3:
+        if found := list(_behaving(columns, free)):
+            yield from found
+            return
+        free = [index for index in free if not _is_label(columns[index])]
     triads = [(free[start], free[start + 1], free[start + 2]) for start in range(0, len(free) - 2, 3)][:3]
+    triads = [triad for triad in triads if sum(float(np.nanstd(columns[index])) == 0 for index in triad) < 2]
     order = ["specific_force", "angular_rate", "magnetic_field"]
-    if len(triads) > 1 and [_is_gravity(columns, triad) for triad in triads[:2]] == [False, True]:
+    if len(triads) > 1 and [is_gravity(columns, triad) for triad in triads[:2]] == [False, True]:
         order[:2] = ["angular_rate", "specific_force"]
-    elif len(triads) > 1 and _is_gravity(columns, triads[1]) and _keeps_its_length(columns, triads[1]):
+    elif len(triads) > 1 and is_gravity(columns, triads[1]) and _keeps_its_length(columns, triads[1]):
         order[1] = "specific_force"
     yield from zip(order, triads, strict=False)
+
+
+def _behaving(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield the triads that behave like gravity, and like the rates and fields of sensors beside them."""
+    kept = [index for index in free if not _is_label(columns[index])]
+    forces: list[tuple[int, int, int]] = []
+    runs: list[list[int]] = [[]]
+    at = 0
+    while at < len(kept):
+        if at + 4 <= len(kept) and _has_unit_length(columns, kept[at : at + 4]):
+            runs.append([])
+            at += 4
+        elif at + 3 <= len(kept) and _is_steady_gravity(columns, kept[at : at + 3]):
+            forces.append((kept[at], kept[at + 1], kept[at + 2]))
+            runs.append([])
+            at += 3
+        else:
+            runs[-1].append(kept[at])
+            at += 1
+    if not forces:
+        return
+    yield from (("specific_force", force) for force in forces)
+    others = [
+        (run[at], run[at + 1], run[at + 2])
+        for number, run in enumerate(runs)
+        for at in range(0 if number else len(run) % 3, len(run) - 2, 3)
+    ]
+    rates = [triad for triad in others if any(_turns_gravity(columns, triad, force) for force in forces)]
+    if not rates:  # at rest, the first triad after a force is taken for a rate, and the second for a field
+        firsts = {run[0] for run in runs[1:] if len(run) >= 3}
+        seconds = {run[3] for run in runs[1:] if len(run) >= 6}
+        yield from (("angular_rate", triad) for triad in others if triad[0] in firsts)
+        yield from (("magnetic_field", triad) for triad in others if triad[0] in seconds)
+        return
+    yield from (("angular_rate", triad) for triad in rates)
+    fields = (triad for triad in others if triad not in rates and _keeps_its_length(columns, triad))
+    yield from (("magnetic_field", triad) for triad in fields)
+
+
+def _is_label(values: Floats) -> bool:
+    """Return whether a column is constant, mostly empty, or has few whole numbers, as labels of activities are."""
+    known = values[np.isfinite(values)]
+    if len(known) < _KNOWN_SHARE * len(values):
+        return True
+    few = len(np.unique(known)) <= _MOST_LABELS and bool((known == np.rint(known)).all())
+    return float(np.ptp(known)) == 0 or (few and float(np.mean(np.diff(known) == 0)) > 1 - _KNOWN_SHARE)
+
+
+def _lengths(columns: Sequence[Floats], indices: Sequence[int]) -> Floats:
+    """Return the lengths (n,) of the rows that are known."""
+    values = np.stack([columns[index] for index in indices], axis=1)
+    return np.asarray(np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1))
+
+
+def _has_unit_length(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
+    """Return whether vectors have length 1 to a thousandth, as quaternions have."""
+    lengths = _lengths(columns, indices)
+    return len(lengths) > 0 and bool(np.quantile(np.abs(lengths - 1), 0.95) < _UNIT_LENGTH)
+
+
+def _is_steady_gravity(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
+    """Return whether a triad has the length of gravity in most rows."""
+    triad = (indices[0], indices[1], indices[2])
+    if not is_gravity(columns, triad) or min(float(np.nanstd(columns[index])) for index in triad) == 0:
+        return False
+    low, middle, high = np.quantile(_lengths(columns, triad), (0.1, 0.5, 0.9))
+    return bool(high - low < 0.6 * middle)
+
+
+def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force: tuple[int, int, int]) -> bool:
+    """Return whether gravity turns as a rate says, df/dt = -omega x f, in any unit of both."""
+    w, f = (np.stack([columns[index] for index in triad], axis=1) for triad in (rate, force))
+    known = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
+    kernel = np.ones(_SMOOTHED_ROWS) / _SMOOTHED_ROWS
+    if known.sum() < 10 * _SMOOTHED_ROWS:
+        return False
+    w, f = (np.stack([np.convolve(axis, kernel, "valid") for axis in values[known].T], axis=1) for values in (w, f))
+    change = (f[2 * _SMOOTHED_ROWS :] - f[: -2 * _SMOOTHED_ROWS]).ravel()
+    middle = slice(_SMOOTHED_ROWS, -_SMOOTHED_ROWS)
+    turned = -np.cross(w[middle], f[middle]).ravel()
+    size = float(np.linalg.norm(change) * np.linalg.norm(turned))
+    return size > 0 and float(change @ turned) / size > _FOLLOWS_GRAVITY
 
 
 def _keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
@@ -506,7 +712,7 @@ def _keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) ->
     return bool(high - low < _NEAR_GRAVITY * middle and turned > 0.5 * middle)
 
 
-def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+def is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
     """Return whether the median length of a triad is 1 g in some unit."""
     lengths = np.sqrt(sum(columns[index] ** 2 for index in triad))
     if np.isnan(lengths).all():
@@ -525,17 +731,26 @@ def _sensor(
 ) -> tuple[list[str], str]:
     """Return the lines of a sensor, and the chosen unit."""
     values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
+    gravity = proposal.gravity.get(indices)
+    if gravity is not None:
+        values = values + np.stack([columns[index][: len(values)] for index in gravity], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     said = proposal.units.get(names[indices[0]]) or _unit_in(names[indices[0]]) if names else ""
-    whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
+    whole = bool(len(values)) and float(np.mean(values == np.rint(values))) > _WHOLE and length > 5
+    beyond = float(np.abs(values).max(initial=0.0))
+    is_wide = (
+        quantity == "specific_force"
+        and whole
+        and (beyond >= _CODES_16 or (beyond >= _CODES_16 / 2 and float(values.min()) < 0))
+    )
     whole = whole and float(np.ptp(values)) < _CODES_16
     codes: list[str] = []
     largest = _CODES_16 / 2
     if whole:
         values, codes, largest = _signed(values)
         length = float(np.median(np.linalg.norm(values, axis=1)))
-    listed = ", ".join(quoted(names[index]) if names else str(index) for index in indices)
+    listed = ", ".join(column_label(names, index) for index in indices)
     name = _NAMES[quantity]
     number = sum(item[1].startswith(f'name = "{name}') for item in proposal.items)
     item = [
@@ -545,8 +760,14 @@ def _sensor(
         f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
         f"columns = [{listed}]",
     ]
+    if gravity is not None:
+        item.append(f"gravity_columns = [{', '.join(column_label(names, index) for index in gravity)}]")
+    if quantity == "specific_force" and names and _APPLE.search(names[indices[0]]):
+        item.append('signs = "---"   # ? Apple\'s CoreMotion has the opposite sign: -1 g along the axis that points up')
     if said in UNITS_OF[quantity]:  # type: ignore[index]
         return [*item, f'unit = "{said}"'], said
+    if is_wide:  # codes of more than 16 bits
+        return [*item, 'unit = "g"', f"factor = {1 / length:.6g}   # ? from gravity: {length:.6g} counts"], "g"
     if not whole:
         unit, lines = _measured(quantity, values, force_unit)
         return [*item, *lines], unit
@@ -556,6 +777,9 @@ def _sensor(
         unit, lines = "mg", [UNIT_MG.format(sphere.radius)]
     return [*item, *codes, *lines], unit
 
+
+_WHOLE = 0.999
+"""Share of whole numbers of a column of codes: a torn row may hold others."""
 
 UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
 
@@ -575,7 +799,8 @@ def _signed(values: Floats) -> tuple[Floats, list[str], float]:
         return values, [], _CODES_16 / 2
     medians = np.median(values, axis=0)
     middle = 2.0 ** np.rint(np.log2(max(float(np.median(medians)), 1.0)))
-    if _LEAST_MIDDLE <= middle < _CODES_16 / 2 and (np.abs(medians / middle - 1) < _NEAR_MIDDLE).all():
+    _, second, largest = np.sort(np.abs(medians / middle - 1)).tolist()
+    if _LEAST_MIDDLE <= middle < _CODES_16 / 2 and second < _NEAR_MIDDLE and largest < _GRAVITY_FROM_MIDDLE:
         return values - middle, [f"offset = {middle:g}   # ? no code is negative, and all axes are near it"], middle
     if values.max() < _CODES_16 / 2:
         return values, [], _CODES_16 / 2

@@ -26,14 +26,17 @@ from imuarray.importers.column_meaning import (
     COMPUTED,
     COUNTS_OF_GYROSCOPE,
     UNIT_MG,
+    UNKNOWN_RATE,
     Proposal,
     increases,
     instance_column,
+    is_gravity,
     is_in_mg,
     is_of_a_quantity,
     kind_column,
     propose_columns,
     propose_kind,
+    quantity_of,
     time_lines,
     units_below_header,
     words_of_kind,
@@ -41,10 +44,12 @@ from imuarray.importers.column_meaning import (
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
+from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
 from imuarray.importers.resolution import SENSITIVITIES
-from imuarray.importers.sources import ZIP, open_rows, reader_of, texts_in, unpack_texts
+from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, texts_in, unpack_texts
 from imuarray.importers.table import import_table
 from imuarray.importers.text_layout import (
+    INVERTED_Y,
     LOOKED_AT_ROWS,
     TextLayout,
     columns_of,
@@ -81,7 +86,10 @@ def guess_map(source: str | Path) -> str:
         trial = _try_import(proposal.text([]), path)
     if _correct_milli(proposal, trial.radii):
         trial = _try_import(proposal.text([]), path)
-    if _correct_scale(proposal, trial.factor) if trial.factor is not None else _correct_quiet_unit(proposal, trial):
+    is_corrected = trial.factor is not None and _correct_scale(proposal, trial.factor)
+    if is_corrected or _correct_quiet_unit(proposal, trial):
+        trial = _try_import(proposal.text([]), path)
+    if trial.factor is not None and _correct_rate(proposal, trial.factor):
         trial = _try_import(proposal.text([]), path)
     proposal.remarks += [text for text in trial.remarks if text not in proposal.remarks]
     proposal.doubts += [text for text in trial.doubts if text not in proposal.doubts]
@@ -256,6 +264,34 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
     return False
 
 
+_RATES_HZ = (
+    10, 12.5, 20, 25, 26, 30, 32, 40, 50, 52, 60, 64, 75, 100, 104, 120, 125, 128, 200, 208, 250, 256, 400, 416, 500,
+    512, 800, 1000,
+)  # fmt: skip
+"""Usual rates of recordings."""
+_NEAR_RATE = 0.05
+_KNOWN_RATE = 0.1
+"""Log ratios up to which a rate is a usual one, and is not doubted."""
+
+
+def _correct_rate(proposal: Proposal, factor: float) -> bool:
+    """Replace a rate of rows that was assumed by the one at which the gyroscope turns as gravity does."""
+    line = next((line for line in proposal.time if line == UNKNOWN_RATE), None)
+    if line is None or factor <= 0 or abs(ln(factor)) < _KNOWN_RATE:
+        return False
+    rate_hz = turning_hz = 100 / factor
+    nearest = min(_RATES_HZ, key=lambda usual: abs(ln(usual / rate_hz)))
+    rate_hz = nearest if abs(ln(nearest / rate_hz)) < _NEAR_RATE else float(f"{rate_hz:.3g}")
+    proposal.time[proposal.time.index(line)] = (
+        f"rate_hz = {rate_hz:g}   # ? at {turning_hz:.4g} rows a second the gyroscope turns as gravity does"
+    )
+    proposal.doubts = [
+        text.replace("100 rows a second are assumed", "the rate is that at which the gyroscope turns as gravity does")
+        for text in proposal.doubts
+    ]
+    return True
+
+
 def _is_gyroscope(item: Sequence[str]) -> bool:
     return any(line.startswith('quantity = "angular_rate"') for line in item)
 
@@ -309,7 +345,7 @@ def _propose_map(path: Path) -> Proposal:
     if reader_of(path) is None:
         layout, names, rows = read_text(path)
         if layout.kind_column is not None:
-            kinds = sorted({row[layout.kind_column] for row in rows})
+            kinds = sorted({row[0] for row in rows})
             proposal = Proposal(layout, ["column = 1   # ?", 'unit = "ms"   # ?'])
             if len(kinds) > 1:
                 proposal.doubts.append(
@@ -317,11 +353,12 @@ def _propose_map(path: Path) -> Proposal:
                 )
             force_unit = ""
             described = {kind: _full_labels(kind) for kind in kinds} if layout.labels else names_by_kind(path)
+            kinds = _numbered_kinds(proposal, kinds, described, rows)
             for kind in kinds:
                 if kind in described:
                     _propose_described(proposal, kind, described[kind], rows)
                     continue
-                of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
+                of_kind = [row for row in rows if row[0] == kind and len(row) >= 5]
                 if of_kind:
                     cells = columns_of([row[: len(of_kind[0])] for row in of_kind], layout)
                     if increases(cells[1]) and not proposal.items:
@@ -333,6 +370,20 @@ def _propose_map(path: Path) -> Proposal:
     source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
     proposal = Proposal(TextLayout())
     for kind, listed in source.names().items():
+        if reader_of(path) in ("records", "row_files"):
+            chosen, stem = _words_of_frames(source, kind, listed) if FIRST_WORDS.issubset(listed) else (listed, kind)
+            rows = _first_rows(source, kind, chosen)
+            if len(rows) < 2:
+                proposal.doubts.append(f"left out: the only row of kind {kind!r}")
+                continue
+            partial = propose_columns(TextLayout(), list(chosen), columns_of(rows, TextLayout()), dates_of(rows), stem)
+            if not partial.items:
+                proposal.doubts.append(
+                    f"left out: rows of kind {kind!r}, which have no triad that is known by its name"
+                )
+                continue
+            _add_kind(proposal, kind, partial)
+            continue
         columns = []
         for name in listed:
             block = next(
@@ -350,16 +401,40 @@ def _propose_map(path: Path) -> Proposal:
     return proposal
 
 
+def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) -> tuple[list[str], str]:
+    """Return the columns of frames of a CAN bus in the byte order in which they are smoother, and the quantity that
+    their length suggests.
+    """
+    numbers = {}
+    for order in WORD_ORDERS:
+        names = [name for name in listed if name.startswith(order)][:3]
+        numbers[order] = columns_of(_first_rows(source, kind, names), TextLayout())
+    rough = {order: sum(float(np.abs(np.diff(each)).sum()) for each in columns) for order, columns in numbers.items()}
+    best = min(rough, key=lambda order: rough[order])
+    quantity = "acceleration" if len(numbers[best]) == 3 and is_gravity(numbers[best], (0, 1, 2)) else "angular rate"
+    return [*[name for name in listed if name.startswith(best)][:3], "time"], quantity
+
+
+def _first_rows(source: RecordingRows, kind: str, names: Sequence[str]) -> list[list[str]]:
+    """Return the cells of the first rows of a kind."""
+    for block, where in source.blocks(list(names), kind or None, LOOKED_AT_ROWS):
+        return [list(row) for row in zip(*(block.column(at, "").texts for at in where), strict=True)]
+    return []
+
+
 def _add_kind(proposal: Proposal, kind: str, partial: Proposal) -> None:
     """Add what is proposed for the rows of a kind ("" if there is one kind)."""
     for item in partial.items:
         if kind:
             item.insert(2, f"kind = {quoted(kind)}")
-        if any(item[1] == other[1] for other in proposal.items):
-            earlier = sum(other[1].rstrip('"0123456789') == item[1][:-1] for other in proposal.items)
-            item[1] = item[1][:-1] + f'{earlier + 1}"'
+        names = {other[1] for other in proposal.items}
+        stem = item[1].rstrip('"0123456789')
+        numbers = (f'{stem}{number}"' for number in range(2, len(names) + 3))
+        item[1] = next(name for name in (item[1], *numbers) if name not in names)
+        if proposal.time and partial.time[:1] != proposal.time[:1] and partial.time[0].startswith("column"):
+            item += [] if any(line.startswith("time_column") for line in item) else ["time_" + partial.time[0]]
+        proposal.items.append(item)
     proposal.time = proposal.time or partial.time
-    proposal.items += partial.items
     proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
 
 
@@ -405,11 +480,15 @@ def _propose_folder(folder: Path) -> Proposal:
     """Propose a map of a folder with a text for each sensor."""
     proposal: Proposal | None = None
     doubts: list[str] = []
+    is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
     for name, path in texts_in(folder).items():
         try:
             layout, names, rows = read_text(path)
         except SourceError as error:
             doubts.append(f"left out: {error}")
+            continue
+        if is_named and not names and not quantity_of(name):
+            doubts.append(f"left out: {path.name}: neither its name nor its columns state a quantity")
             continue
         units = units_below_header(layout, names)
         partial = propose_columns(layout, names, columns_of(rows, layout), dates_of(rows), name, units)
@@ -420,9 +499,6 @@ def _propose_folder(folder: Path) -> Proposal:
         if layout.lines() != proposal.layout.lines():
             doubts.append(f"left out: {path.name} has another layout than the other files")
             continue
-        if proposal.time and partial.time[0] != proposal.time[0] and partial.time[0].startswith("column"):
-            for item in partial.items:
-                item.append("time_" + partial.time[0])
         for item in partial.items:
             if len(partial.items) == 1 and _NAME.fullmatch(name):
                 item[1] = f'name = "{name}"'
@@ -478,10 +554,42 @@ def _full_labels(kind: str) -> list[str]:
     return [name if unit is None or name.endswith("]") else name + unit[0] for name in names]
 
 
+def _numbered_kinds(
+    proposal: Proposal, kinds: list[str], described: dict[str, list[str]], rows: Sequence[Sequence[str]]
+) -> list[str]:
+    """Return the kinds of rows; if a column numbers the sensors of one (an ArduPilot log has several IMU), those with
+    their numbers, which the map's `kind_column` then has, too. Kinds without a number in that column are left out.
+    """
+    places = set()
+    for kind in kinds:
+        names = described.get(kind, [])
+        of_kind = [row[1 : len(names) + 1] for row in rows if row[0] == kind and len(row) > len(names)]
+        if names and len(of_kind) > 1:
+            place = instance_column(names, columns_of(of_kind, proposal.layout))
+            places |= set() if place is None else {place + 1}
+    if len(places) != 1:
+        return kinds
+    (place,) = places
+    numbered = []
+    for kind in kinds:
+        numbers = {row[place].strip() for row in rows if row[0] == kind and len(row) > place}
+        if len(numbers) <= _MOST_INSTANCES:
+            for number in sorted(numbers):
+                described[f"{kind} {number}"] = described.get(kind, [])
+                numbered.append(f"{kind} {number}")
+    proposal.layout.kind_column = [0, place]
+    return [kind for kind in numbered if described[kind]]
+
+
+_MOST_INSTANCES = 16
+
+
 def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:
     """Propose the sensors of a kind of rows whose columns after that of the kind have names."""
     layout = proposal.layout
-    cells = columns_of([row[1 : len(names) + 1] for row in rows if row[0] == kind and len(row) > len(names)], layout)
+    places = layout.kind_column if isinstance(layout.kind_column, list) else [0]
+    of_kind = (row for row in rows if len(row) > len(names) and " ".join(row[at].strip() for at in places) == kind)
+    cells = columns_of([row[1 : len(names) + 1] for row in of_kind], layout)
     if not cells or len(cells[0]) < 2:
         return
     partial = propose_columns(layout, names, cells, {})
@@ -491,10 +599,9 @@ def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Se
         for place, line in enumerate(lines):
             if re.match(r"\w*columns? = ", line):
                 lines[place] = re.sub(r'"([^"]*)"', lambda name: str(names.index(name[1]) + 1), line)
-    if (instance := instance_column(names, cells)) is not None:
-        proposal.doubts.append(
-            f"rows {kind} come from several sensors, numbered by column {names[instance]}: give each a file of its own"
-        )
+    if kind in INVERTED_Y:
+        for item in partial.items:
+            item.append('signs = "+-+"   # the y axis of this sentence is inverted')
     if not proposal.items:
         proposal.time = partial.time
     _add_kind(proposal, kind, partial)

@@ -9,7 +9,8 @@
                   ticks = 1   wraps_at = 4294967296   ties = true   sort = true   restarts = true
                   stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
-                  values = "counts" | "physical"   offset = 0   bits = 16   axes = "+X+Y+Z"   position_mm = [x, y, z]
+                  values = "counts" | "physical"   offset = 0   bits = 16   factor = 1   signs = "+++"
+                  gravity_columns = [x, y, z]   axes = "+X+Y+Z"   position_mm = [x, y, z]
                   temperature_column   thermometer = { zero_degc, lsb_per_degc } | { unit = "degC" }
                   time_column   kind
     [[thermometer]]  name  column  unit = "degC" | "K" | "counts"   zero_degc   lsb_per_degc   time_column   kind
@@ -66,6 +67,7 @@ def _column(value: Any) -> str | int:
 Column = Annotated[str | int, PlainValidator(_column)]
 Positive = Annotated[float, Field(gt=0)]
 Triad = Annotated[list[Column], Field(min_length=3, max_length=3)]
+Place = Annotated[int, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 Degrees = Annotated[float, Field(ge=-1e6, le=1e6)]
 
@@ -111,8 +113,9 @@ def _spelt(spellings: dict[str, str]) -> BeforeValidator:
 
 class FileTable(BaseModel):
     """`[file]`: how a text is split into cells. If rows of several tables are mixed, `kind_column` (an index) names the
-    table of a row. With `labels`, values have labels ("ax: 0.02, ay: -0.98"): the labels, joined by commas, become the
-    first cell, which is the kind of a row. `format`: a format that needs no map, so that the map adds phases only.
+    table of a row; several indices name it together, as "IMU 0". With `labels`, values have labels ("ax: 0.02,
+    ay: -0.98"): the labels, joined by commas, become the first cell, which is the kind of a row. `format`: a format
+    that needs no map, so that the map adds phases only.
     """
 
     model_config = _STRICT
@@ -120,9 +123,16 @@ class FileTable(BaseModel):
     decimal: Literal[".", ","] = "."
     skip_rows: Annotated[int, Field(ge=0)] = 0
     comment: str = "#"
-    kind_column: Annotated[int, Field(ge=0)] | None = None
+    kind_column: Place | Annotated[list[Place], Field(min_length=1, max_length=4)] | None = None
     labels: bool = False
     format: str | None = None
+
+    @property
+    def kind_columns(self) -> list[int]:
+        """The indices of the cells that name the table of a row together; [] if there is one table."""
+        if self.kind_column is None:
+            return []
+        return [self.kind_column] if isinstance(self.kind_column, int) else self.kind_column
 
     @model_validator(mode="after")
     def _tells_cells_apart(self) -> Self:
@@ -243,8 +253,10 @@ class SensorTable(LogColumn):
     `values` says whether they hold counts or numbers in `unit`, which are converted to counts; without `sensitivity`
     and `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
-    with `bits` they are two's complement that was read as unsigned. `thermometer` is given if a chip's data sheet is
-    not known to this package, or a unit was calibrated.
+    with `bits` they are two's complement that was read as unsigned. Values of `columns` times `factor` are in `unit`,
+    which codes of more than 16 bits need; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
+    `gravity_columns`: gravity that a program subtracted, in `unit`; it is added again. `thermometer` is given if a
+    chip's data sheet is not known to this package, or a unit was calibrated.
     """
 
     chip: Annotated[str, Field(min_length=1)]
@@ -257,6 +269,9 @@ class SensorTable(LogColumn):
     values: Literal["counts", "physical"] | None = None
     offset: int = 0
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
+    factor: Positive | None = None
+    signs: Annotated[str, Field(pattern=r"^[+-]{3}$")] = "+++"
+    gravity_columns: Triad | None = None
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     temperature_column: Column | None = None
@@ -283,6 +298,10 @@ class SensorTable(LogColumn):
                 raise ValueError("sensitivity: is missing, or scale; columns of counts need it")
         elif self.offset or self.bits:
             raise ValueError("offset and bits apply to counts, but these columns have a unit")
+        if not self.is_physical and (self.factor is not None or self.gravity_columns is not None):
+            raise ValueError("factor and gravity_columns apply to columns in a unit, but these hold counts")
+        if self.gravity_columns is not None and self.quantity != "specific_force":
+            raise ValueError(f"gravity_columns apply to specific_force, but the quantity is {self.quantity}")
         orientation_of(self.axes)
         return self
 
@@ -295,6 +314,11 @@ class SensorTable(LogColumn):
     def counts_per_unit(self) -> float | None:
         """Counts per `unit`; None if the map does not state it."""
         return self.sensitivity if self.scale is None else 1 / self.scale
+
+    @property
+    def sign_of_axes(self) -> list[float]:
+        """The factor of each axis that `signs` states."""
+        return [1.0 if sign == "+" else -1.0 for sign in self.signs]
 
     @property
     def log_units(self) -> float:
@@ -438,6 +462,7 @@ def columns_of(item: RowSettings) -> Iterator[str | int]:
         yield item.time_column
     if isinstance(item, SensorTable):
         yield from item.columns
+        yield from item.gravity_columns or ()
         if item.temperature_column is not None:
             yield item.temperature_column
     elif isinstance(item, OwnThermometer | BarometerTable):

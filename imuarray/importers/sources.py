@@ -1,7 +1,7 @@
 """The rows of a recording: a text, arrays in a file (.npz, .npy, .mat, .parquet), messages in a bag.
 
 The first bytes determine the kind of file (`open_rows`). Texts, bags and Parquet files are streamed. The arrays of
-.npz, .npy and .mat files are read completely, because of their format.
+.npz, .npy and .mat files and JSON documents are read completely, because of their format.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source, unreadable
 from imuarray.importers.cells import CellBlock, TextTable
 from imuarray.importers.mapping import TableMap
+from imuarray.importers.records import is_of_records
+from imuarray.importers.row_files import folder_of_rows
 
 Reference = str | int
 """A column by its name or its index."""
@@ -170,13 +172,15 @@ READERS: Mapping[bytes, str] = {
 
 
 def reader_of(source: str | PathLike[str]) -> str | None:
-    """Return the module that reads a binary file; None for a text, or a folder of texts. A folder with a metadata.yaml
-    is taken for a ROS 2 bag.
+    """Return the module that reads a binary file, a text of records or a folder of rows; None for a table of text, or a
+    folder of such. A folder with a metadata.yaml is taken for a ROS 2 bag.
     """
     path = Path(source)
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return "bags"
+        if folder_of_rows(path) is not None:
+            return "row_files"
         if not texts_in(path):
             raise SourceError(
                 f"{path}: is a folder without a metadata.yaml, so no ROS 2 bag, and has no {', '.join(_TEXTS[:3])}"
@@ -193,6 +197,8 @@ def reader_of(source: str | PathLike[str]) -> str | None:
             f"{path}: compressed by {packer}; decompress it first, or give the folder of a ROS 2 bag, not a file in it"
         )
     module = next((module for magic, module in READERS.items() if first.startswith(magic)), None)
+    if module is None and is_of_records(path):
+        return "records"
     return ZIP if module == "arrays" and first.startswith(b"PK") and zipped_texts(path) else module
 
 

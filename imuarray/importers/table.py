@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Booleans, Times
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.errors import ConfigError, SourceError
 from imuarray.importers import NO_WALL_TIME, ImportSummary, importer
 from imuarray.importers.cells import (
@@ -50,7 +50,7 @@ from imuarray.importers.sources import RecordingRows, Reference, open_rows
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ARRIVAL, LOST_BEFORE, SATURATED, Event, Phase, SensorHeader, ThermometerScale
 from imuarray.log.sensor_log import first_at
-from imuarray.printable import counted
+from imuarray.printable import counted, listed
 from imuarray.units import SI_PER_UNIT, UNITS_OF
 
 VANISHED = 0.3
@@ -166,7 +166,7 @@ def _inferred(
         for block, where in rows.blocks(plan.columns, plan.kind, block_rows):
             at = dict(zip(plan.columns, where, strict=True))
             for sensor in open_:
-                cells = [block.column(at[column], repr(column)) for column in sensor.columns]
+                cells = _triad_of({name: block.column(at[name], repr(name)) for name in columns_of(sensor)}, sensor)
                 kept = ~_missing(cells)
                 values = np.concatenate([numbers(cell.where(kept)) for cell in cells]) * sensor.log_units
                 largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
@@ -237,6 +237,29 @@ def _missing(cells: Sequence[CellColumn]) -> Booleans:
 def _blank(cells: Sequence[CellColumn]) -> Booleans:
     """Return (n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
     return np.asarray(np.all([cell.blank() for cell in cells], axis=0), bool)
+
+
+def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> list[CellColumn]:
+    """Return the cells of a sensor's axes, with factor, signs and gravity of the map applied."""
+    triad = [cells[column] for column in sensor.columns]
+    if sensor.factor is None and sensor.signs == "+++" and sensor.gravity_columns is None:
+        return triad
+    gravity = [None] * 3 if sensor.gravity_columns is None else [cells[column] for column in sensor.gravity_columns]
+    result = []
+    for cell, pull, sign in zip(triad, gravity, sensor.sign_of_axes, strict=True):
+        values = _numbers_or_nan(cell)
+        if pull is not None:
+            values = values + _numbers_or_nan(pull)
+        result.append(CellColumn(cell.source, cell.label, cell.lines, (), values * (sign * (sensor.factor or 1.0))))
+    return result
+
+
+def _numbers_or_nan(cell: CellColumn) -> Floats:
+    """Return the numbers (n,) of a column, nan for blank cells; SourceError for text."""
+    blank = cell.blank()
+    values = np.full(cell.rows, np.nan)
+    values[~blank] = numbers(cell.where(~blank))
+    return values
 
 
 class _Rounding:
@@ -361,7 +384,7 @@ class _Stream:
         return np.array([row * period_ns.numerator // period_ns.denominator for row in rows], np.int64)
 
     def _add_triad(self, sensor: SensorTable, cells: dict[Reference, CellColumn], time: Times) -> None:
-        triad = [cells[column] for column in sensor.columns]
+        triad = _triad_of(cells, sensor)
         missing = _missing(triad)
         kept = ~missing
         per_unit = self._headers[sensor.name].sensitivity * sensor.log_units if sensor.is_physical else None
@@ -452,13 +475,17 @@ class _Stream:
             )
         if self._clock.wrapped:
             yield f"the time column wrapped {counted(self._clock.wrapped, 'time')}"
+        alike: dict[str, list[str]] = {}
         for name, count in self.rows_of.items():
             incomplete = self._incomplete[name]
             if blank := self.count - count - incomplete:
-                yield f"{name}: no reading in {blank} of {self.count} rows, whose cells are blank"
+                said = f"no reading in {blank} of {self.count} rows, whose cells are blank"
+                alike.setdefault(said, []).append(name)
             if incomplete:
                 rows = counted(incomplete, "row")
-                yield f"{name}: {rows} left out in which an axis has no value; the next row is flagged (lost before)"
+                said = f"{rows} left out in which an axis has no value; the next row is flagged (lost before)"
+                alike.setdefault(said, []).append(name)
+        yield from (f"{listed(names)}: {said}" for said, names in alike.items())
         for name, rounding in self._rounding.items():
             header = self._headers[name]
             if text := rounding.remark(name, header.unit, header.sensitivity):
@@ -549,15 +576,15 @@ class _Recording:
 
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
         """Return what was inferred, changed and left out, as sentences."""
-        remarks = []
+        alike: dict[str, list[str]] = {}
         for name, resolution in learnt.items():
             unit = self._headers[name].unit
             how = "as the grid of its values says"
             if not resolution.is_exact:
                 how = "assumed so that 16 bits hold its values; state both in the map if several files are of one array"
-            remarks.append(
-                f"{name}: {resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
-            )
+            said = f"{resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
+            alike.setdefault(said, []).append(name)
+        remarks = [f"{listed(names)}: {said}" for said, names in alike.items()]
         return [*remarks, *self._changes()]
 
 

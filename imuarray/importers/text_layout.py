@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,12 +17,12 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
-from imuarray.importers.cells import WINDOWS_1252, is_unit_row, is_utf16, labelled, plain_line
+from imuarray.importers.cells import WINDOWS_1252, is_unit_row, is_utf16, labelled, plain_line, plain_sentence
 from imuarray.importers.mapping import ISO
 
 LOOKED_AT_ROWS = 20_000
 """Number of rows from which the columns are inferred."""
-_HEAD_BYTES = 1 << 18
+_HEAD_BYTES = 1 << 20
 _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _PLAIN = 0.95
@@ -38,10 +38,14 @@ class TextLayout:
     skip_rows: int = 0
     comment: str = "#"
     named: bool = True
-    kind_column: int | None = None
+    kind_column: int | list[int] | None = None
     labels: bool = False
     unit_cells: tuple[str, ...] = ()
     """Cells of a row of units below the header."""
+    rate_hz: float | None = None
+    """The rate of the rows that the lines above the table state."""
+    rate_source: str = ""
+    """The line that states it."""
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
@@ -68,7 +72,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     encoding = "utf-16" if is_utf16(data) else "utf-8-sig"
     whole = data.decode(encoding, WINDOWS_1252).split("\n")
     whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
-    lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
+    lines = [(number, plain_sentence(line.strip("\r\0 "))) for number, line in enumerate(whole)]
     lines = [(number, line) for number, line in lines if line and "\0" not in line]
     comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
     remarks = [(number, line.removeprefix(comment)) for number, line in lines if line.startswith(comment)]
@@ -87,13 +91,12 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     rows = _padded([(number, split_cells(line, layout.delimiter)) for number, line in lines])
     if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
         layout.decimal = ","
-    numeric = [sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
+    numeric = [
+        sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2)
+        and any(is_number(cell, layout) and cell.strip() for cell in row)
+        for _, row in rows
+    ]
     if not any(numeric):
-        if lines[0][1].startswith(("{", "[{")):
-            raise SourceError(
-                f"{path}: JSON, not a table; convert it first, for example with pandas: read_json(..., lines=True) of"
-                " flat objects, then to_csv"
-            )
         raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
     first = _first_of_table(rows, numeric, layout)
     is_plain = first is not None
@@ -104,10 +107,16 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     worded = sum(head in starts for head in heads)
     changes = sum(a != b for a, b in pairwise(heads))
     alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
-    are_sentences = all(start.startswith("$") for start in starts) and worded > 0.9 * len(heads)
-    if not is_plain and (((len(widths) > 1 or alternate) and 1 < len(starts) < 20) or (starts and are_sentences)):
+    are_sentences = all(start.startswith("$") or start in SENTENCES for start in starts) and worded > 0.9 * len(heads)
+    is_described = any(line.startswith("FMT,") for _, line in lines)
+    alternate = (len(widths) > 1 or alternate) and 1 < len(starts) < 20
+    if is_described or (not is_plain and (alternate or (starts and are_sentences))):
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
+    if (stated := _rate_in_cells(rows)) is not None:
+        layout.skip_rows, layout.rate_hz, layout.rate_source = stated
+        layout.named = False
+        return layout, [], [row for _, row in rows[2:]][:LOOKED_AT_ROWS]
     width = len(rows[first][1])
     before = [(number, split_cells(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
     commented = before[-1] if before and len(before[-1][1]) == width else None
@@ -118,6 +127,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         header, above = rows[above], above - 1
     layout.named = header is not None and abs(len(header[1]) - width) <= 1
     begin = header[0] if header is not None and layout.named else rows[first][0]
+    layout.rate_hz, layout.rate_source = _stated_rate(whole[: rows[first][0]])
     layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
     names = [name.strip() for name in header[1]] if header is not None and layout.named else []
     body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
@@ -148,9 +158,44 @@ def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[boo
     usual = max(set(widths), key=widths.count)
     if widths.count(usual) < _PLAIN * len(tail):
         return None
-    if sum(is_number(row[0], layout) for row in tail if row) < _PLAIN * len(tail):
+    if sum(is_number(row[0], layout) or _is_date(row[0]) for row in tail if row) < _PLAIN * len(tail):
         return None
     return next((at for at, (_, row) in enumerate(rows) if numeric[at] and len(row) == usual), None)
+
+
+_RATE = re.compile(
+    r"(?:rate|freq\w*|sampl\w*)[^\d\n]{0,30}?(?P<named>\d+(?:\.\d+)?)|\bat (?P<hertz>\d+(?:\.\d+)?) ?Hz", re.IGNORECASE
+)
+_RATES_HZ = (1.0, 20_000.0)
+
+
+def _stated_rate(lines: Sequence[str]) -> tuple[float | None, str]:
+    """Return the rate of the rows that lines above a table state, and the line; None, "" without one."""
+    for line in lines:
+        if (match := _RATE.search(line)) is not None:
+            rate_hz = float(match["named"] or match["hertz"])
+            if _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+                return rate_hz, line.strip("\r\0 -#%/,")
+    return None, ""
+
+
+_UNIX_S = (3e8, 4e9)
+"""Times in seconds since 1970 of recordings."""
+
+
+def _rate_in_cells(rows: Sequence[tuple[int, list[str]]]) -> tuple[int, float, str] | None:
+    """Return the rows to skip, the rate and its source of a table that begins with its time of beginning and its rate,
+    once in each column (as Empatica's wristbands write it); None for others.
+    """
+    if len(rows) < 4 or not all(is_number(cell, TextLayout()) and cell.strip() for _, row in rows[:2] for cell in row):
+        return None
+    begins, rates = ({float(cell) for cell in row} for _, row in rows[:2])
+    if len(begins) != 1 or len(rates) != 1 or len(rows[0][1]) != len(rows[2][1]):
+        return None
+    begin_s, rate_hz = begins.pop(), rates.pop()
+    if not (_UNIX_S[0] <= begin_s <= _UNIX_S[1] and _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]):
+        return None
+    return rows[2][0], rate_hz, f"the second row; the first is the time of beginning, {begin_s:.0f} s after 1970"
 
 
 _MOSTLY = 0.9
@@ -203,6 +248,7 @@ def columns_of(rows: Sequence[Sequence[str]], layout: TextLayout) -> list[Floats
 
 
 _DATES: Sequence[tuple[str, str]] = (
+    (r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d:\d+$", "%Y-%m-%d %H:%M:%S:%f"),
     (r"\d{4}-\d\d-\d\d[T ]\d\d:", ISO),
     (r"\d{1,2}\.\d{1,2}\.\d{4} \d\d?:\d\d:\d\d", "%d.%m.%Y %H:%M:%S.%f"),
     (r"\d{4}/\d\d?/\d\d? \d\d?:\d\d:\d\d", "%Y/%m/%d %H:%M:%S.%f"),
@@ -212,6 +258,10 @@ _DATES: Sequence[tuple[str, str]] = (
     (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
 )
 """How dates and times are written, and the unit that a map states for them."""
+
+
+def _is_date(cell: str) -> bool:
+    return any(re.match(pattern, cell.strip()) for pattern, _ in _DATES)
 
 
 def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
@@ -238,15 +288,26 @@ def names_by_kind(path: Path) -> dict[str, list[str]]:
     with open_source(path, path.with_suffix(".guess")) as file:
         lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
     rows = [split_cells(line, ",") for line in lines if line.startswith("FMT,")]
-    return SENTENCES | {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
+    return dict(SENTENCES) | {row[3]: row[5:] for row in rows if len(row) > 5 and row[3] != "FMT"}
 
 
 _IMU = ["mag_x [gauss]", "mag_y [gauss]", "mag_z [gauss]", "acc_x [m/s2]", "acc_y [m/s2]", "acc_z [m/s2]"]
 _IMU += ["gyro_x [rad/s]", "gyro_y [rad/s]", "gyro_z [rad/s]"]
-SENTENCES = {
+_INCREMENTS = ["week", "time [s]", "status", "acc_z", "acc_y", "acc_x", "gyro_z", "gyro_y", "gyro_x"]
+_HEAD = [f"head{number}" for number in range(1, 10)]
+SENTENCES: Mapping[str, list[str]] = {
     "$VNYMR": ["yaw [deg]", "pitch [deg]", "roll [deg]", *_IMU],
     "$VNQMR": ["q0", "q1", "q2", "q3", *_IMU],
     "$VNIMU": [*_IMU, "temperature [degC]", "pressure [kPa]"],
     "$VNMAR": _IMU,
+    "RAWIMUA": [*_HEAD, *_INCREMENTS],
+    "RAWIMUSA": [*_HEAD[:2], *_INCREMENTS],
+    "RAWIMUXA": [*_HEAD, "info", "type", *_INCREMENTS],
+    "RAWIMUSXA": [*_HEAD[:2], "info", "type", *_INCREMENTS],
 }
-"""Columns of sentences of VectorNav's sensors behind their names (VN-100 user manual, ASCII messages)."""
+"""Columns of sentences behind their names: VectorNav's sensors (VN-100 user manual, ASCII messages), and NovAtel's
+RAWIMU (OEM7 commands and logs reference manual), whose increments are in the order z, -y, x.
+"""
+
+INVERTED_Y = frozenset({"RAWIMUA", "RAWIMUSA", "RAWIMUXA", "RAWIMUSXA"})
+"""Sentences whose y axis has the opposite sign."""

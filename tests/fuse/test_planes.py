@@ -253,7 +253,7 @@ def test_a_flat_board_has_nothing_to_compare_its_normal_with() -> None:
         for at, axis in enumerate(axes)
     ]
     technique = PlaneBlend(tilted)
-    technique(at_once(np.random.default_rng(4).normal(0, 6, (100, 6)) + [0, 0, 900, 0, 0, 900]))
+    technique(at_once(np.random.default_rng(4).normal(np.array([0, 0, 900, 0, 0, 900]), 6, (100, 6))))
     assert [monitor.frames for monitor in technique.monitors()] == [0, 0]
     assert technique.remarks("specific_force") == [
         "2 axes of lower weight cannot be compared: no axis of full weight lies near their direction"

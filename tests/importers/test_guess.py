@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from imuarray.cli import main
-from imuarray.errors import SourceError
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
 from imuarray.log import open_log
@@ -270,9 +269,3 @@ def test_a_second_accelerometer_without_a_name(tmp_path: Path) -> None:
     text = guess_map(tmp_path / "data.txt")
     assert re.findall(r'^quantity = "(\w+)"', text, re.MULTILINE) == ["specific_force"] * 2
     assert "sensitivity = 1024" in text
-
-
-def test_json_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "run.jsonl").write_text('{"t": 0, "acc": [0, 0, 1]}\n' * 30)
-    with pytest.raises(SourceError, match="JSON, not a table; convert it first"):
-        guess_map(tmp_path / "run.jsonl")

@@ -134,7 +134,7 @@ def dilution(watched: Floats, others: Floats) -> Floats:
     with np.errstate(divide="ignore"):
         variance = np.where(size > 1e-9 * max(len(others), 1), 1 / size, np.inf)
     along = (watched @ u) ** 2
-    return np.sqrt(np.where(along > 1e-12, along * np.where(along > 1e-12, variance, 0.0), 0.0).sum(axis=1))
+    return np.asarray(np.sqrt(np.where(along > 1e-12, along * np.where(along > 1e-12, variance, 0.0), 0.0).sum(axis=1)))
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
