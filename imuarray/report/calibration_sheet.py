@@ -14,6 +14,7 @@ from imuarray.calibrate.plots import residual_figure
 from imuarray.calibrate.pose_readings import find_poses, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
+from imuarray.printable import listed
 from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE, STANDARD_GRAVITY
 
@@ -24,29 +25,36 @@ _WIDEST = 12
 """Poses up to which the table of residuals has a column for each: more do not fit on a desktop's page."""
 
 
+_BASIC = {"bias", "response", "noise"}
+"""Groups of a calibration that the first table shows."""
+
+_GROUPS = {"g_sensitivity": "g-sensitivity", "thermal": "temperature slopes", "turn_on": "changes from run to run"}
+"""What the keys of some groups mean, in words."""
+
+
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
     """A line: what it knows, from what."""
-    sources = ", ".join(dict.fromkeys(Path(source).name for source in calibration.sources)) or "unnamed logs"
+    sources = listed(list(dict.fromkeys(Path(source).name for source in calibration.sources))) or "unnamed logs"
     measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
-    yield f"{path.name}: {', '.join(measured) or 'nothing'} of {len(calibration.sensors)} sensors, from {sources}."
+    names = ", ".join(_GROUPS.get(group, group) for group in measured) or "nothing"
+    yield f"{path.name}: {names} of {len(calibration.sensors)} sensors, from {sources}."
 
 
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
     """Return the figures of a calibration, with their uncertainties."""
-    axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor)]
+    axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor) if _BASIC & {*sensor.measured()}]
     words = "Measured figures have a standard error; figures without one come from the data sheet. "
     words += "A bias is the reading at zero input; the direction is the true direction of the axis in the box."
     heading = ["axis", "unit", "bias", "± s.e.", "counts per unit", "± s.e.", "azimuth °", "elevation °", "noise"]
-    parts = [
-        Table(heading, axes, "Biases, responses and the scatter of single readings, along each sensor's axes.", (1,))
-    ]
+    caption = "Biases, responses and the scatter of single readings, along each sensor's axes; –: not measured."
+    parts = [Table(heading, axes, caption, (1,))] if axes else []
     if slopes := [row for sensor in calibration.sensors.values() for row in _slopes(sensor)]:
-        heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "is"]
+        heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "slope of"]
         parts.append(
             Table(heading, slopes, "Change per degree. “bias or scale”: one attitude cannot separate them.", (1, 5, 6))
         )
     if states := [row for sensor in calibration.sensors.values() for row in _turn_on(sensor)]:
-        heading = ["axis", "unit", "run to run", "± s.e.", "p of none", "runs", "states"]
+        heading = ["axis", "unit", "run to run", "± s.e.", "p by chance", "runs", "states"]
         parts.append(Table(heading, states, "How much a bias changes when the array is switched off and on.", (1,)))
     yield Section(f"{path.name}: calibration", words, parts)
 
@@ -63,7 +71,7 @@ def _axes(sensor: SensorCalibration) -> Iterator[list[str]]:
         yield [
             f"{sensor.name} {'xyz'[axis]}",
             unit,
-            f"{bias[axis]:.3f}",
+            "–" if sem is None and not bias.any() else f"{bias[axis]:.3f}",
             _or_none(sem),
             f"{scale[axis]:.4g}",
             _or_none(response),

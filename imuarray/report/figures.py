@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Reals
 from imuarray.figures import PALETTE, new_figure
+from imuarray.printable import listed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,7 +35,7 @@ def drift_figure(
             values,
             color=PALETTE[0],
             linewidth=1.0,
-            label=None if number else f"each alone: {', '.join(single)}",
+            label=None if number else f"each alone: {listed(list(single))}",
         )
     for colour, (name, values) in zip(PALETTE[1:], fused.items(), strict=False):
         upper.plot(time_s, values, color=colour, linewidth=1.8, label=name)

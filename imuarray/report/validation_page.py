@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from math import isfinite
 from os import PathLike
+from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.findings.text import share
@@ -273,17 +274,44 @@ def _closure(figures: Figures, plots: Plots) -> Section:
     return Section("Closure", words, [*parts, Table(["figure", "value", "95 %", "cases", "bar"], rows, "Closure.")])
 
 
+_THRESHOLDS = MappingProxyType(
+    {
+        "level of false alarms": "significance level of a gap",
+        "nats to be looked at": "least gain (nats) of a candidate that is pursued",
+        "nats to be accepted": "least gain (nats) of a candidate that is accepted",
+        "nats a parameter costs": "cost (nats) of each parameter",
+        "wrong form allowed": "relative error of the form of an effect that is allowed",
+        "log odds tempered": "exponent of the odds of a candidate in its probability",
+        "right if nothing closes": "probability of a cause that closes nothing",
+        "right if all closes": "probability of a cause that closes everything",
+        "power of what closes": "exponent of the share closed in the probability of a cause",
+        "power of odds against rivals": "exponent of the odds against rivals in the probability of a cause",
+        "probability to be told": "least probability of an alternative that is reported",
+        "odds to be confusable": "least odds of an effect that could look the same",
+        "closed to be a cause": "least share of the gap that a cause closes",
+        "closed to be explained": "least share closed for the verdict explained",
+        "closed to be partly explained": "least share closed for the verdict partly explained",
+        "probability to explain": "least probability of the first cause for the verdict explained",
+        "left over to be unlikely": "size of a remaining difference from which something unknown is likely",
+        "beyond chance to be left": "factor over chance from which a remaining difference is significant",
+        "replicates of the base model": "replicates of the base model",
+        "replicates of a trial": "replicates of each candidate",
+    }
+)
+"""What the thresholds of `imuarray.validation.thresholds` mean, by their keys in plan.json."""
+
+
 def _run(figures: Figures, command: str) -> Section:
     plan = {key: value for key, value in figures.plan.items() if key != "frozen"}
     rows = [["command", command]] if command else []
     rows += [[key, plain_text(value)] for key, value in plan.items()]
-    rows += [[f"frozen: {key}", plain_text(value)] for key, value in figures.frozen.items()]
+    rows += [[f"fixed: {_THRESHOLDS.get(key, key)}", plain_text(value)] for key, value in figures.frozen.items()]
     rows += [["cases", str(figures.cases)], ["lost", str(len(figures.lost))]]
     rows += [[f"lost: {name}", str(count)] for name, count in lost_by(figures.lost).items()]
     caption = "The same command and software reproduce this page."
     words = (
-        "The values called frozen were fixed before the truth was opened."
+        "Thresholds marked as fixed were chosen before the truth was opened."
         if figures.frozen
-        else "Nothing was frozen before the truth was opened."
+        else "No threshold was fixed before the truth was opened."
     )
     return Section("How it was made", words, [Table(["", "value"], rows, caption, (1,))])

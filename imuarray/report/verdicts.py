@@ -101,6 +101,9 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     if not biased and any(sensor.thermal is not None for sensor in inertial):
         level = "doubtful"
         sentence = "has the temperature slopes of biases, but no biases; a log at rest or a tumble gives them"
+    elif not biased and any(sensor.turn_on is not None for sensor in inertial):
+        level = "doubtful"
+        sentence = "has the changes of biases from run to run, but no biases; a log at rest or a tumble gives them"
     elif not biased:
         level, sentence = "bad", "measured no bias: fusion with it uses the data sheets' values"
     elif lacking:
@@ -222,12 +225,19 @@ _ORDER = ("bad", "doubtful", "neutral", "good")
 
 
 def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """One verdict of several: the worst, or that all is in order, with their figures in turn; None of none."""
+    """One verdict of several: the worst, or that all is in order, with their figures in turn, the first of each kind;
+    None of none.
+    """
     if len(verdicts) < 2:
         return verdicts[0] if verdicts else None
     ranked = sorted(verdicts, key=lambda verdict: _ORDER.index(verdict.level))
     rounds = max(len(verdict.figures) for verdict in ranked)
-    figures = [verdict.figures[turn] for turn in range(rounds) for verdict in ranked if turn < len(verdict.figures)]
+    first: dict[str, tuple[str, str]] = {}
+    for turn in range(rounds):
+        for verdict in ranked:
+            if turn < len(verdict.figures):
+                first.setdefault(verdict.figures[turn][1], verdict.figures[turn])
+    figures = list(first.values())
     worst = ranked[0]
     if worst.level in ("bad", "doubtful"):
         return Verdict(worst.sentence, worst.level, tuple(figures[:_FIGURES]))

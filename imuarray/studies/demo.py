@@ -196,18 +196,18 @@ def calibration_section(tumble: TumbleResult) -> Section:
         for axis in range(3):
             bias = factor * sensor.bias_in_units()[axis]
             error = factor * sem[axis] / sensor.scale_lsb_per_unit[axis]
-            scale = f"{sensor.scale_lsb_per_unit[axis]:.2f}" if sensor.unit == "g" else "data sheet"
-            rows.append([f"{name} {'xyz'[axis]}", f"{bias:.3f}", f"{error:.3f}", unit, scale])
+            measured = sensor.response_sem_lsb_per_unit is not None
+            scale = f"{sensor.scale_lsb_per_unit[axis]:.2f}" if measured else "data sheet"
+            rows.append([f"{name} {'xyz'[axis]}", f"{bias:.3f}", f"{error:.2g}", unit, scale])
     return Section(
         "Calibration from six faces",
-        "Bias and response of every axis from six faces of the box (the paper's Appendix B), "
-        "gyroscope bias from all seven "
-        "readings. The standard errors come from the scatter of batch means.",
+        "Bias and response of every axis from six faces of the box (the paper's Appendix B), gyroscope bias from all "
+        "seven readings. The standard errors come from the scatter of batch means.",
         [
             Table(
-                ["axis", "bias", "standard error", "unit", "scale factor (LSB/g)"],
+                ["axis", "bias", "standard error", "unit", "scale factor (LSB/g or LSB/dps)"],
                 rows,
-                "Compare with the paper's Tables 3 and 4.",
+                "Compare with the paper's Tables 3 and 4." if {*BMA180S} <= {*tumble.calibration.sensors} else "",
             )
         ],
     )

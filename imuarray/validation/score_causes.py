@@ -169,7 +169,7 @@ def _unknown_scores(
         "detected unknown ones whose probability of being unknown is above the limit that 10 % of the known at 5x pass"
     )
     yield make_row(
-        "unknown told at 10 % false ones at 5x", rate(detected, len(above) if at_large else 0), UNKNOWN, about
+        "unknown at 5x recognised, 10 % false ones", rate(detected, len(above) if at_large else 0), UNKNOWN, about
     )
     every = [answer.unknown for answer in on_plan(singles, full)]
     about = "the chance that an unknown one has the greater probability of being unknown than a known one at 5x"

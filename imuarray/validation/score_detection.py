@@ -129,7 +129,7 @@ def _undetermined_row(answers: Sequence[Answer]) -> ScoreRow:
         for group in ("plan", "mechanism")
         for name, own in group_answers(group, answers).items()
     ]
-    return make_row("what a plan can't show is told", _reported_rate(answers), (1.0, None), about, cells)
+    return make_row("effects that a plan can't show, reported so", _reported_rate(answers), (1.0, None), about, cells)
 
 
 def _reported_rate(answers: Sequence[Answer]) -> RateEstimate:

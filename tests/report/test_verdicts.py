@@ -164,6 +164,8 @@ def test_the_worst_of_several_is_the_verdict() -> None:
     assert joined([]) is None
     assert joined([good]) is good
     worst = joined([good, bad])
+    both = joined([replace(good, figures=(("1", "a"), ("2", "b"))), replace(bad, figures=(("3", "a"),))])
+    assert both is not None and both.figures == (("3", "a"), ("2", "b"))  # no figure of one kind twice
     assert worst == Verdict("b.h5 is not.", "bad", (("3", "c"), ("1", "a"), ("2", "b")))
     order = joined([good, replace(good, sentence="c.toml is good: yes.")])
     assert order is not None

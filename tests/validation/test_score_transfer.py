@@ -44,7 +44,7 @@ def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
     assert abroad["right cause first"].value == 0.6
     assert abroad["right cause first"].bar == (0.80, None)
     assert abroad["false alarms"].value == 0.25
-    assert abroad["what a plan can't show is told"].bar == (None, None)
+    assert abroad["effects that a plan can't show, reported so"].bar == (None, None)
 
 
 @pytest.mark.slow
@@ -89,7 +89,7 @@ def test_what_a_world_cannot_show_is_no_detection(tmp_path: Path) -> None:
     made.both("single", NO_GAP, put("reference_voltage"), plan="static", world="emulator", is_hidden=True)
     score = score_folder(tmp_path)
     assert score.row("detection at 5x the limit").cases == 0
-    assert score.row("what a plan can't show is told").cases == 1
+    assert score.row("effects that a plan can't show, reported so").cases == 1
 
 
 def test_an_old_case_is_read() -> None:

@@ -172,7 +172,7 @@ def test_what_has_no_name(made: Made) -> None:
     assert shares(score.row("known at 5x called unexplained")) == (0.1, 10)
     assert score.row("known at 5x called unexplained").mark == "ok"
     assert shares(score.row("known at 5x called unexplained or partly")) == (0.2, 10)
-    assert shares(score.row("unknown told at 10 % false ones at 5x")) == (0.5, 4)
+    assert shares(score.row("unknown at 5x recognised, 10 % false ones")) == (0.5, 4)
     area = score.row("unknown against known at 5x, AUROC")
     assert shares(area) == (pytest.approx((10 + 9 + 8 + 0.5) / 40), 4)
     assert area.low < area.value < area.high
@@ -311,11 +311,11 @@ def test_what_a_plan_cannot_show(made: Made) -> None:
     made.both("single", {**NO_GAP, "cannot_tell": [entry], "unshown": None}, put("reference_voltage"), plan="static")
     made.both("single", RIPPLE, put("mains_ripple", 2.0), plan="static")
     score = figures(made, hidden={"static": {"scale", "misalignment"}})
-    row = score.row("what a plan can't show is told")
+    row = score.row("effects that a plan can't show, reported so")
     assert shares(row) == (pytest.approx(2 / 6), 6) and row.mark == "FAIL"
     assert cells(row, "plan") == {"static": (pytest.approx(2 / 6), 6)}
     assert [(curve.plan, curve.points[0][1].cases) for curve in score.curves] == [("all", 1), ("static", 1)]
-    assert figures(made).row("what a plan can't show is told").mark == "n.a."
+    assert figures(made).row("effects that a plan can't show, reported so").mark == "n.a."
 
 
 def test_lost_cases_are_told(made: Made) -> None:

@@ -220,20 +220,20 @@ def _by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
 
 _SEE = {
     "ratios.png": (
-        "What techniques gain with calibrations from logs: left of the line is better than the simple average of the"
-        " same sensors. Bars are 95 % intervals over the seeds; what changes nothing is not drawn.",
+        "Gain with calibrations from logs: left of the line, the technique is better than the simple average of the"
+        " same sensors. Bars are 95 % intervals over the seeds; techniques that change nothing are not drawn.",
         "Ratios of the error of each technique to that of the average, by experiment",
     ),
     "bound.png": (
-        "Where the model is right, over the least error that any estimator can have: 1 is all that the readings hold."
-        " optimal sees the whole log, the others what came before. The posterior mean (bound, causal) shows that it can"
-        " be had.",
+        "Errors divided by the causal bound, the smallest error that any estimator of past readings can have, if the"
+        " model of the errors is right; 1 is the best possible. optimal uses the whole log, the others only the past."
+        " bound, causal is the posterior mean, which reaches the bound.",
         "Ratios of the error of each technique to the bound, by experiment",
     ),
     "coasting.png": (
-        "Heading and horizontal velocity after coasting for a minute; mean errors of ten seconds at rest are taken out."
-        " An arrow is an error of more than four times the average's. A bar that reaches the edge goes on beyond it:"
-        " few seeds make long intervals.",
+        "Heading and horizontal velocity after coasting for a minute; the mean error of ten seconds at rest is"
+        " subtracted first. An arrow stands for more than four times the error of the average. A bar that reaches the"
+        " edge continues beyond it, because few seeds give long intervals.",
         "Ratios of heading and velocity errors to those of the average, by experiment",
     ),
     "heating.png": (
