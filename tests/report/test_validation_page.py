@@ -164,7 +164,7 @@ def test_the_sections_have_their_numbers(page: Page) -> None:
 def test_it_says_how_it_was_made(page: Page) -> None:
     rows = {row[0]: row[1] for row in page.rows["How it was made"][1:]}
     assert rows["command"] == COMMAND
-    assert (rows["half"], rows["fixed: level"], rows["frozen: version"]) == ("sealed", "0.05", "1.2.3")
+    assert (rows["half"], rows["fixed: level"], rows["fixed: version"]) == ("sealed", "0.05", "1.2.3")
     assert (rows["cases"], rows["lost"]) == ("53", "1")
 
 
