@@ -32,9 +32,9 @@ the part.
 scores would consist. Each score is replaced by the deviation of a normal quantity that chance exceeds as rarely, by a
 tail of Student's t that is fitted to the replicates; those of each replicate are by the tails of the others.
 
-**Pooled scores** (`statistics.pooled`). What the normal scores of a statistic exceed two standard deviations by is also
-summed over the phases and axes of a sensor: a deviation that returns in every phase is beyond chance there before it is
-in one place.
+**Pooled scores** (`statistics.pooled`). The norm of what the normal scores of a sensor exceed one standard deviation by
+is formed for each log and for all logs, and compared with chance like a single score: an effect that moves tens of
+statistics a little is beyond chance there before it is in one place.
 
 **Localisation** (`inference.localisation`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
 by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;

@@ -39,7 +39,10 @@ def test_of_two_accelerometers_that_disagree_the_noted_faces_tell_the_right_one(
     right, wrong = FACES + lean, (FACES + lean) @ exchange.T
     readings = np.stack([wrong, right] if faulty == 0 else [right, wrong], axis=1)
     np.testing.assert_allclose(array_mean(readings, FACES), right, atol=1e-12)
-    np.testing.assert_allclose(array_mean(readings), (right + wrong) / 2, atol=1e-12)
+    unnoted = (
+        (right + wrong) / 2 if np.allclose(np.linalg.norm(wrong, axis=1), np.linalg.norm(right, axis=1)) else right
+    )
+    np.testing.assert_allclose(array_mean(readings), unnoted, atol=1e-12)  # the length tells another range
     partly = np.where(np.arange(6)[:, None] < 5, FACES, np.nan)
     np.testing.assert_allclose(array_mean(readings, partly), right, atol=1e-12)
     corrected = right[:, None] + 0.2 * (readings - right[:, None])

@@ -3,8 +3,8 @@
 The tree's levels are the array, its chips, their units, the axes, domains of statistics, and single statistics. A node
 is significant if its parent is and its largest score exceeds the largest among it and its siblings without a gap
 (Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008). Every step down thus pays for the choice
-it makes, and nothing is tested below a node that is not significant. The scores of a statistic that is pooled over its
-places (`imuarray.gap.statistics.pooled`) count where the recording deviates most among these.
+it makes, and nothing is tested below a node that is not significant. The pooled scores of a sensor in a log
+(`imuarray.gap.statistics.pooled`) count where the recording deviates most among these.
 """
 
 from __future__ import annotations

@@ -342,7 +342,7 @@ def _guesses_of(
 
 def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesis) -> Hypothesis:
     """An exchange of two sensors' data in whole logs with the ordinary parameters that each sensor has in its own data:
-    slopes and filters were fitted to the other's. Levels and delays stay as guessed.
+    slopes and filters were fitted to the other's, and an offset belongs to its slope. Delays stay as guessed.
     """
     whole = {span.log for span in trial.when.spans if span.is_whole}
     partly = {span.log for span in trial.when.spans} - whole
@@ -356,7 +356,7 @@ def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesi
     if not {trial.sensor, other} <= set(base.fitted):
         return trial
     own, opposite = (
-        replace(base.fitted[name], offset=guess.offset, delay=guess.delay)
+        replace(base.fitted[name], delay=guess.delay)
         for name, guess in ((trial.sensor, trial.fitted), (other, trial.opposite_fitted))
     )
     return replace(trial, fitted=own, opposite_fitted=opposite)

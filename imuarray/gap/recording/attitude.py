@@ -138,9 +138,9 @@ def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Flo
 
     The median of the accelerometers that read in every pose and are never `GROSS_G` from it (the mean of two), or of
     all if there are none such. With a median, an accelerometer whose bias changed does not tilt the box for the others.
-    Where two disagree, the noted faces `noted_g` (k, 3), nan where none is noted, tell which of them is counted.
-    Whether they do is decided by the `uncorrected` readings (k, s, 3), if given: errors that were fitted to a sensor
-    with exchanged axes bring it halfway to the others.
+    Where two disagree, the noted faces `noted_g` (k, 3), nan where none is noted, tell which of them is counted, or
+    else the length of their readings, which is 1 g. Whether they do is decided by the `uncorrected` readings (k, s, 3),
+    if given: errors that were fitted to a sensor with exchanged axes bring it halfway to the others.
     """
     whole = np.isfinite(readings).all(axis=(0, 2))
     if not whole.any():
@@ -150,8 +150,10 @@ def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Flo
     complete = readings[:, whole]
     as_read = complete if uncorrected is None else uncorrected[:, whole]
     counted = _within(complete, np.median(complete, axis=1), GROSS_G)
-    if noted_g is not None and not _within(as_read, np.median(as_read, axis=1), GROSS_G).any():
-        counted = _within(as_read, noted_g, _OFF_FACE_G)
+    if not _within(as_read, np.median(as_read, axis=1), GROSS_G).any():
+        counted = np.zeros(len(counted), bool) if noted_g is None else _within(as_read, noted_g, _OFF_FACE_G)
+        if not counted.any():
+            counted = (np.abs(np.linalg.norm(as_read, axis=2) - 1) < GROSS_G).all(axis=0)
     return np.asarray(np.median(complete[:, counted] if counted.any() else complete, axis=1))
 
 

@@ -6,7 +6,7 @@ hide any other deviation. Each score is therefore replaced by the deviation of a
 rarely.
 
 The tail is that of Student's t, fitted to the scores of one statistic of one sensor over phases, axes and replicates:
-the scale by their 90 % quantile, the degrees of freedom by maximum likelihood.
+the scale by their 90 % quantile, the degrees of freedom by the most probable of a few.
 """
 
 from __future__ import annotations
@@ -27,11 +27,18 @@ A hundred scores determine no tail beyond the largest of them. With fewer than 4
 large, would be beyond chance: a hundred standard deviations of a Cauchy distribution are 2.5 of a normal one.
 """
 
+HEAVIER = 1.0
+"""Nats by which a tail of a tenth of the degrees of freedom is less probable beforehand. A hundred scores often leave
+it open: without this a statistic of normal scores had 6 degrees of freedom, with which 8.1 standard deviations are 3.9
+normal ones. With it 60 of 72 cases with a mechanism were detected instead of 57.
+"""
+
 QUANTILE = 0.9
 """Share of the sizes of scores below the point at which the scale of a tail is fitted."""
 
 _FREEDOM = np.array(FREEDOMS)
 _AT_QUANTILE = stdtrit(_FREEDOM, (1 + QUANTILE) / 2)
+_PRIOR = HEAVIER * np.log10(_FREEDOM / _FREEDOM.max())
 _CONSTANT = gammaln((_FREEDOM + 1) / 2) - gammaln(_FREEDOM / 2) - np.log(_FREEDOM * np.pi) / 2
 
 _LEAST_SIZE = 0.05
@@ -83,7 +90,9 @@ NO_TAILS = Tails({})
 def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
     """The tails of scores (b, m) of replicates without a gap."""
     fits = {statistic: _fit(np.abs(chance[:, places])) for statistic, places in _statistics(keys).items()}
-    return Tails({name: fit.tail(int(fit.density.sum(axis=1).argmax())) for name, fit in fits.items() if fit})
+    return Tails(
+        {name: fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax())) for name, fit in fits.items() if fit}
+    )
 
 
 def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
@@ -96,7 +105,7 @@ def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
         fit = _fit(np.abs(statistic_scores))
         if fit is None:
             continue
-        best = (fit.density.sum(axis=1, keepdims=True) - fit.density).argmax(axis=0)
+        best = (fit.density.sum(axis=1, keepdims=True) - fit.density + _PRIOR[:, None]).argmax(axis=0)
         for at in np.unique(best).tolist():
             rows = best == at
             values[np.ix_(rows, places)] = np.copysign(
