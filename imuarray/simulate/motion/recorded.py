@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Integers, Reals
+from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.errors import LogError
 from imuarray.log.columns import NamedColumn
 
@@ -23,6 +24,11 @@ _KEPT = 4
 
 _MANY = 256
 """Fewer times are found by a search."""
+
+_GAP = 8.0
+"""An interval longer than so many of the shorter one beside it is a gap: the slopes at its ends say nothing of what
+lies between, and a cubic piece by them would swing far beyond both rows.
+"""
 
 _KEPT_BYTES = 1 << 24
 """More blocks are kept up to so many bytes: replicates of a log read it again and again. Two hours of a temperature at
@@ -75,7 +81,8 @@ class _Block(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class SplineColumns:
     """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces whose slope at a row comes from the rows
-    before and after it (three-point formula; from one at the ends): values and slopes without jumps.
+    before and after it (three-point formula; from one at the ends): values and slopes without jumps. Across a gap the
+    pieces are monotonic.
 
     Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` stands in the LogError for rows
     that aren't finite or whose times don't increase.
@@ -193,7 +200,8 @@ class SplineColumns:
             )
         own = slice(before, before + BLOCK + 1)
         slopes = _slopes(time_ns, values)
-        return _between(time_ns[own], values[own], slopes[own])
+        pieces = slice(before, before + len(time_ns[own]) - 1)
+        return _between(time_ns[own], values[own], slopes[own], _gaps(time_ns)[pieces])
 
     def _rows(self, rows: slice) -> tuple[Integers, Reals]:
         try:
@@ -216,13 +224,29 @@ def _slopes(time_ns: Integers, rows: Reals) -> Reals:
     return np.where(still[:-1] & still[1:], 0.0, slopes)
 
 
-def _between(time_ns: Integers, rows: Reals, slopes: Reals) -> _Block:
-    """The cubic pieces (Hermite) between rows (k, c) with these slopes per s."""
+def _gaps(time_ns: Integers) -> Booleans:
+    """Mask (k - 1,) of the intervals that are gaps."""
+    lengths = np.diff(time_ns)
+    if len(lengths) < 2:
+        return np.zeros(len(lengths), bool)
+    beside = np.pad(lengths.astype(float), 1, constant_values=math.inf)
+    return np.asarray(lengths > _GAP * np.minimum(beside[:-2], beside[2:]))
+
+
+def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _Block:
+    """The cubic pieces (Hermite) between rows (k, c) with these slopes per s.
+
+    In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean one, or has another sign (Fritsch and
+    Carlson, SIAM J. Numer. Anal. 17, 1980).
+    """
     if len(rows) == 1:
         return _Block(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
     length_s = np.diff(time_ns) * 1e-9
     start, rise = rows[:-1].T, rows[1:].T - rows[:-1].T
     begin, end = slopes[:-1].T * length_s, slopes[1:].T * length_s
+    if is_gap.any():
+        low, high = np.minimum(0.0, 3 * rise[:, is_gap]), np.maximum(0.0, 3 * rise[:, is_gap])
+        begin[:, is_gap], end[:, is_gap] = (np.clip(slope[:, is_gap], low, high) for slope in (begin, end))
     moving = ((rise != 0) | (begin != 0) | (end != 0)).any(axis=0)
     moves = np.concatenate([[0], np.cumsum(moving)])
     if not moving.any():

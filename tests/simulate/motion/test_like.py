@@ -113,6 +113,19 @@ def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.Mon
             assert sorted(moving._blocks) == list(range(32 - kept, 32))
 
 
+def test_a_gap_in_the_rows_is_crossed_without_overshoot() -> None:
+    """Rest, a stall of 1.2 s, and a rotation that began in it: between the rows the rate lies between theirs. A cubic
+    piece by the slopes of the short intervals beside it would swing to +2.6 deg/s.
+    """
+    time_ns = np.r_[np.arange(20), np.arange(44, 60)] * 50_000_000
+    rate = np.where(time_ns < 44 * 50_000_000, 0.0, -0.4 - 100.0 * (time_ns * 1e-9 - 2.2))[:, None] * np.ones((1, 3))
+    columns = recorded_module.SplineColumns(time_ns, (rate,), "a track")
+    across = columns.values_at(np.linspace(0.95e9, 2.2e9, 100).astype(np.int64))
+    assert across.max() <= 0 and across.min() >= -0.4 - 1e-12
+    even = recorded_module.SplineColumns(np.arange(36) * 50_000_000, (rate,), "a track")
+    assert even.values_at(np.array([975_000_000]))[0, 0] > 0.1  # an ordinary interval keeps the slopes
+
+
 def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:
     rows = np.arange(3 * S, 5 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
