@@ -48,6 +48,18 @@ def test_a_step_down_is_paid_for_among_siblings() -> None:
     assert [child.is_significant for child in both.root.found("chip")[1].children] == [True, False]
 
 
+def test_a_sensor_that_has_been_located_does_not_hide_a_smaller_deviation() -> None:
+    """Chance makes 3 somewhere in A2, 1 elsewhere: with a 4 of A2 located, a 2 of A1 is beyond what is left of it."""
+    chance = np.ones((40, len(KEYS)))
+    chance[:, places("A2")[0]] = 3.0
+    scores = np.zeros(len(KEYS))
+    scores[places("A2")[0]], scores[places("A1")[0]] = 4.0, 2.0
+    found = found_by(scores, chance)
+    assert [node.path[1] for node in found.root.found("sensor")] == ["A2", "A1"]
+    scores[places("A2")[0]] = 2.5
+    assert not found_by(scores, chance).root.found("sensor")
+
+
 def test_nothing_is_looked_for_where_nothing_was_found() -> None:
     none = found_by(np.zeros(len(KEYS)), np.ones((40, len(KEYS))))
     assert (none.is_gap, none.p, none.root.children, none.p_by_place) == (False, 1.0, (), {})

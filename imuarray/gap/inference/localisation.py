@@ -1,9 +1,10 @@
 """Detection and localisation of a gap: scores against the largest that chance gives, down a tree of the array.
 
 The tree's levels are the array, its chips, their units, the axes, domains of statistics, and single statistics. A node
-is significant if its parent is and its largest score exceeds the largest among it and its siblings without a gap
-(Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008). Every step down thus pays for the choice
-it makes, and nothing is tested below a node that is not significant. The pooled scores of a sensor in a log
+is significant if its parent is and its largest score exceeds the largest among it and its siblings without a gap, where
+siblings with larger scores, which were tested before it, do not count (step-down: Westfall and Young 1993; the
+hierarchy of Meinshausen, Biometrika 95, 2008). Every step down thus pays for the choice it makes, and nothing is tested
+below a node that is not significant. The pooled scores of a sensor in a log
 (`imuarray.gap.statistics.pooled`) count where the recording deviates most among these.
 """
 
@@ -122,7 +123,7 @@ class _Tree:
         return self._node((), columns, self._largest(columns), 0.0)
 
     def _node(self, path: tuple[str, ...], columns: list[int], chance: Floats, parent_p: float) -> Node:
-        """`chance` is the largest score among the node and its siblings in each replicate."""
+        """`chance` is the largest score among the node and the siblings tested after it, in each replicate."""
         largest = float(self._sizes[columns].max(initial=0.0))
         p = max(parent_p, p_value(largest, chance))
         is_significant = p <= self._level
@@ -130,12 +131,16 @@ class _Tree:
         return Node(path, largest, p, is_significant, children)
 
     def _below(self, path: tuple[str, ...], columns: list[int], p: float) -> Iterator[Node]:
+        """The children, those with the largest scores first; none has a smaller p than the one before it."""
         parts: dict[str, list[int]] = {}
         for column in columns:
             parts.setdefault(self._paths[column][len(path)], []).append(column)
-        chance = self._largest(columns)
-        for name, members in parts.items():
-            yield self._node((*path, name), members, chance, p)
+        names = sorted(parts, key=lambda name: -self._sizes[parts[name]].max())
+        chance = np.stack([self._largest(parts[name]) for name in reversed(names)])
+        for name, largest in zip(names, np.maximum.accumulate(chance)[::-1], strict=True):
+            node = self._node((*path, name), parts[name], largest, p)
+            p = node.p
+            yield node
 
     def _largest(self, columns: list[int]) -> Floats:
         return np.asarray(self._chance[:, columns].max(axis=1, initial=0.0))
