@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,9 @@ from imuarray.thermometers import thermometer_scale
 _MOST_SEGMENTS = 20_000
 _FULL = 0.5
 """Least share of the usual number of rows in a segment."""
+
+FEWEST_ALIKE = 3
+"""Chips of one kind from which the median of their thermometers is taken: of two it would be their mean."""
 
 WITHOUT_ZERO = ("l3g4200d",)
 """Chips whose thermometer measures changes only (L3G-60)."""
@@ -159,13 +162,23 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSe
 
 
 def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
-    """Return the first thermometer of a log, averaged over `width_s`: one whose zero is known (a separate thermometer
-    before those of the chips), or else one that measures changes only ("relative"); None without any.
+    """Return the thermometer of a log, averaged over `width_s`: one whose zero is known (a separate thermometer before
+    those of the chips), or else one that measures changes only ("relative"); None without any.
+
+    Of three or more chips of one kind it is the median: a thermometer that is late or fails does not count.
     """
     sensors = [*log.of("temperature"), *(sensor for sensor in log.sensors.values() if sensor.is_triad)]
     known = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
     known.sort(key=has_zero, reverse=True)
-    return _chip_thermometer(log, known[0], width_s) if known else None
+    first = _chip_thermometer(log, known[0], width_s) if known else None
+    alike = [sensor for sensor in known if sensor.is_triad and sensor.chip == known[0].chip]
+    if first is None or not known[0].is_triad or len(alike) < FEWEST_ALIKE:
+        return first
+    series = [_chip_thermometer(log, sensor, width_s) for sensor in alike]
+    degc = [other.at(first.time_s) for other in series if other is not None]
+    means = [each.mean() for each in degc]
+    changes = np.median([each - mean for each, mean in zip(degc, means, strict=True)], axis=0)
+    return replace(first, degc=np.median(means) + changes)
 
 
 def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSeries | None:

@@ -22,7 +22,7 @@ from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.size_effect import SizeEffect
-from tests.gap.effects.evidence_of import evidence_of
+from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
 from tests.selection import some
 
 
@@ -164,6 +164,15 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
         assert exchange.effects == (ChannelSwap(other, "place"),)
         assert exchange.opposite == (ChannelSwap(sensor, "place"),)
         assert (exchange.sensor, exchange.others) == (sensor, (other,))
+
+
+def test_two_opposite_faces_show_an_exchange_by_a_level() -> None:
+    """They measure no response; an axis reads 1 g where another should."""
+    both = {"A1": (ChannelSwap("A2", "place"),), "A2": (ChannelSwap("A1", "place"),)}
+    (exchange,) = CHANNEL_SWAP.guesses(evidence_of(TWO_FACES, "A1", both, seed=7))
+    assert (exchange.sensor, exchange.others) == ("A1", ("A2",))
+    assert (exchange.effects, exchange.opposite) == ((ChannelSwap("A2", "place"),), (ChannelSwap("A1", "place"),))
+    assert list(CHANNEL_SWAP.guesses(evidence_of(TWO_FACES, "A1", {"A1": (Bias((0.4, 0.0, 0.0)),)}, seed=7))) == []
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,23 @@ def test_a_gap_in_the_rows_is_crossed_without_overshoot() -> None:
     assert across.max() <= 0 and across.min() >= -0.4 - 1e-12
     even = recorded_module.SplineColumns(np.arange(36) * 50_000_000, (rate,), "a track")
     assert even.values_at(np.array([975_000_000]))[0, 0] > 0.1  # an ordinary interval keeps the slopes
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_late_thermometer_among_three_alike_does_not_count(tmp_path: Path, late: int) -> None:
+    """Chips warm by 20 degC; their zeros differ, and one of them lags by a minute. BMA-64: 2 LSB/degC, 24 degC at 0."""
+    time = np.arange(0, 60 * S, S // 10)
+    headers = [replace(ACC, name=f"Acc{at}", chip="bma180", has_temperature=True) for at in range(3)]
+    with LogWriter(tmp_path / "log.h5", headers, source="simulated", epoch="2024-01-01T00:00:00Z") as log:
+        for at, header in enumerate(headers):
+            warmth = 20 * np.clip(time / S / 60, 0, 1) if at != late else np.zeros(len(time))
+            counts = np.rint(2 * (warmth + at)).astype(np.int16)
+            log.append(
+                header.name, Block(time, np.zeros((len(time), 3), np.int16), np.zeros(len(time), np.uint16), counts)
+            )
+    with Log(tmp_path / "log.h5") as log:
+        degc = LikeLog(log).felt(np.array([S, 59 * S])).temperature_degc
+    assert degc[1] - degc[0] == pytest.approx(20 * 58 / 60, abs=0.5)
 
 
 def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:

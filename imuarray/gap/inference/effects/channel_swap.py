@@ -32,6 +32,9 @@ _NEAR = 0.25
 is off by no more of the difference between both.
 """
 
+_TURNED_G = 0.5
+"""Deviation of a level of an accelerometer from which its axes are others, where too few attitudes show which."""
+
 _APART = 8.0
 """Standard deviations of a segment's mean by which the levels of two sensors have to differ to tell which is read."""
 
@@ -60,7 +63,9 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         is_rescaled = odd and _lies_along(evidence, other, other.sensitivity / evidence.header.sensitivity)
         if other.name in twins or is_rescaled:
             yield Hypothesis((ChannelSwap(other.name),), shared=True, sensor=evidence.header.name, others=(other.name,))
-        if odd and other.name not in twins and other.chip == evidence.header.chip and _lies_along(evidence, other):
+        if other.name in twins or other.chip != evidence.header.chip:
+            continue
+        if (odd and _lies_along(evidence, other)) or (_is_turned(evidence) and not _is_parallel(evidence, other)):
             yield _crossed(evidence.header.name, other.name)
     if evidence.is_odd(*_LEVELS, beyond=_BEYOND):
         for name, phases in evidence.twins.items():
@@ -404,9 +409,25 @@ def _twins(evidence: Evidence) -> set[str]:
     return {other for other, correlation in largest.items() if correlation > _SAME}
 
 
+def _axes_in(evidence: Evidence, other: SensorHeader) -> Floats:
+    """(3, 3) the sensor's axes (columns) in the frame of the other sensor."""
+    return np.asarray(np.array(other.orientation).T @ np.array(evidence.header.orientation))
+
+
+def _is_parallel(evidence: Evidence, other: SensorHeader) -> bool:
+    return bool(np.allclose(_axes_in(evidence, other), np.eye(3)))
+
+
+def _is_turned(evidence: Evidence) -> bool:
+    """True if a level of an accelerometer at rest is one that only other axes explain, and no response shows these."""
+    if evidence.header.quantity != "specific_force" or next(_shown(evidence), None) is not None:
+        return False
+    return evidence.is_odd("mean", beyond=_BEYOND) and bool(np.abs(evidence.shift("mean")).max() > _TURNED_G)
+
+
 def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> bool:
     """True if the response is that of the other sensor's axes, times `scale`, rather than of its own."""
-    expected = np.array(other.orientation).T @ np.array(evidence.header.orientation) * scale
+    expected = _axes_in(evidence, other) * scale
     if np.allclose(expected, np.eye(3)):
         return False
     return any((np.abs(response - expected) < _NEAR).all() for response in _shown(evidence))
