@@ -1,5 +1,5 @@
 """Noise of sensors at rest: Allan deviation and fitted noise, spectrum and lines, correlation, codes, times; as
-numbers, text and figures. The names below are loaded when first used: SciPy takes its time.
+numbers, text and figures. The names below are imported on first use, because SciPy is slow to import.
 `imuarray.characterise(log)` does all of it and returns a `Characterisation` (`imuarray.analysis.characterise`).
 """
 

@@ -1,10 +1,10 @@
-"""Alignment of an array's sensors in time: the rates of their rows, how far apart their rows are, and the delays of
-gyroscopes that motion shows beyond their known filter delays.
+"""Alignment of an array's sensors in time: the rates of their rows, the distances of their rows in time, and delays of
+gyroscopes, in addition to their known filter delays, that are visible in motion.
 
 Rows are compared with those of a reference, the first inertial sensor of the log. A delay d of a gyroscope is estimated
 in the `WINDOW_S` with the most motion: its rate is a sum of the reference's rates, a bias, and -d times the derivative
-of the reference's rate along the same axis. All of these are fitted at once by least squares, so that neither scale
-factors nor misalignments pass for a delay; the times are then shifted by d, and the fit is repeated.
+of the reference's rate along the same axis. All of these are fitted at once by least squares, so that scale factors and
+misalignments are not mistaken for a delay; the times are then shifted by d, and the fit is repeated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.units import INERTIAL
 
 WINDOW_S = 60.0
 ROWS = 4096
-"""Rows of the reference with which the rows of the others are compared, in the middle of the log."""
+"""Number of rows of the reference, in the middle of the log, with which the rows of the others are compared."""
 LEAST_ROWS = 200
 LONGEST_ERROR_S = 1e-3
 """Greatest standard error of a delay that is reported."""
@@ -32,20 +32,21 @@ LEAST_MOTION = 100.0
 _FITS = 3
 _PIECES = 64
 _SAME_PPM = 0.5
-"""Rates that differ by less are equal: rows are stamped to nanoseconds, over a second. Times of queues are uncertain:
-the median over `_PIECES` pieces leaves that over an eighth of the log.
+"""Largest difference of equal rates: time stamps have a resolution of nanoseconds. For queues the uncertainty of the
+times, reduced by the median over `_PIECES` pieces, is added.
 """
 
 
 @dataclass(frozen=True)
 class SensorAlignment:
-    """Alignment of one sensor with the reference: rows per second, by how many parts per million these are more, mean
-    and standard deviation of the time from a row of the reference to the nearest row of this sensor (s).
+    """Alignment of one sensor with the reference: its rows per second, their excess over the reference in parts per
+    million, and mean and standard deviation of the time from a row of the reference to the nearest row of this sensor
+    (s).
 
-    `row_apart_s`: the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s` with its
-    standard error: how much later the sensor shows a rotation; None where no motion determines it, and of other sensors
-    than gyroscopes. `time_uncertainty_s`: median of the largest errors of the sensor's times that the log states; None
-    where it states none.
+    `row_apart_s` is the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s`, with its
+    standard error, is the delay of the sensor's response to a rotation; None if no motion determines it, and for
+    sensors other than gyroscopes. `time_uncertainty_s` is the median of the largest errors of the sensor's times as
+    stated in the log; None if not stated.
     """
 
     name: str
@@ -81,8 +82,8 @@ class Alignment:
 
 
 def find_alignment(log: Log) -> Alignment | None:
-    """The alignment of a log's inertial sensors; None with fewer than two that have `LEAST_ROWS` rows. It reads a
-    bounded part of the log, and the first gyroscope's counts.
+    """Return the alignment of a log's inertial sensors; None with fewer than two that have `LEAST_ROWS` rows. It reads
+    a bounded part of the log, and the first gyroscope's counts.
     """
     chosen = [sensor for quantity in INERTIAL for sensor in log.of(quantity) if len(sensor) >= LEAST_ROWS]
     if len(chosen) < 2:
@@ -105,7 +106,7 @@ def _rate_hz(sensor: SensorLog) -> float:
 
 
 def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float] | None) -> SensorAlignment:
-    """One sensor's rates and rows beside those of the reference."""
+    """Compare one sensor's rates and rows with those of the reference."""
     rate_hz, reference_hz = _rate_hz(sensor), _rate_hz(reference)
     ppm = 1e6 * (rate_hz / reference_hz - 1)
     beyond = abs(rate_hz - reference_hz)
@@ -127,7 +128,7 @@ def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float]
 
 
 def _time_uncertainty_s(sensor: SensorLog) -> float | None:
-    """Median of what the log states in the middle of its rows."""
+    """Return the median of the time uncertainty that the log states, in the middle of its rows."""
     if sensor.time_uncertainty is None:
         return None
     middle = len(sensor) // 2
@@ -135,7 +136,7 @@ def _time_uncertainty_s(sensor: SensorLog) -> float | None:
 
 
 def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:
-    """(m,) the time from rows of the reference in the middle of the log to the nearest row of the sensor."""
+    """Return (m,) the time from rows of the reference in the middle of the log to the nearest row of the sensor."""
     middle = len(reference) // 2
     rows = slice(max(0, middle - ROWS // 2), middle + ROWS // 2)
     at_ns = np.asarray(reference.time[rows], np.int64)
@@ -196,7 +197,7 @@ def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Fl
 
 
 def _is_strong(times_s: Floats, rates: Floats) -> bool:
-    """Return whether the motion is strong enough beside the noise, of which fourth differences are 70 times the
+    """Return whether the motion is strong enough compared with the noise, whose fourth differences have 70 times its
     variance.
     """
     noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / MEDIAN_ABSOLUTE / math.sqrt(70)
@@ -232,7 +233,7 @@ def _delay(reference_s: Floats, reference: Floats, times_s: Floats, rates: Float
 
 
 def _step(table: Floats, rate: Floats, axis: int) -> tuple[float, float]:
-    """The delay that one axis shows, and the inverse of its variance; residuals correlate, which widens the error."""
+    """Return the delay of one axis and the inverse of its variance, which includes the correlation of residuals."""
     solution, _, rank, _ = np.linalg.lstsq(table, rate, rcond=None)
     gain = solution[axis]
     if rank < table.shape[1] or abs(gain) < 0.5:

@@ -4,8 +4,9 @@ With the running sum x of a series y of n values, at averaging factor m and so t
 
     adev(tau)^2 = 1 / (2 m^2 M) * sum over i of (x[i+2m] - 2 x[i+m] + x[i])^2,     M = n + 1 - 2m terms
 
-(IEEE Std 952, annex C; Riley, NIST SP 1065, "Overlapping Allan variance"). The sums of whole numbers are exact. Beside
-the running sum (8 bytes a value, one column at a time) only small blocks are needed. The decimated estimator
+(IEEE Std 952, annex C; Riley, NIST SP 1065, "Overlapping Allan variance"). The sums of whole numbers are exact. In
+addition to the running sum (8 bytes per value, one column at a time) only small blocks are needed. The decimated
+estimator
 (`allan_stream`) takes every m/8-th term: it has nearly the same confidence, is several times faster, and needs memory
 that does not grow with the series.
 """
@@ -80,10 +81,11 @@ def allan_deviation(
 
 
 def allan_deviation_of_counts(columns: Sequence[CountColumn], interval_s: float) -> AllanCurve:
-    """The overlapping Allan deviation, at octaves, of k equally long columns of counts that are read block by block.
+    """Return the overlapping Allan deviation, at octaves, of k equally long columns of counts that are read block by
+    block.
 
-    The same bits as `allan_deviation` gives, while memory holds one column's running sum: 4 bytes a count if counts of
-    16 bits do not wander too far. ValueError for fewer than two counts.
+    The result is identical to that of `allan_deviation`, with one column's running sum in memory: 4 bytes per count if
+    counts of 16 bits do not drift too far. ValueError for fewer than two counts.
     """
     rows = len(columns[0])
     chosen = _factors(rows, None)
@@ -95,8 +97,8 @@ def allan_deviation_of_counts(columns: Sequence[CountColumn], interval_s: float)
 
 
 def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, lengths: Sequence[int]) -> AllanCurve:
-    """The overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that consist
-    of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
+    """Return the overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that
+    consist of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
 
     The noise type is estimated from the longest run. Memory holds one column's running sum and the place of every row
     in its run. ValueError for fewer than two counts.
@@ -107,7 +109,7 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
     ends = np.cumsum(sizes)
     longest = int(sizes.argmax())
     run = slice(int(ends[longest] - sizes[longest]), int(ends[longest]))
-    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # how many values of its run a running sum has
+    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # number of values of its run in a running sum
     place[1:] -= np.repeat(ends - sizes, sizes).astype(np.int32)
     chosen = _factors(int(sizes.max()), None)
     moments = []
@@ -128,18 +130,18 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
 
 
 def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:
-    """The series as an array; ValueError."""
+    """Return the series as an array; ValueError."""
     series = np.asarray(values)
     if series.ndim not in (1, 2) or len(series) < 2 or series.size == 0 or series.dtype.kind not in "biuf":
-        wanted = "an (n,) or (n, k) series of at least 2 real numbers is required"
-        raise ValueError(f"{wanted}, not {series.dtype} {series.shape}")
+        required = "an (n,) or (n, k) series of at least 2 real numbers is required"
+        raise ValueError(f"{required}, not {series.dtype} {series.shape}")
     if not 0 < interval_s < np.inf:
         raise ValueError(f"interval_s is {interval_s}, a positive number is required")
     return series
 
 
 def _factors(rows: int, factors: Sequence[int] | None) -> list[int]:
-    """The averaging factors, octaves if None; ValueError."""
+    """Return the averaging factors, octaves if None; ValueError."""
     chosen = np.asarray(octaves(rows) if factors is None else factors)
     if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or chosen.min() < 1 or chosen.max() > rows // 2:
         raise ValueError(
@@ -159,7 +161,7 @@ def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> DifferenceMomen
 
 
 def _averages(phase: npt.NDArray[Any], m: int) -> npt.NDArray[np.float64]:
-    """Averages over m values, side by side; the middle ones if there are very many."""
+    """Return consecutive averages over m values; the middle ones if there are very many."""
     count = (len(phase) - 1) // m
     first = max(0, (count - IDENTIFY) // 2)
     ends = phase[first * m : (min(count, first + IDENTIFY)) * m + 1 : m].astype(float)

@@ -1,4 +1,4 @@
-"""An Allan curve: deviations at averaging times, how sure they are, and which noise they seem to be made of.
+"""An Allan curve: deviations at averaging times, their confidence intervals, and the type of noise at each.
 
 Two coefficients are read off it. For white noise of two-sided spectral density N^2 the Allan deviation is N / sqrt(tau)
 (IEEE Std 952, annex C: angle random walk). Data sheets give the one-sided density, sqrt(2) N, which for white readings
@@ -30,7 +30,7 @@ Noise = Literal["white", "flicker", "random walk"]
 """Power laws of the series itself: spectrum flat, 1/f, 1/f^2; slope of the Allan deviation -1/2, 0, +1/2."""
 
 MIN_AVERAGES = 30
-"""Fewer averages than this don't tell the noise type (SP 1065, "Lag 1 autocorrelation")."""
+"""Fewest averages from which the noise type is identified (SP 1065, "Lag 1 autocorrelation")."""
 
 _POINTS = 64
 """Lags per averaging factor in the sum above; more change the result by less than a thousandth."""
@@ -81,8 +81,8 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
 
     A straight line is taken out. With the lag-1 autocorrelation r, r / (1 + r) is 0 for white noise and 1/2 for flicker
     noise (Riley and Greenhall, "Power law noise identification using the lag 1 autocorrelation", EFTF 2004); what is
-    nearer to white noise, or falls faster, is white. The rest is told apart by r of the differences, which averaging
-    changes: -0.22 for flicker noise, from 0 at factor 1 to 1/4 for a random walk.
+    nearer to white noise, or falls faster, is white. The others are distinguished by r of the differences, which
+    averaging changes: -0.22 for flicker noise, from 0 at factor 1 to 1/4 for a random walk.
     """
     if len(averages) < MIN_AVERAGES:
         return None
@@ -129,7 +129,7 @@ IDENTIFY = 8192
 """
 
 STARTS = 8
-"""The decimated estimator starts at least so often in an averaging time; more starts tell next to nothing new."""
+"""Fewest starts of the decimated estimator per averaging time; more starts add hardly any information."""
 
 
 Runs = tuple[tuple[int, int], ...]
@@ -161,7 +161,7 @@ class AllanCurve:
     runs: Runs = ()
 
     def column(self, number: int) -> AllanCurve:
-        """The curve of one column of a series that had some."""
+        """Return the curve of one column of a series that had some."""
         parts = {name: getattr(self, name)[:, number] for name in ("deviation", "low", "high", "freedom", "noise")}
         return replace(self, **parts, kurtosis=self.kurtosis[number])
 
@@ -293,7 +293,7 @@ def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Seq
 
 
 def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:
-    """Noise type at each factor; one too long to tell has the type of the next shorter."""
+    """Return the noise type at each factor; a factor with too few averages has the type of the next shorter one."""
     known: dict[int, Noise] = {}
     for m, values in sorted(zip(factors, averages, strict=True), key=lambda pair: pair[0]):
         known[m] = identify_noise(values, m) or (list(known.values()) or ["white"])[-1]
@@ -304,21 +304,21 @@ FLOOR = sqrt(2 * log(2) / pi)
 """Floor of the Allan deviation over the coefficient of bias instability: 0.664."""
 
 _SPAN = 8.0
-"""The slope is taken over three octaves, of which the octave grid has whole ones; about a decade."""
+"""Ratio of averaging times over which the slope is computed: three octaves, about a decade."""
 
 _SLOPE_TOLERANCES = (0.02, 0.05, 0.1)
-"""Tried in turn: where some part of a curve is as straight as white noise, a part that is less so is not taken."""
+"""Deviations of the slope from -1/2, tried in turn: the part of a curve that agrees best with white noise is used."""
 
 _SLOPE_FREEDOM = 20.0
-"""Points with less don't tell a slope of -1/2 from another."""
+"""Fewest degrees of freedom of a point from which a slope is computed."""
 
 _FLOOR_FREEDOM = 5.0
-"""Points with less scatter so far that the lowest would be a matter of chance."""
+"""Fewest degrees of freedom of the lowest point; points with fewer scatter too much."""
 
 
 @dataclass(frozen=True)
 class WhiteNoiseEstimate:
-    """`density` N in unit / sqrt(Hz), two-sided, and the taus between which it was read off."""
+    """`density` N in unit / sqrt(Hz), two-sided, and the range of taus from which it was estimated."""
 
     density: float
     shortest_s: float
@@ -342,7 +342,7 @@ class Floor:
 def white_noise(
     tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]
 ) -> WhiteNoiseEstimate | None:
-    """White noise from the shortest three octaves of one curve (t,) that slope by -1/2; None if no sure ones do."""
+    """Estimate white noise from the shortest three octaves of one curve (t,) with slope -1/2; None without such."""
     if deviation.min() <= 0:
         return None
     parts = list(_parts(tau_s, freedom))
@@ -355,7 +355,7 @@ def white_noise(
 
 
 def _parts(tau_s: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]) -> Iterator[slice]:
-    """The parts of a curve that span three octaves and are sure enough, shortest taus first."""
+    """Yield the parts of a curve that span three octaves with enough degrees of freedom, shortest taus first."""
     for first in range(len(tau_s)):
         last = int(np.searchsorted(tau_s, _SPAN * tau_s[first] * (1 - 1e-9)))
         if last < len(tau_s) and freedom[last] >= _SLOPE_FREEDOM:
@@ -363,9 +363,7 @@ def _parts(tau_s: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]) -> 
 
 
 def _excess(tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: float) -> float:
-    """Return how much the slope differs from -1/2 beyond two standard errors, which the last and least sure point
-    rules.
-    """
+    """Return by how much the slope differs from -1/2 beyond two standard errors, which are those of the last point."""
     span = np.log(tau_s) - np.log(tau_s).mean()
     slope = float(span @ np.log(deviation) / (span @ span))
     error = 1 / sqrt(2 * freedom) / float(span[-1] - span[0])
@@ -379,7 +377,9 @@ def floor(
     high: npt.NDArray[np.float64],
     freedom: npt.NDArray[np.float64],
 ) -> Floor | None:
-    """The lowest of those points of one curve (t,) that are sure enough; None if none is or the series is constant."""
+    """Return the lowest point of one curve (t,) among those with enough degrees of freedom; None without such, or for a
+    constant series.
+    """
     sure = np.flatnonzero(freedom >= _FLOOR_FREEDOM)
     if len(sure) == 0 or deviation.min() <= 0:
         return None

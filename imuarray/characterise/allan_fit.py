@@ -160,17 +160,17 @@ def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
 
 
 _NEEDED = 5.41
-"""Least growth of the misfit when a term is removed. One that is not there does so with a chance of 1 %: with 1/2 it is
-fitted as zero, else its square has one degree of freedom."""
+"""Least growth of the misfit when a term is removed: the 1 % quantile for a term that is zero, which is fitted as zero
+with probability 1/2 and otherwise has one degree of freedom."""
 
 _SURE = 1.0
-"""Half an interval as a share of the square, from which on zero is within it."""
+"""Least half-width of an interval, relative to the squared coefficient, that includes zero."""
 
 _LEAST_SPREAD = 1e-6
-"""Standard deviation of an Allan variance, as a share of it, at the least."""
+"""Least relative standard deviation of an Allan variance."""
 
 _LEAST_SIZE = 1e-3
-"""Least eigenvalue of their correlation; noise has 0.007 and more, and the sums behind it are taken to 0.003."""
+"""Least eigenvalue of the correlation of the variances; noise has at least 0.007, and the sums are exact to 0.003."""
 
 _WHITE = TERMS.index("white")
 
@@ -230,10 +230,10 @@ class AllanEstimate:
         return self._solutions[key]
 
     def misfit(self, theta: Floats) -> float:
-        """Return how far the variances lie from what `theta` says; nearly chi-squared if it is the truth.
+        """Return the misfit of the variances with respect to `theta`; nearly chi-squared if that is the truth.
 
-        By the cube roots of the variances: those of chi-squared numbers are nearly normal, even of few degrees of
-        freedom (Wilson and Hilferty, PNAS 17, 1931).
+        It uses the cube roots of the variances, because those of chi-squared numbers are nearly normal, even with few
+        degrees of freedom (Wilson and Hilferty, PNAS 17, 1931).
         """
         model = self.design @ theta
         decorrelated, spread = self._scatter(theta)
@@ -271,7 +271,9 @@ class AllanSolution:
 
 
 def needed(estimate: AllanEstimate, wanted: Sequence[int]) -> list[int]:
-    """The terms that are needed: each is tested against the best fit without it, weighted as if it were not there."""
+    """Return the terms that are needed: each is tested against the best fit without it, weighted as if it were
+    not there.
+    """
     terms = list(wanted)
     while len(terms) > 1:
         gains = {term: _gain(estimate, terms, term) for term in terms}
@@ -289,7 +291,7 @@ def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
 
 
 def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
-    """Solve as `AllanEstimate.solution` does."""
+    """Solve as described in `AllanEstimate.solution`."""
     design = estimate.design
     theta, _ = _non_negative(design / estimate.variance[:, None], np.ones(len(estimate.variance)), terms)
     for _ in range(_TURNS):
@@ -317,10 +319,10 @@ def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple
 def interval_of(
     estimate: AllanEstimate, term: int, terms: Sequence[int], confidence: float
 ) -> tuple[float, tuple[float, float]]:
-    """Squared coefficient of one of the terms, and its interval.
+    """Return the squared coefficient of one of the terms, and its interval.
 
-    Normal in its logarithm; if zero is as near as the normal distribution's own lower end, from zero to where an
-    estimate as low as this would be as rare.
+    The interval is normal in the logarithm; if it includes zero, it extends from zero to the value for which so low an
+    estimate has the same tail probability.
     """
     from scipy.special import ndtri
 
@@ -357,13 +359,13 @@ UNITS: dict[Term, str] = {
 USUAL: tuple[Term, ...] = ("white", "flicker", "random walk")
 
 BAD = 0.01
-"""A fit is called bad if a good one would fit worse with at most this chance."""
+"""Significance level of a bad fit."""
 
 _POWERS: dict[Term, float] = {"quantisation": 1.0, "white": 0.5, "flicker": 0.0, "random walk": -0.5, "ramp": -1.0}
 """Power of seconds in the unit of each coefficient."""
 
 _FREEDOM = 5.0
-"""Points with fewer degrees of freedom are left out: they scatter too far from normal for least squares."""
+"""Fewest degrees of freedom of a point in the fit; the scatter of others is too far from normal for least squares."""
 
 _ROUNDING = 1e-12
 """Deviations below this share of the largest one are rounding errors, for example of readings that repeat."""
@@ -371,9 +373,9 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """One term of the fit: `value` with the ends of its interval in `unit`, which has seconds beside the series' unit.
+    """One term of the fit: `value` with the ends of its interval in `unit`, composed of the series' unit and seconds.
 
-    A term that is not `significant` has the value 0 and the interval from 0 to what could have been missed.
+    A term that is not `significant` has the value 0 and the interval from 0 to its upper limit.
     """
 
     term: Term
@@ -386,7 +388,7 @@ class NoiseTerm:
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Coefficients of the terms asked for, and how well their sum gives the curve.
+    """Coefficients of the requested terms, and the quality of the fit.
 
     `p_value`: the chance of a misfit as large as `misfit` (`freedom` degrees) if the curve is such a sum; nan without
     degrees of freedom. `deviation` is the fitted curve at `tau_s`; at `worst_tau_s` the measured one differs most, by
@@ -404,7 +406,7 @@ class NoiseFit:
     verdict: str
 
     def __getitem__(self, term: Term) -> NoiseTerm:
-        """The coefficient of one term; KeyError."""
+        """Return the coefficient of one term; KeyError."""
         return {item.term: item for item in self.coefficients}[term]
 
 
@@ -480,7 +482,7 @@ def _coefficient(
 def _assess(
     estimate: AllanEstimate, solution: AllanSolution, count: int, coefficients: tuple[NoiseTerm, ...]
 ) -> NoiseFit:
-    """The fit with its tail probability and the verdict."""
+    """Return the fit with its tail probability and the verdict."""
     from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
 
     freedom = len(estimate.factors) - count
@@ -504,7 +506,7 @@ def _assess(
 
 
 def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[NoiseTerm]) -> str:
-    """Describe what is wrong with the fit; empty if nothing is."""
+    """Describe the problem of a bad fit; empty for a good one."""
     if not p_value <= BAD:
         return ""
     names = [item.term for item in coefficients]

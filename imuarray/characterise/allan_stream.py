@@ -31,7 +31,7 @@ Estimator = Literal["overlapping", "decimated"]
 """"overlapping": second differences start at every row; "decimated": at least eight times in an averaging time."""
 
 _ROWS = 32768
-"""Values that are collected before they are worked on; half as many at coarser strides."""
+"""Number of values that are collected before they are processed; half as many at coarser strides."""
 
 _OCTAVES = tuple(1 << power for power in range(36))
 """Averaging factors of a series of unknown length: up to five years at 400 Hz."""
@@ -64,7 +64,7 @@ class AllanStream:
         self._columns: list[_Pyramid] = []
 
     def feed(self, values: npt.ArrayLike) -> None:
-        """The next rows (n,) or (n, k); ValueError if they are not real, finite, or of the shape of those before."""
+        """Add the next rows (n,) or (n, k); ValueError unless they are real, finite and of the same shape as before."""
         block = np.asarray(values)
         if block.ndim not in (1, 2) or block.dtype.kind not in "biuf" or 0 in block.shape[1:]:
             raise ValueError(f"(n,) or (n, k) real numbers are required, not {block.dtype} {block.shape}")
@@ -81,7 +81,8 @@ class AllanStream:
         self._rows += len(block)
 
     def curve(self, confidence: float = CONFIDENCE) -> AllanCurve:
-        """Allan deviation of all rows so far, at the factors that they are enough for; ValueError for fewer than two.
+        """Return the Allan deviation of all rows so far, at the factors for which they suffice; ValueError for fewer
+        than two rows.
 
         Octaves end at a third of the rows, named factors at half of them.
         """
@@ -116,7 +117,7 @@ class _Pyramid:
         self._levels[1].add(np.zeros(1))
 
     def feed(self, values: Values) -> None:
-        """The next values (n,); ValueError if one is not finite."""
+        """Add the next values (n,); ValueError if one is not finite."""
         if self._reference is None:
             self._reference = values[0] if values.dtype.kind in "biu" else values[:_ROWS].mean(dtype=np.float64)
         self._changes.feed(values)
@@ -137,12 +138,12 @@ class _Pyramid:
 
 
 class _Link:
-    """The coarser level takes every `ratio`-th value; the next one after `skip` others."""
+    """Passes every `ratio`-th value to a coarser level, the next one after `skip` others."""
 
     def __init__(self, ratio: int, level: _Level) -> None:
         self.ratio, self.level, self.skip = ratio, level, 0
 
-    def hand_on(self, phase: Floats) -> None:
+    def pass_on(self, phase: Floats) -> None:
         self.level.add(phase[self.skip :: self.ratio])
         self.skip = (self.skip - len(phase)) % self.ratio
 
@@ -163,13 +164,13 @@ class _Level:
         return self._phase[self._filled :]
 
     def grow(self, count: int) -> None:
-        """Take over the first `count` values of `free`."""
+        """Add the first `count` values of `free`."""
         self._filled += count
         if self._filled == len(self._phase):
             self.work()
 
     def add(self, phase: Floats) -> None:
-        """The next values (n,)."""
+        """Add the next values (n,)."""
         while len(phase):
             free = self.free()
             count = min(len(free), len(phase))
@@ -178,18 +179,18 @@ class _Level:
             phase = phase[count:]
 
     def work(self, through: bool = False) -> None:
-        """Adds up what is new, hands it on, and keeps what later second differences reach back to.
+        """Process the new values, pass them on, and keep those that later second differences need.
 
-        `through`: the coarser levels too, though they have room left.
+        `through`: process the coarser levels as well, even if their buffers are not full.
         """
         held, new = self._phase[: self._filled], self._phase[self._done : self._filled]
         for distance, total in zip(self.sums, sums_of_squares(held, list(self.sums), self._done), strict=True):
             self.sums[distance] += total
-        wanted = IDENTIFY + 1 - sum(map(len, self._first))
-        if wanted > 0 and len(new):
-            self._first.append(new[:wanted].copy())
+        lacking = IDENTIFY + 1 - sum(map(len, self._first))
+        if lacking > 0 and len(new):
+            self._first.append(new[:lacking].copy())
         for link in self.coarser:
-            link.hand_on(new)
+            link.pass_on(new)
             if through:
                 link.level.work(through)
         kept = min(self._kept, self._filled)

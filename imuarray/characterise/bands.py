@@ -1,10 +1,10 @@
 """Lines of a spectrum that are wider than a bin or two: of a motor whose speed wanders, of a fan, of a slow sway.
 
 Boxes of neighbouring bins, from a few to many, are compared with the bins on either side of them: the mean density in a
-box over the higher of the two sides' medians, so that neither a slope nor the corner of a filter looks like a line. Of
-noise this ratio follows Fisher's F law; the chance that any box of any width exceeds it is at most that of the whole
-search (Bonferroni). Narrow lines (`imuarray.characterise.lines`) are levelled first. Boxes begin at the third bin,
-where no floor that needs many bins below it can be had: slow lines are found here even if they are narrow.
+box over the higher of the two sides' medians, so that neither a slope nor the corner of a filter looks like a line. For
+noise this ratio has Fisher's F distribution; the false-alarm probability applies to all boxes of all widths together
+(Bonferroni). Narrow lines (`imuarray.characterise.lines`) are removed first. Boxes begin at the third bin, where a
+floor that needs many bins below it is not available: slow lines are detected here even if they are narrow.
 """
 
 from __future__ import annotations
@@ -21,30 +21,31 @@ from imuarray.characterise.lines import FALSE_ALARM, SpectralLine
 from imuarray.characterise.spectrum import Spectrum
 
 WIDTHS = (4, 8, 16, 32, 64, 128)
-"""Indices of a box; the narrowest is the main lobe of the Hann window."""
+"""Widths of a box in bins; the narrowest is the main lobe of the Hann window."""
 
 RISES = 1.35
-"""Least ratio of a box to both its sides: ripples of filters and of floors are no lines."""
+"""Least ratio of a box to both its sides: ripples of filters and of floors are smaller."""
 
 SLACK = 1.08
 """The allowance for the curvature of a floor: a box may rise by this above its sides' medians without a line."""
 
 _FIRST = 3
 _LOWEST = 2
-"""Indices 0 and 1 have lost power with the mean of their segment."""
+"""First bin of a side: bins 0 and 1 have lost power with the mean of their segment."""
 
 _LEAST_SIDE = 4
 _SIDE = 2
 """The width of a side in boxes; it begins half a box away, because a line as wide as its box has skirts."""
 
 _SHARED = 1.94
-"""Indices that are as sure as one alone: Hann-windowed neighbours correlate by 4/9 and 1/36 in power."""
+"""Number of bins with the information of one independent bin: Hann-windowed neighbours correlate by 4/9 and 1/36 in
+power."""
 
 _MEDIAN = 0.64
 """A median is as precise as the mean of this share of its values."""
 
 _CLEARED = 3
-"""Indices on either side of a narrow line that hold its power."""
+"""Number of bins on either side of a narrow line that contain its power."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class _Box:
 def find_bands(
     spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
 ) -> tuple[Band, ...]:
-    """The wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
+    """Return the wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
     density = np.array(spectrum.density[:, column])
     density[-1] *= 2  # the bin at half the rate has no twin
     last = len(density) - 1
@@ -95,7 +96,7 @@ def find_bands(
 
 
 def _level(density: Floats, at: int) -> None:
-    """Put what lies beside a narrow line in its place."""
+    """Replace a narrow line by the median of its neighbours."""
     first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
     neighbours = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
     if len(neighbours):
@@ -103,8 +104,8 @@ def _level(density: Floats, at: int) -> None:
 
 
 def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
-    """Boxes that stand above their sides further than noise does, of all widths."""
-    from scipy.special import fdtrc  # Fisher's F without the weight of scipy.stats
+    """Return the boxes of all widths that exceed their sides significantly."""
+    from scipy.special import fdtrc  # scipy.stats is slow to import
 
     widths = [width for width in WIDTHS if 8 * width < len(density)]
     tried = sum(2 * len(density) // width for width in widths)
@@ -124,8 +125,8 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
 
 
 def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
-    """The higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many bins
-    the shorter side has.
+    """Return the higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many
+    bins the shorter side has.
     """
     span = _SIDE * width
     floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
@@ -142,7 +143,7 @@ def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indic
 
 
 def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
-    """The line in a box: its power above the floor, there and as far beside it as it rises."""
+    """Return the line in a box: its power above the floor, there and as far beside it as it rises."""
     width = box.stop - box.first
     bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
     excess = density[bins] - box.floor

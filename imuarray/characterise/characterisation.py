@@ -1,6 +1,6 @@
 """The noise of a log's sensors at rest as an object: coefficients with intervals, tables and figures.
 
-The table for a person has at most 110 columns, and a block for each quantity, in the sensor's unit.
+The text table has at most 110 columns and one block per quantity, in the sensor's unit.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ _ALIGNMENT_HEAD = (
     f" {'delay us':>16}",
 )
 _ALIGNMENT_NOTES = (
-    "faster by: how many more rows a second than the reference, in parts per million. nearest row: the time from a row"
-    " of the reference to the nearest row of the sensor, which varies where chips sample by their own clocks. gains or"
-    " loses a row: after so many seconds it is one row ahead or behind. time known: largest error of the times of a"
-    " drained queue, as the log states it (median). delay: how much later a gyroscope shows the rotation, beyond its"
-    " known filter delay, with its 95 % interval."
+    "faster by: excess of the row rate over that of the reference, in parts per million. nearest row: time from a row"
+    " of the reference to the nearest row of the sensor, which varies if chips sample by their own clocks. gains or"
+    " loses a row: the time in which it gets one row ahead or behind. time known: largest error of the times of a"
+    " drained queue, as stated in the log (median). delay: delay of a gyroscope's response to the rotation in addition"
+    " to its known filter delay, with its 95 % interval."
 )
 _NOTES = (
-    "error of the mean: its standard error, correlation allowed for. repeat: rows without a new reading, flagged as "
+    "error of the mean: its standard error, including correlation. repeat: rows without a new reading, flagged as "
     "stale or equal to the row before beyond chance. N: density of the white noise, two-sided "
     "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
     "the Allan deviation with 95 % intervals; '<': not significant, with its upper limit. p: probability of "
-    "such a misfit if the model holds; '!' and B, K in brackets: too small, the noise is of another kind (a line, a "
+    "such a misfit under the model; '!' and B, K in brackets: p is too small, the noise is of another kind (a line, a "
     "drift, a filter, a process with a time constant). lowest: lowest point of the curve / 0.664, "
-    "'<' where it still falls at its end. Runs between gaps are pooled. "
-    "Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
-    "the calibration that was given, else by the data sheet's typical sensitivity."
+    "'<' if the curve still falls at its end. Runs between gaps are pooled. "
+    "Means are raw: they include the bias, and for an accelerometer gravity. Units are by "
+    "the given calibration, or by the data sheet's typical sensitivity."
 )
 
 
 def render_text(result: Mapping[str, Any]) -> str:
-    """The result of `characterise_log` as lines of text, the last one ended."""
+    """Return the result of `characterise_log` as lines of text, the last one ended."""
     lines = list(_heading(result))
     for quantity in dict.fromkeys(sensor["quantity"] for sensor in result["sensors"]):
         sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
         lines += ["", *_table(quantity, sensors), "", *_fits(sensors)]
     if sentences := findings(result):
-        lines += ["", "what stands out", *(line for sentence in sentences for line in _indented(sentence))]
+        lines += ["", "remarks", *(line for sentence in sentences for line in _indented(sentence))]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     if result["alignment"] is not None:
         lines += ["", *_alignment(result["alignment"]), *_wrapped(_ALIGNMENT_NOTES)]
@@ -67,12 +67,12 @@ def render_text(result: Mapping[str, Any]) -> str:
 
 
 def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
-    """How well the sensors' rows agree in time, a line a sensor."""
+    """Yield the table of the sensors' alignment in time, one line per sensor."""
     motion = ""
     if alignment["delays_from"]:
         since = f"{alignment['motion_from_s']:.0f} s"
-        motion = f"; delays against {alignment['delays_from']}, by the rotation from {since} on"
-    yield from _wrapped(f"alignment in time, against {alignment['reference']}{motion}")
+        motion = f"; delays relative to {alignment['delays_from']}, by the rotation from {since} on"
+    yield from _wrapped(f"alignment in time, relative to {alignment['reference']}{motion}")
     yield from _ALIGNMENT_HEAD
     for sensor in alignment["sensors"]:
         apart = "-" if sensor["row_apart_s"] is None else _seconds(sensor["row_apart_s"])
@@ -89,7 +89,7 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _seconds(seconds: float) -> str:
-    """Three digits, and no powers of ten."""
+    """Format seconds with three digits and without powers of ten."""
     return f"{seconds:.3g}" if seconds < 999.5 else f"{seconds:.0f}"
 
 
@@ -106,7 +106,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _heading(result: Mapping[str, Any]) -> Iterator[str]:
-    """Name the log and the stretch, and warn if nothing says that the box stood still."""
+    """Yield the log and the stretch, and a warning if no phase is at rest."""
     stretch = result["stretch"]
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
     yield from _wrapped(f"{result['log']}{emulated}")
@@ -128,7 +128,7 @@ def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
-    """One axis; in counts if the log has no sensitivity."""
+    """Return the line of one axis, in counts if the log has no sensitivity."""
     values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
     return (
         f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
@@ -170,8 +170,8 @@ def _fit_line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
 
 
 def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
-    """A coefficient with half its interval in per cent, or what it is below; B and K in brackets, without an interval,
-    where the curve is not a sum of such noises: a process with a time constant is neither of them.
+    """Return a coefficient with half its interval in per cent, or its upper limit; B and K are in brackets, without an
+    interval, if the curve is not a sum of such noises, for example with a process that has a time constant.
     """
     term = fit["terms"].get(name) if fit else None
     if term is None or term["value"] is None:
@@ -196,7 +196,7 @@ def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 
 def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
-    """Rate, rows, gaps, what the Allan deviation was taken of, and below them what the log flags."""
+    """Yield rate, rows, gaps and the rows of the Allan deviation, followed by the flags of the log."""
     run, scale = sensor["allan_run"], f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else ""
     taken = any(axis["allan"] for axis in sensor["axes"])
     stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if taken else "too few rows"
@@ -210,7 +210,7 @@ def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
         f"{sensor['gaps']:>5} {_number(longest_ms, 4):>9}  {stretch}"
     )
     if sensor["rows"] > run["rows"] > 1:
-        yield f"{'':12} of all rows {_fixed(run['left_out_share'], 1, 100)} % left out of the Allan deviation"
+        yield f"{'':12} {_fixed(run['left_out_share'], 1, 100)} % of the rows excluded from the Allan deviation"
     flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items() if count)
     if flags:
         yield f"{'':12} {flags}"
@@ -237,7 +237,7 @@ class Coefficient(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Characterisation:
-    """Result of `characterise_log` (`result`, JSON-ready, SI and counts by name)."""
+    """Result of `characterise_log` (`result`: the same as for JSON, in counts, the sensor's unit and SI)."""
 
     result: Mapping[str, Any]
 
@@ -255,7 +255,8 @@ class Characterisation:
                         return dict(entry)
                 raise LogError(f"{sensor}: no axis {axis!r}; allowed are {', '.join(a['axis'] for a in row['axes'])}")
         raise LogError(
-            f"no sensor {sensor!r} was characterised; there are {', '.join(self.sensors)}{guess(sensor, self.sensors)}"
+            f"no sensor {sensor!r} was characterised; allowed are {', '.join(self.sensors)}"
+            f"{guess(sensor, self.sensors)}"
         )
 
     def coefficient(self, sensor: str, axis: str, term: str = "white") -> Coefficient | None:
@@ -273,8 +274,8 @@ class Characterisation:
         return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"])
 
     def plot(self, kind: str = "allan") -> Figure:
-        """A figure of all sensors: "allan", "spectrum", "autocorrelation" or "histogram". LogError for another kind,
-        MissingExtraError without matplotlib.
+        """Return a figure of all sensors: "allan", "spectrum", "autocorrelation" or "histogram". LogError for another
+        kind, MissingExtraError without matplotlib.
         """
         if kind not in PLOTS:
             raise LogError(f"plot {kind!r}: allowed are {', '.join(PLOTS)}")
@@ -283,8 +284,9 @@ class Characterisation:
         return FIGURES[f"{kind}.png"](self.result)
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame` with a row for each axis: coefficients with their intervals, in the sensor's unit, nan
-        where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError without pandas.
+        """Return a `pandas.DataFrame` with a row for each axis: coefficients with their intervals, in the sensor's
+        unit, nan where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError without
+        pandas.
         """
         from imuarray.log.datasets import optional_package
 

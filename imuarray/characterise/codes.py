@@ -1,14 +1,14 @@
-"""Codes of a converter and their density: only even ones, codes that never come, clipped ends.
+"""Codes of a converter and their density: only even codes, missing codes, clipped ends.
 
 The probabilities assume independent readings. For noise that is correlated over many rows (a drift of several codes)
 they are too small; shares and counts are therefore given as well.
 
-Clipping (`Rails`): a rail is a code beyond which a sensor gives none. It is an end of the codes' bits; the code of
-range times sensitivity, where readings reach it and none is beyond; or a pile of readings at the largest code, because
-a range, a filter or a driver may end elsewhere. A density falls towards its ends, so the last code is no more frequent
-than any of those before it; a pile that this law excludes is a rail if it is near the range's end, or, if smooth motion
-that turns there does not explain it, if the other axes move in it. (At rest, a coarse sensor with one face down piles
-up its readings, too, but then the other axes don't move.)
+Clipping (`Rails`): a rail is the last code of a sensor. It is an end of the codes' bits; the code of range times
+sensitivity, if readings reach it and none is beyond; or an accumulation of readings at the largest code, because a
+range, a filter or a driver may end elsewhere. A density falls towards its ends, so the last code is no more frequent
+than any of those before it; an accumulation that contradicts this is a rail if it is near the range's end, or, if
+smooth motion that turns there does not explain it, if the other axes move in it. (At rest, the readings of a coarse
+sensor with one face down accumulate as well, but then the other axes do not move.)
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from imuarray.arrays import Integers
 from imuarray.log import SensorLog
 
 RARE = 1e-3
-"""The rarest codes, up to this share of the readings, don't count for the usual step: a glitch may give any code."""
+"""Share of the readings whose rarest codes do not count for the usual step, because a glitch may give any code."""
 
 NARROW = 2.0
-"""With a spread under so many steps neither the share of even codes nor a pile at an end says anything: of Gaussian
-noise with this spread the shares of even and odd codes differ by (4 / pi) exp(-pi^2 spread^2 / 2) < 4e-9."""
+"""Least spread in steps for tests of even codes and of the ends: for Gaussian noise with this spread the shares of even
+and odd codes differ by (4 / pi) exp(-pi^2 spread^2 / 2) < 4e-9."""
 
 LISTED = 8
 """The number of gaps between codes that are listed, the most improbable first."""
@@ -42,7 +42,7 @@ class Histogram:
     counts: Integers
 
     def merge(self, other: Histogram) -> Histogram:
-        """The histogram of both together."""
+        """Return the histogram of both together."""
         if len(self.codes) == 0 or len(other.codes) == 0:
             return self if len(self.codes) else other
         codes = np.union1d(self.codes, other.codes)
@@ -86,11 +86,11 @@ def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
 
 @dataclass(frozen=True)
 class CodeGap:
-    """Integers `first` to `last` on the usual grid never came, though the ones before and after did.
+    """Codes `first` to `last` on the usual grid that never occur, though the ones before and after do.
 
-    `p_value`: the chance of that anywhere in the histogram, at most, if the density has one top: then each of the m
-    codes is at least as likely as the rarer of the two neighbours, and if that came n times, the chance that none of
-    the m did is (1 + m)^-n; times the number of neighbours looked at.
+    `p_value` is an upper bound of the probability of that anywhere in the histogram for a density with a single
+    maximum: each of the m codes is at least as likely as the rarer of the two neighbours, and if that occurs n times,
+    the probability that none of the m does is (1 + m)^-n; times the number of neighbours that are tested.
     """
 
     first: int
@@ -100,10 +100,10 @@ class CodeGap:
 
 @dataclass(frozen=True)
 class End:
-    """The lowest or highest `code`, the `share` of readings that have it, and the chance that it came so often.
+    """The lowest or highest `code`, the `share` of readings that have it, and the probability that it is so frequent.
 
-    Towards its ends a density falls, so that the last code comes at most as often as the one before: binomial law of
-    both together. nan where the spread is too narrow to tell.
+    A density falls towards its ends, so that the last code is at most as frequent as the one before (binomial
+    distribution of both together). nan if the spread is too narrow.
     """
 
     code: int
@@ -183,7 +183,7 @@ def usual_step(seen: Histogram) -> int:
 
 
 def _frequent(seen: Histogram, readings: int) -> Integers:
-    """The codes without the rarest ones, ascending."""
+    """Return the codes without the rarest ones, ascending."""
     order = np.argsort(seen.counts, kind="stable")
     rare = int(np.searchsorted(np.cumsum(seen.counts[order]), RARE * readings, side="right"))
     return np.sort(seen.codes[order[rare:]])
@@ -195,7 +195,7 @@ def _step(codes: Integers) -> int:
 
 
 def _missing(seen: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
-    """The most improbable gaps, and how many codes are missing in all."""
+    """Return the most improbable gaps, and how many codes are missing in all."""
     codes, counts = _on_grid(seen, step)
     if len(codes) < 2:
         return (), 0
@@ -216,7 +216,7 @@ def _on_grid(seen: Histogram, step: int) -> tuple[Integers, Integers]:
 
 
 def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
-    """The code number `at` of a histogram, beside the one a step inwards."""
+    """Return the code number `at` of a histogram, beside the one a step inwards."""
     code, count = int(seen.codes[at]), int(seen.counts[at])
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):
@@ -226,8 +226,8 @@ def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
 
 
 def _at_least(successes: int, trials: int) -> float:
-    """The probability of so many heads or more in fair throws: the regularised incomplete beta function (NIST DLMF
-    8.17.5).
+    """Return the probability of at least so many heads in fair throws: the regularised incomplete beta function (NIST
+    DLMF 8.17.5).
     """
     return float(betainc(successes, trials - successes + 1, 0.5)) if successes > 0 else 1.0
 
@@ -238,10 +238,10 @@ SPAN = (-32768, 32767)
 """Ends of codes of 16 bits."""
 
 LEAST_PILE = 5
-"""Fewer readings are no pile: a pair of equal peaks is no chance of one in a million."""
+"""Fewest readings of an accumulation: two equal peaks are more probable than one in a million."""
 
 BEFORE = 8
-"""Codes before the last one that it is compared with."""
+"""Number of codes before the last one with which it is compared."""
 
 FALLING = 1 / (BEFORE + 1)
 TURNING = FALLING**0.5
@@ -250,20 +250,20 @@ second where a smooth motion turns (the time that x = x_max - t^2 spends beyond 
 """
 
 SURE = 1e-6
-"""The probability of a pile by chance below which it is reported."""
+"""Significance level of an accumulation of readings."""
 
 NOMINAL = 2
-"""Codes by which the end of a range may lie off range times sensitivity: 2047 or 2048, rounded or cut."""
+"""Largest distance in codes of the end of a range from range times sensitivity: 2047 or 2048, rounded or truncated."""
 
 NEAR_RANGE = 0.1
-"""A pile is near its range's end if it is so near as a share of it: chips' ranges are a little more than they say."""
+"""Largest relative distance of a rail from the range's end: chips measure a little beyond their stated range."""
 
 MOVING_STEPS = 20.0
-"""Spread of another axis, in steps of its codes, from which on the box moves while readings pile up: noise alone seldom
-has so much, and a coarse sensor at rest has none."""
+"""Least spread of another axis, in steps of its codes, that shows motion while readings accumulate: noise alone seldom
+has as much, and a coarse sensor at rest has none."""
 
 _BLOCK_ROWS = 4096
-"""A chunk of a log: an import, which reads so much at once, takes no more memory for it."""
+"""Rows that are read at once: those of an import, so that its memory does not grow."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class Rails:
     rows: Counts
 
     def clipped(self, counts: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-        """(n,) which rows (n, 3) clip."""
+        """Return (n,) which rows (n, 3) clip."""
         return np.asarray(((counts <= self.low) | (counts >= self.high)).any(axis=1))
 
 

@@ -19,10 +19,10 @@ Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
 LAGS = 32
 SEGMENT = 8192
-"""Rows whose mean is taken off: 20 s at 400 Hz. So few products are also added up without waking other threads."""
+"""Rows of a segment, whose mean is removed: 20 s at 400 Hz. So few products are summed without starting threads."""
 
 _AT_ONCE = 1 << 15
-"""Rows of whole segments that are worked on together: of short segments the calls would take longer than the sums."""
+"""Rows of whole segments that are processed together: for short segments the calls would take longer than the sums."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Autocovariance:
         self._filled = self._rows = self._seen = self._segments = 0
 
     def update(self, values: Values) -> None:
-        """The next rows of the run, (n,) or (n, k); ValueError for another number of columns."""
+        """Add the next rows of the run, (n,) or (n, k); ValueError for another number of columns."""
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
             raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
@@ -81,13 +81,13 @@ class Autocovariance:
                 self._add_line()
 
     def end_run(self) -> None:
-        """A gap: the next rows don't continue those before. The last segment counts if twice as long as the lags."""
+        """End a run at a gap. The last segment counts if it is at least twice as long as the lags."""
         if self._filled >= 2 * len(self._pairs):
             self._add_line()
         self._filled = 0
 
     def result(self) -> Autocorrelation:
-        """The autocorrelation of all rows so far; ends the run."""
+        """Return the autocorrelation of all rows so far; ends the run."""
         correlation = self.correlation()
         lag = np.arange(len(self._pairs))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -101,7 +101,7 @@ class Autocovariance:
         return Autocorrelation(lag, correlation, error, statistic, p_value, *counts)
 
     def correlation(self) -> Floats:
-        """(l, k) the correlation alone, as `result` has it; ends the run."""
+        """Return (l, k) the correlation alone, as `result` has it; ends the run."""
         self.end_run()
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = self._products[0] / (self._rows - self._segments)
@@ -110,12 +110,12 @@ class Autocovariance:
             return np.asarray(products / self._pairs[:, np.newaxis] / variance)
 
     def _add_line(self) -> None:
-        """The rows of the segment that was being filled."""
+        """Add the rows of the segment that is being filled."""
         self._add(self._line[:, np.newaxis, : self._filled].copy())
         self._filled = 0
 
     def _add(self, lines: Floats) -> None:
-        """Whole segments (k, s, n): products of what is left of each column without its mean, segment after segment."""
+        """Add whole segments (k, s, n): the products of each column less its mean, segment by segment."""
         lines -= lines.mean(axis=2, keepdims=True)
         _, segments, rows = lines.shape
         lags = range(len(self._pairs))

@@ -1,7 +1,7 @@
 """Remarkable properties of a characterisation, in sentences: times, clipping, lines, codes, correlation, bad fits.
 
-Everything is derived from the result of `characterise_log` alone. Sensors and axes of which the same is true share a
-sentence, whose numbers then are from the least to the greatest; what makes a recording unusable comes first.
+Everything is derived from the result of `characterise_log` alone. Sensors and axes with the same property share a
+sentence, whose numbers are ranges from the least to the greatest; properties that make a recording unusable come first.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ SURE = 1e-6
 """The probability below which a finding is significant, whatever the number of axes."""
 
 _SHARED_S = 1e-7
-"""Interval below which rows were written with the same time: the importer separates these by 1 ns."""
+"""Longest interval between rows that were written with the same time: the importer separates these by 1 ns."""
 
 _CORRELATED = 0.05
 _CLIPPED_SHARE = 1e-4
 
 _SLOW_CHANGE = 0.3
-"""Share of an axis's variance that is no noise of its spectrum, from which the mean is said to change."""
+"""Least share of an axis's variance outside its spectrum that is reported as a change of the mean."""
 
 _LEAST_SEGMENTS = 8
-"""Segments of a spectrum whose sum is compared with the variance."""
+"""Fewest segments of a spectrum whose sum is compared with the variance."""
 
 _SLOW_SHARE = 0.95
 _ALIASES = 2
 
 _LISTED_LINES = 12
-"""Lines that are listed: the strongest of all axes, by their share of the axis's variance."""
+"""Number of listed lines: the strongest of all axes, by their share of the axis's variance."""
 
 _SPANS = 4
-"""Stretches of missing codes that are listed of an axis."""
+"""Number of listed ranges of missing codes per axis."""
 
 _MAINS_HZ = (50, 60)
 _MAINS_HZ_ERROR = 0.05
@@ -59,9 +59,9 @@ class _Remark:
 
 
 def findings(result: Mapping[str, Any]) -> list[str]:
-    """One sentence for each thing that a person should know, the most important first."""
+    """Return the remarks for the user, the most important first."""
     remark = result["stretch"]["remark"]
-    about_box = [f"{remark}; the rows around are left out"] if remark else []
+    about_box = [f"{remark}; the rows around these times are excluded"] if remark else []
     sensors = [sensor for sensor in result["sensors"] if sensor["timing"] is not None]
     return [
         *about_box,
@@ -75,7 +75,7 @@ def findings(result: Mapping[str, Any]) -> list[str]:
 def _merged(
     sensors: Sequence[Mapping[str, Any]], *kinds: Callable[[Mapping[str, Any]], Iterator[_Remark]]
 ) -> list[str]:
-    """One text for each sentence of each kind in turn, with its places and its numbers."""
+    """Return one text for each sentence of each kind in turn, with its places and numbers."""
     groups: dict[str, list[_Remark]] = {}
     for remark in (remark for kind in kinds for sensor in sensors for remark in kind(sensor)):
         groups.setdefault(remark.sentence, []).append(remark)
@@ -138,8 +138,8 @@ def _adaptive_range(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     stalls = sensor.get("stalls")
     if stalls and stalls["adaptive_range"]:
         sentence = (
-            "stands still at {0} of {1} passages of 100 dps in the log: its adaptive range is on, which imuarray log"
-            " switches off (bits 7:6 of register 0x4D are 01)"
+            "its readings freeze at {0} of {1} passages of 100 dps in the log: its adaptive range is on, which"
+            " imuarray log switches off (bits 7:6 of register 0x4D are 01)"
         )
         counts = stalls["stalled"], stalls["passages"]
         yield _Remark((sensor["name"], ""), sentence, tuple(map(str, counts)), counts)
@@ -189,7 +189,7 @@ def _ends_in_words(low: float | None, high: float | None) -> str:
 
 
 def _ends(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes without readings, and readings that pile up at the last code where that is no known rail."""
+    """Describe axes without readings, and readings that accumulate at the last code unless that is a known rail."""
     rails = sensor["rails"] or {"low": (), "high": ()}
     for number, axis in enumerate(sensor["axes"]):
         codes, place = axis["codes"], (sensor["name"], axis["axis"])
@@ -202,7 +202,7 @@ def _ends(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
             if end["code"] in known:
                 continue
             if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
-                yield _Remark(place, "readings pile up at code {0}: clipped", (str(end["code"]),), (end["code"],))
+                yield _Remark(place, "readings accumulate at code {0}: clipped", (str(end["code"]),), (end["code"],))
 
 
 def _codes(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
@@ -232,7 +232,7 @@ def _code_span(gap: Mapping[str, Any]) -> str:
 
 
 def _slow_change(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes whose variance is larger than that of their spectrum, which each segment has without its mean."""
+    """Describe axes whose variance is larger than that of their spectrum, whose segments have no mean."""
     spectrum = sensor["spectrum"]
     if spectrum is None or spectrum["segments"] < _LEAST_SEGMENTS or len(spectrum["frequency_hz"]) < 2:
         return
@@ -253,7 +253,7 @@ def _correlation(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
         values, errors = axis["autocorrelation"]["correlation"], axis["autocorrelation"]["error"]
         if values[1] is None or errors[1] is None or abs(values[1]) < max(_CORRELATED, 5 * errors[1]):
             continue
-        if not axis["lines"]:  # a line correlates everything with everything
+        if not axis["lines"]:  # a line causes correlation at all lags
             place = sensor["name"], axis["axis"]
             yield _Remark(place, "neighbouring readings correlate by {0}", (f"{values[1]:.2f}",), (values[1],))
 
@@ -265,7 +265,7 @@ def _fit(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
             continue
         way = "above" if fit["worst_ratio"] > 1 else "below"
         off, tau_s = abs(fit["worst_ratio"] - 1), fit["worst_tau_s"]
-        why = ", as its lines make it" if axis["lines"] else ""
+        why = ", because of its lines" if axis["lines"] else ""
         sentence = f"the Allan curve is not a sum of the fitted noises{why}: {{0}} {way} the fit at {{1}} s"
         yield _Remark((sensor["name"], axis["axis"]), sentence, (f"{100 * off:.0f} %", f"{tau_s:.3g}"), (off, tau_s))
 
@@ -351,12 +351,12 @@ def _line_in_words(group: Sequence[_AxisLine], places: str) -> str:
 
 
 def _mains(line: Mapping[str, Any]) -> str:
-    """Name the mains frequency that a line is, as it is or aliased, within the errors of line and rate; "" if none."""
+    """Return the mains frequency of a line, directly or aliased, within the errors of line and rate; "" if none."""
     if line.get("width_hz"):
         return ""
     near = 2 * line["frequency_error_hz"] + _MAINS_HZ_ERROR
     for mains_hz in _MAINS_HZ:
         if any(abs(hz - mains_hz) < near for hz in line["aliases_hz"]):
             aliased = "" if abs(line["frequency_hz"] - mains_hz) < near else "aliased "
-            return f", as {aliased}{mains_hz} Hz mains would be"
+            return f", possibly {aliased}{mains_hz} Hz mains"
     return ""

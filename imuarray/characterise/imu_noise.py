@@ -78,8 +78,8 @@ class ImuNoise:
 
 
 def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> TriadNoise | None:
-    """The noise of a triad from the fits of its axes, each the terms by name and a verdict; None if there is no bound
-    of its white noise, so that nothing is known.
+    """Return the noise of a triad from the fits of its axes, each the terms by name and a verdict; None if there is no
+    bound of its white noise, so that nothing is known.
     """
 
     def largest(term: str, part: str) -> float | None:
@@ -180,7 +180,7 @@ def vins_fusion_text(imu: ImuNoise) -> str:
 
 
 def gazebo_text(imu: ImuNoise) -> str:
-    """A sensor of type imu for the model of a Gazebo simulation (SDFormat)."""
+    """Return a sensor of type imu for the model of a Gazebo simulation (SDFormat)."""
     lines = [
         *_xml_comments(imu),
         f'<sensor name={quoteattr(imu.name)} type="imu">',
@@ -253,7 +253,7 @@ TEXTS: Mapping[str, Callable[[ImuNoise], str]] = MappingProxyType(
 
 
 def _both(imu: ImuNoise) -> list[tuple[str, TriadNoise]]:
-    """Both quantities; of one that the IMU lacks nothing is known."""
+    """Return both quantities; of one that the IMU lacks nothing is known."""
     return [(quantity, imu.triads.get(quantity, TriadNoise(None, None, None, None))) for quantity in INERTIAL]
 
 
@@ -280,7 +280,7 @@ def _kalibr_keys(imu: ImuNoise) -> Iterator[str]:
 
 
 def _yaml_key(key: str, value: float | None, bound: float | None, unit: str) -> str:
-    """A key, or a comment in its place where there is no figure."""
+    """Return a key, or a comment in its place where there is no figure."""
     if value is not None:
         return f"{key}: {_yaml_number(value)}  # {unit}"
     if bound is not None:
@@ -289,7 +289,7 @@ def _yaml_key(key: str, value: float | None, bound: float | None, unit: str) -> 
 
 
 def _yaml_number(value: float) -> str:
-    """A number that every reader of YAML takes for one: 1e-05 has no dot, which YAML 1.1 wants."""
+    """Return a number that every reader of YAML takes for one: 1e-05 has no dot, which YAML 1.1 wants."""
     text = f"{value:.6g}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text

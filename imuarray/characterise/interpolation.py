@@ -1,6 +1,6 @@
-"""Rows that a program interpolated between readings: they lie on the straight line between their neighbours, while the
-readings scatter by many counts. A phone's or a recorder's resampling does that; the noise of such rows is not that of
-the sensor.
+"""Rows that a program interpolated between readings: they are on the straight line between their neighbours, while the
+readings scatter by many counts. Phones and recorders resample in this way; the noise of such rows is not that of the
+sensor.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ ROUNDED = 2
 """Largest second difference of three rounded values on a straight line, in counts."""
 
 SCATTER = 6.0
-"""Least second difference (median of the rows that are off the line, of the axis with the largest one) in counts: of
-readings with so much noise a twentieth are on a line by chance, on three axes at once.
+"""Least second difference (median of the rows that are off the line, of the axis with the largest one) in counts: with
+so much noise a twentieth of the readings is on a line by chance, on three axes at once.
 """
 
 LEAST_SHARE = 0.3
-"""Least share of rows on a line: of two rows for each reading a half is."""
+"""Least share of rows on a line; with two rows per reading it is a half."""
 
 FEWEST_ROWS = 200
 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """The `share` of the rows that lie on the line between their neighbours, and the readings per second."""
+    """The `share` of the rows that are on the line between their neighbours, and the readings per second."""
 
     share: float
     rate_hz: float
 
     @property
     def sentence(self) -> str:
-        """Describes it for the reader of a log."""
+        """The interpolation as a sentence."""
         return (
-            f"{100 * self.share:.0f} % of its rows lie on the line between their neighbours: a program interpolated"
-            f" them from about {self.rate_hz:.3g} readings a second, and their noise is not that of the sensor"
+            f"{100 * self.share:.0f} % of its rows are on the line between their neighbours: a program interpolated"
+            f" them from about {self.rate_hz:.3g} readings per second, and their noise is not that of the sensor"
         )
 
 

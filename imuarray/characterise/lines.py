@@ -1,4 +1,4 @@
-"""Lines of a spectrum: narrow peaks that noise alone would hardly make, their frequency, amplitude and aliases.
+"""Lines of a spectrum: narrow peaks that are significant in noise, with frequency, amplitude and aliases.
 
 A bin is part of a line if noise would exceed its density with a chance of less than p / b, where b bins are looked at
 and p is the false-alarm probability of the whole spectrum (Bonferroni: neighbouring bins are correlated, so that p is
@@ -46,15 +46,15 @@ _LOWEST = 2
 """Indices 0 and 1 have lost power with the mean of their segment."""
 
 _SIDE = 32
-"""Indices on either side that the floor is read off, at most; no more than a sixteenth of all."""
+"""Largest number of bins on either side from which the floor is estimated; at most a sixteenth of all."""
 
 _LEAST = 8
-"""Indices on either side, at least: a line takes three or four of them, which must not be half.
+"""Fewest bins on either side: a line takes three or four of them, which must be fewer than half.
 
-So the floor can be read off from bin 12 on, and its remainder, which needs that on both sides, from twice that on."""
+So the floor can be estimated from bin 12 on, and its remainder, which needs that on both sides, from twice that on."""
 
 _SHARE = 0.4
-"""... and no more than this share of the frequency, lest the bend of a filter's corner be lost."""
+"""Largest width of a side as a share of the frequency, so that the bend of a filter's corner is resolved."""
 
 _SIGNS = ((0, 1.0), (1, 0.293), (2, 0.018))
 """Hann-windowed bins correlate by 4/9 and 1/36 in power, and so their signs about the median: 2 / pi arcsin of that."""
@@ -89,7 +89,9 @@ class NoiseFloor:
 
 
 def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
-    """The noise floor of one column of a spectrum; no bins in it where the column has no noise or too few bins."""
+    """Return the noise floor of one column of a spectrum; no bins in it where the column has no noise or too few
+    bins.
+    """
     power = np.array(spectrum.density[:, column])
     last = len(power) - 1
     if last < 4 * FIRST_BIN or not (power[_LOWEST:] > 0).all():
@@ -130,8 +132,8 @@ def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
 
 
 class _Neighbourhoods(NamedTuple):
-    """For some of the bins: how many neighbours on either side each is read off (w,), which of all bins they are (w,),
-    the first neighbour below and above (w,), and how far between their means over log frequency the bin is (w,).
+    """Neighbours of some of the bins: their number on either side (w,), the indices of the bins (w,), the first
+    neighbour below and above (w,), and the position of the bin between their means over log frequency (w,), 0 to 1.
     """
 
     side: Indices
@@ -143,8 +145,8 @@ class _Neighbourhoods(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods]:
-    """The neighbours of the bins (their bytes): those that are read off fewer than the others together, and the rest,
-    of whom none has to be left out of a median.
+    """Return the neighbours of the bins (their bytes) in two groups: bins with fewer neighbours than the others, and
+    the rest, whose medians have the same number of values.
     """
     places = np.frombuffer(bins, np.intp)
     logs = np.log(np.arange(1, length + 1))  # of every bin number from 1 on
@@ -167,8 +169,8 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
 
 
 def _median(height: Floats, first: Indices, side: Indices) -> Floats:
-    """Medians (b,) of `side` (b,), or (1,) for all, finite heights each from `first` (b,) on: to sort them takes a
-    sixth of what `numpy.median` does.
+    """Return the medians (b,) of `side` (b,), or (1,) for all, finite heights each from `first` (b,) on. Sorting takes
+    a sixth of the time of `numpy.median`.
     """
     most = int(side.max())
     padded = np.concatenate([height, np.full(most, np.inf)])
@@ -190,8 +192,8 @@ def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
 
 
 def _variance(freedom: float, bins: Indices, last: int) -> Floats:
-    """Variance (b,) of the log of the floor: that of a gamma law's log at its median, 1 / (4 density^2), over the
-    number of bins that it is as sure as; mirrored bins bring nothing new.
+    """Return the variance (b,) of the log of the floor: that of the log of a gamma variable's median, 1 / (4
+    density^2), over the equivalent number of bins; mirrored bins contain no new information.
     """
     half = freedom / 2
     median = gammaincinv(half, 0.5)
@@ -203,9 +205,8 @@ def _variance(freedom: float, bins: Indices, last: int) -> Floats:
 
 @cache
 def _share_of_one(side: int) -> float:
-    """Variance of the log of the floor in units of that of one bin, as of means: the weights of all three steps.
-
-    Twice the weight of the bin itself is taken off: by so much more the bin's ratio to its floor scatters.
+    """Return the variance of the log of the floor relative to that of one bin, as for means with the weights of all
+    three steps. Twice the weight of the bin itself is subtracted, because the bin is part of its floor.
     """
     joined = np.concatenate([np.ones(side), np.zeros(2 * _GUARD + 1), np.ones(side)]) / (2 * side)
     half = side // 2
@@ -231,19 +232,19 @@ FALSE_ALARM = 0.01
 """Chance that a spectrum of noise alone shows a line."""
 
 _APART = 3
-"""Peaks nearer than this many bins are one line."""
+"""Least distance of two lines in bins."""
 
 _LEAKED = 4.0
-"""A peak must be this multiple of the leakage of stronger lines to its bin: their frequency may vary."""
+"""Least ratio of a peak to the leakage of stronger lines to its bin: their frequency may vary."""
 
-_BESIDE = np.array([-5, -3, 3, 5])
-"""A line is narrow: it also stands out from these bins near it, whatever the floor does there (a skirt, a notch)."""
+_NEIGHBOURS = np.array([-5, -3, 3, 5])
+"""Offsets of the bins that a narrow line must also exceed, independently of the floor there (a skirt, a notch)."""
 
-_ASIDE = np.arange(3, 11)
-"""Bins on either side that the slope of the noise is read off."""
+_SLOPE_BINS = np.arange(3, 11)
+"""Offsets of the bins on either side from which the slope of the noise is estimated."""
 
 _MOST = 0.8
-"""g of a line a whole bin off its peak: noise may push it past the half that a clean one reaches."""
+"""Largest g, that of a line a whole bin off its peak: with noise it may exceed the half of a line without noise."""
 
 _SHARED = np.array([[1, 2 / 3, 1 / 6], [2 / 3, 1, 2 / 3], [1 / 6, 2 / 3, 1]])
 """Size of the correlation of the noise in three neighbouring Hann-windowed bins."""
@@ -271,7 +272,7 @@ class SpectralLine:
 
 @dataclass(frozen=True)
 class LineSearch:
-    """All `lines` of a column, strongest first, and where they were looked for.
+    """All `lines` of a column, strongest first, and the frequencies that were searched.
 
     `frequency_hz` (b,), the noise `floor` (b,) there and the `level` (b,) above which a density is a line, both in
     squared units per Hz. `false_alarm` is the probability that `level` is for, over all b bins. No bins where there is
@@ -286,7 +287,7 @@ class LineSearch:
 
 
 def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_ALARM) -> LineSearch:
-    """The lines in one column of a spectrum; ValueError if `false_alarm` is no probability."""
+    """Return the lines in one column of a spectrum; ValueError if `false_alarm` is no probability."""
     if not 0 < false_alarm < 1:
         raise ValueError(f"false_alarm is {false_alarm}, a probability is required")
     floor = noise_floor(spectrum, column)
@@ -316,7 +317,9 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
 
 
 def _mirrored(density: Floats) -> Floats:
-    """The density (m + 1,) and one bin beyond half the rate; the bin at half the rate twice, as it has no twin."""
+    """Return the density (m + 1,) and one bin beyond half the rate; the bin at half the rate twice, as it has no
+    twin.
+    """
     return np.concatenate([density[:-1], 2 * density[-1:], density[-2:-1]])
 
 
@@ -337,33 +340,33 @@ def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int
 
 
 def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) -> bool:
-    """Return whether peak number `at` stands out from the four bins beside it.
+    """Return whether peak number `at` exceeds the four bins near it significantly.
 
-    Of noise with the square root of a bin's chance: so weak a condition costs few lines, and doubts nearly no peak
-    where the floor is right.
+    The significance level is the square root of a bin's: so weak a condition loses few lines, and rejects hardly any
+    peak if the floor is right.
     """
-    from scipy.special import fdtri  # the inverse of Fisher's F without the weight of scipy.stats
+    from scipy.special import fdtri  # scipy.stats is slow to import
 
-    neighbours = float(_reflected(power, int(floor.bins[at]) + _BESIDE).mean())
+    neighbours = float(_reflected(power, int(floor.bins[at]) + _NEIGHBOURS).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))
-    return bool(power[floor.bins[at]] > neighbours * fdtri(freedom, len(_BESIDE) * freedom, 1 - chance))
+    return bool(power[floor.bins[at]] > neighbours * fdtri(freedom, len(_NEIGHBOURS) * freedom, 1 - chance))
 
 
 def _tilt(power: Floats, bin_: int) -> float:
     """Slope of the log of the noise at a line, per bin, from the medians of eight bins on either side."""
-    below, above = (float(np.median(_reflected(power, bin_ + side * _ASIDE))) for side in (-1, 1))
-    return log(above / below) / (2 * float(_ASIDE.mean()))
+    below, above = (float(np.median(_reflected(power, bin_ + side * _SLOPE_BINS))) for side in (-1, 1))
+    return log(above / below) / (2 * float(_SLOPE_BINS.mean()))
 
 
 def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
-    """The power (b,) at `bins`, mirrored at half the rate."""
+    """Return the power (b,) at `bins`, mirrored at half the rate."""
     last = len(power) - 2
     return np.asarray(power[last - np.abs(last - bins)])
 
 
 def _leakage(away: npt.NDArray[np.intp]) -> Floats:
-    """The most (b,) that a line shows so many bins from its peak, as a share of that; no limit next to it."""
+    """Return the most (b,) that a line shows so many bins from its peak, as a share of that; no limit next to it."""
     distance = np.maximum(away, _APART) - 0.5
     share = (np.pi * distance * (distance**2 - 1)) ** -2.0 / _lobe(0.5)
     return np.asarray(np.where(away < _APART, inf, share))
@@ -375,7 +378,7 @@ def _lobe(offset: float) -> float:
 
 
 def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_alarm: float) -> SpectralLine:
-    """The line whose strongest bin is number `at` of those looked at."""
+    """Return the line whose strongest bin is number `at` of those looked at."""
     bin_, is_last = int(floor.bins[at]), int(floor.bins[at]) == len(spectrum.density) - 1
     noise = float(floor.density[at]) * (2 if is_last else 1)
     excess = power[bin_ - 1 : bin_ + 2] - noise * np.exp(_tilt(power, bin_) * np.arange(-1, 2))

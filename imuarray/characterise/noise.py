@@ -24,7 +24,7 @@ from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS, SATURATED, STALE, SUSPECT
 
 LEFT_OUT = STALE | SATURATED | SUSPECT
-"""Rows with one of these flags don't count as readings."""
+"""Flags of rows that do not count as readings."""
 
 BATCHES = 32
 """The number of batch means whose scatter gives the standard error of the mean."""
@@ -61,7 +61,7 @@ class _Moments(NamedTuple):
     squares: Floats
 
     def merge(self, other: _Moments) -> _Moments:
-        """The moments of both together."""
+        """Return the moments of both together."""
         number = self.number + other.number
         if number == 0:
             return self
@@ -79,7 +79,7 @@ class _Pairs(NamedTuple):
     product: Floats
 
     def merge(self, other: _Pairs) -> _Pairs:
-        """The sums of both together."""
+        """Return the sums of both together."""
         return _Pairs(self.number + other.number, self.both + other.both, self.product + other.product)
 
     def covariance(self, offset: Floats) -> Floats:
@@ -119,7 +119,7 @@ def _used_rows(
             flags[name] += int(np.count_nonzero(status & flag))
         used = ((flags_of(sensor, part, left_out) if left_out else status) & LEFT_OUT) == 0
         if used.any():
-            kept = slice(None) if used.all() else used  # no copies of what is whole
+            kept = slice(None) if used.all() else used  # avoids a copy
             yield np.ascontiguousarray(np.asarray(sensor.counts[part])[kept].T, np.int64)
 
 
@@ -137,7 +137,7 @@ def _moments(rows: npt.NDArray[np.int64]) -> _Moments:
 
 
 def _pairs(rows: Floats) -> _Pairs:
-    """Sums over every row (k, n) and the next (the pair across two blocks is not looked at)."""
+    """Return sums over every row (k, n) and the next; pairs across two blocks are ignored."""
     first, second = rows[:, :-1], rows[:, 1:]
     return _Pairs(first.shape[1], (first + second).sum(axis=1), (first * second).sum(axis=1))
 

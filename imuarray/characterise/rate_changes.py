@@ -1,9 +1,8 @@
-"""Changes of the rate at which a sensor's rows follow each other: a setting that was changed, or a phone that saves
-power.
+"""Changes of the row rate of a sensor: a setting that was changed, or a phone that saves power.
 
 The rows are divided into pieces of equal numbers of rows. A run of pieces ends where both the median interval and the
-mean one without gaps are others in two pieces in a row: a coarse clock leaves the mean as it is, and rows that are lost
-leave the median. The row of the change is the one that divides the intervals best into those of the two rates.
+mean interval without gaps change in two consecutive pieces: a coarse clock does not change the mean, and lost rows do
+not change the median. The row of the change is the one that best divides the intervals into those of the two rates.
 """
 
 from __future__ import annotations
@@ -17,24 +16,24 @@ from imuarray.arrays import Floats, Indices
 from imuarray.log import SensorLog
 
 PIECE_ROWS = 64
-"""Least number of rows in a piece: its mean interval is then within 7 % even of a program that sleeps for a uniformly
+"""Fewest rows in a piece: its mean interval is then known to 7 % even for a program that sleeps for a uniformly
 distributed time between its readings.
 """
 
 PIECES = 512
-"""Most pieces, so that the memory does not grow with the log."""
+"""Largest number of pieces, which limits the memory."""
 
 CHANGED = 1.25
-"""Ratio of two intervals from which on the rate has changed."""
+"""Least ratio of two intervals that counts as a change of the rate."""
 
 GAP = 3.0
-"""Interval, in median intervals of a piece, from which on it is a gap."""
+"""Least interval of a gap, in median intervals of a piece."""
 
 _BLOCK_ROWS = 1 << 16
 """Rows whose pieces are evaluated at once."""
 
 LISTED = 3
-"""Most runs that are described one by one."""
+"""Largest number of runs that are described individually."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +114,6 @@ def rate_change_sentence(runs: Sequence[SteadyRun]) -> str:
         return ""
     if len(runs) > LISTED:
         rates = sorted(run.rate_hz for run in runs)
-        return f"the rate changes {len(runs) - 1} times, between {rates[0]:.4g} and {rates[-1]:.4g} rows a second"
+        return f"the rate changes {len(runs) - 1} times, between {rates[0]:.4g} and {rates[-1]:.4g} rows per second"
     later = (f", {run.rate_hz:.4g} from {run.begin_s:.4g} s on" for run in runs[1:])
-    return f"the rate changes: {runs[0].rate_hz:.4g} rows a second at first" + "".join(later)
+    return f"the rate changes: {runs[0].rate_hz:.4g} rows per second at first" + "".join(later)

@@ -1,9 +1,9 @@
 """Repeated readings: rows that equal the one before in all columns, and the rate of new readings that they imply.
 
-A chip that is read more often than it measures gives each reading several times. New readings may also be equal by
-chance, all columns at once, if noise is small against a count; that probability is estimated from rows that are `APART`
-rows apart, beyond the reach of holding and of the correlation of filtered noise. (Noise that changes by less than a
-count from row to row over longer times, in all columns, can't be distinguished from repeats.)
+A chip that is read more often than it measures returns each reading several times. New readings may also be equal by
+chance, all columns at once, if the noise is small compared with a count; that probability is estimated from rows that
+are `APART` rows apart, where neither repeats nor the correlation of filtered noise matter. (Noise that changes by less
+than a count from row to row over longer times, in all columns, can't be distinguished from repeats.)
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Repeats:
     longest_row: int
 
     def update_rate_hz(self, rate_hz: float) -> float:
-        """New readings per second of a log of `rate_hz` rows per second; what the chip does beyond that isn't seen."""
+        """Return the new readings per second of a log with `rate_hz` rows per second, which is an upper limit."""
         return self.new_share * rate_hz
 
 
@@ -55,7 +55,7 @@ class RepeatTally:
         self._longest = (0, 0)
 
     def update(self, counts: Counts) -> None:
-        """The next rows (n, k) of the run."""
+        """Add the next rows (n, k) of the run."""
         if len(counts) == 0:
             return
         rows = counts if self._before is None else np.concatenate([self._before, counts])
@@ -73,7 +73,7 @@ class RepeatTally:
         self._before = rows[-APART:].copy(order="K")
 
     def end_run(self) -> None:
-        """A gap: the next row isn't compared with the one before."""
+        """End a run at a gap: the next row is not compared with the one before."""
         self._find_runs(np.array([self._rows]))
         self._before = None
 
@@ -87,7 +87,7 @@ class RepeatTally:
         return Repeats(self._rows, share, chance, new, *self._longest)
 
     def _find_runs(self, starts: npt.NDArray[np.int64]) -> None:
-        """Runs of equal rows that end where others start."""
+        """Update the longest run of equal rows by the runs that end at `starts`."""
         if len(starts) == 0:
             return
         lengths = starts - np.concatenate([[self._begun], starts[:-1]])
@@ -98,7 +98,7 @@ class RepeatTally:
 
 
 def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
-    """(n,) which rows (n, k) are equal; column by column, 5 times as fast as over each row."""
+    """Return (n,) which rows (n, k) are equal; column by column, 5 times as fast as over each row."""
     equal = np.ones(len(rows), bool)
     for row, other in zip(rows.T, others.T, strict=True):
         equal &= row == other

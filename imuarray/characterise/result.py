@@ -1,11 +1,10 @@
-"""The result of a characterisation: all estimates for a log's sensors at rest, as one JSON-ready object.
+"""The result of a characterisation: all estimates for a log's sensors at rest, as one object for JSON.
 
-Values are in counts; `unit_per_count` turns them into the sensor's unit and `si_per_count` into SI, by a calibration or
-else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients are given in all
-three.
+Values are in counts; `unit_per_count` converts them to the sensor's unit and `si_per_count` to SI, by a calibration or
+by the data sheet's typical sensitivity (null if the log has none). Statistics and coefficients are given in all three.
 
 `Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
-chip gives nothing new for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
+chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
 all axes.
 """
 
@@ -40,13 +39,13 @@ from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 FILTER_TIMES = 5.0
-"""A chip's low-pass filter shapes the shortest taus: noise is fitted from this many of its time constants on."""
+"""Shortest tau of the fit in time constants of the chip's low-pass filter, which affects shorter ones."""
 
 HARMONICS = 8
-"""The multiples of a line's frequency that are searched for."""
+"""Highest multiple of a line's frequency that counts as a harmonic."""
 
 CHANCE = 0.02
-"""Share of the distance of two harmonics, over their order, within which a line is taken for one."""
+"""Largest distance of a line from a harmonic, as a share of the distance of two harmonics over their order."""
 
 _LISTED_CODES = 4096
 _ALIASES_TO_HZ = 500.0
@@ -62,7 +61,7 @@ def timing_of(survey: Survey, rate_hz: float) -> dict[str, Any]:
 
 
 def spectrum_of(survey: Survey) -> dict[str, Any]:
-    """Return what the spectra of all columns have in common."""
+    """Return the common properties of the spectra of all columns."""
     spectrum = survey.spectrum
     return {
         "frequency_hz": spectrum.frequency_hz,
@@ -103,13 +102,13 @@ def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | Non
 def _fit_table(fit: NoiseFit) -> dict[str, Any]:
     table = asdict(fit)
     terms = table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
-    for name, item in terms.items():  # coloured noise looks like flicker or random walk, and is neither
+    for name, item in terms.items():  # coloured noise looks like flicker noise or a random walk, but is neither
         item["doubtful"] = bool(fit.verdict) and name != "white"
     return table
 
 
 def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
-    """The lines of one column, the noise floor below them, and the level that a line has to pass."""
+    """Return the lines of one column, the noise floor, and the level that a line must exceed."""
     search = find_lines(spectrum, column)
     bands = find_bands(spectrum, column, search.lines)
     lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in search.lines]
@@ -130,26 +129,26 @@ def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
 
 
 def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
-    """The lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
+    """Return the lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
     for line in lines:
         line["fundamental_hz"] = None
         for other in sorted(lines, key=lambda line: line["frequency_hz"]):
             order = round(line["frequency_hz"] / other["frequency_hz"])
             apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
             sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])
-            if 2 <= order <= HARMONICS and apart < min(sure, resolution_hz) and _fits_by_reason(order, other, apart):
+            if 2 <= order <= HARMONICS and apart < min(sure, resolution_hz) and _is_harmonic(order, other, apart):
                 line["fundamental_hz"] = other["frequency_hz"]
                 break
     return lines
 
 
-def _fits_by_reason(order: int, other: Mapping[str, Any], apart: float) -> bool:
-    """Return whether a multiple is hardly met by chance: the distance is small against that of multiples."""
+def _is_harmonic(order: int, other: Mapping[str, Any], apart: float) -> bool:
+    """Return whether the distance from a multiple is too small for chance, relative to the distance of multiples."""
     return bool(apart < CHANCE * other["frequency_hz"] / order)
 
 
 def _histogram(seen: Histogram) -> dict[str, Any] | None:
-    """Codes and how often they came; None for so many that it would be no histogram of noise."""
+    """Return codes and their frequencies; None for too many different codes for a histogram of noise."""
     return asdict(seen) if len(seen.codes) <= _LISTED_CODES else None
 
 
@@ -165,8 +164,8 @@ _BLOCK_ROWS = 4096
 
 @dataclass(frozen=True)
 class Stalls:
-    """Counts of passages of an axis through 100 dps from one row to the next, and of those before which the reading
-    stood still.
+    """Numbers of passages of an axis through 100 dps from one row to the next, and of those before which the reading
+    was frozen.
     """
 
     passages: int
@@ -174,13 +173,13 @@ class Stalls:
 
     @property
     def is_adaptive(self) -> bool:
-        """True if that is more than chance."""
+        """True if stalls are more frequent than by chance."""
         return self.stalled >= LEAST_STALLS and self.stalled >= LEAST_SHARE * self.passages
 
 
 def find_stalls(sensor: SensorLog) -> Stalls | None:
-    """Look for stalls in all rows of a log; None of a chip that has none. Rows of which one is missing in between
-    count as neighbours: that makes no reading stand still.
+    """Count stalls in all rows of a log; None for a chip without an adaptive range. Rows on either side of a missing
+    one count as neighbours, which does not make readings equal.
     """
     if sensor.quantity != "angular_rate" or not sensor.chip.lower().startswith("icm42688") or not sensor.sensitivity:
         return None
@@ -208,11 +207,11 @@ def characterise_log(
     estimator: Estimator | None = None,
     scales: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Noise of the triads of `log` (or of the `sensors` named, of any kind) in one stretch at rest.
+    """Characterise the noise of the triads of `log` (or of the named `sensors`, of any kind) in one stretch at rest.
 
-    `phase` names the stretch; without a name the longest phase at rest is taken. If there is none, a `Stretch` that is
-    given in its place is taken, else the whole log; the result says which.
-    `scales`: counts per unit of a sensor's axes (3,), where a calibration knows better than the data sheet.
+    `phase` is the name of the stretch; None: the longest phase at rest. If there is none, a `Stretch` given as `phase`
+    is used, or the whole log; the result states which.
+    `scales`: calibrated counts per unit of a sensor's axes (3,), by sensor; the others are the data sheet's.
     `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
     `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
     """
@@ -244,7 +243,7 @@ def _nothing() -> None:
 
 
 def json_ready(value: Any) -> Any:
-    """The same in plain lists, numbers and text; what is not a finite number is None."""
+    """Convert to plain lists, numbers and text for JSON; numbers that are not finite become None."""
     if isinstance(value, dict):
         return {name: json_ready(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -257,7 +256,7 @@ def json_ready(value: Any) -> Any:
 
 
 def _alignment(log: Log) -> dict[str, Any] | None:
-    """The alignment of the inertial sensors in time over the whole log; None if all rows have the same times."""
+    """Return the alignment of the inertial sensors in time over the whole log; None if all rows have the same times."""
     alignment = find_alignment(log)
     return None if alignment is None or alignment.is_simultaneous else asdict(alignment)
 
@@ -281,14 +280,14 @@ def _sensor(
     scale: Sequence[float] | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """One sensor: what it is, its times and flags, and its axes."""
+    """Return the result of one sensor: its description, times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
     pattern = row_timing(sensor)
-    paces = find_rate_changes(sensor) if pattern.kind == "steady" else ()
+    rate_runs = find_rate_changes(sensor) if pattern.kind == "steady" else ()
     timing = find_timing(sensor, rows, counted=pattern.kind == "bursts", left_out=stretch.left_out)
     statistics = noise_statistics(sensor, rows, stretch.left_out)
     run = _run(sensor, timing)
-    if pattern.kind == "bursts" and pattern.rate_hz:  # the ends of a stretch are off by a burst
+    if pattern.kind == "bursts" and pattern.rate_hz:  # the times of both ends are wrong by up to a burst
         run["interval_s"] = 1 / pattern.rate_hz
     surveyed = survey(sensor, rows, timing, run["interval_s"], estimator, stretch.left_out)
     count = statistics.rows or math.nan
@@ -314,8 +313,8 @@ def _sensor(
         "timing": surveyed
         and timing_of(surveyed, 1 / run["interval_s"])
         | {
-            "pattern": asdict(pattern) | {"sentence": pattern.sentence or rate_change_sentence(paces)},
-            "rates": [asdict(pace) for pace in paces],
+            "pattern": asdict(pattern) | {"sentence": pattern.sentence or rate_change_sentence(rate_runs)},
+            "rates": [asdict(run) for run in rate_runs],
         },
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
@@ -341,7 +340,7 @@ def _identity(sensor: SensorLog, per_axis: npt.NDArray[np.float64]) -> dict[str,
 
 
 def _per_count(sensor: SensorLog, scale: Sequence[float] | None) -> npt.NDArray[np.float64]:
-    """(k,) units per count: as calibrated, or as the data sheet has it; nan if it has nothing."""
+    """Return units per count (k,): as calibrated, or those of the data sheet; nan if not known."""
     columns = int(sensor.counts.shape[1])
     nominal = sensor.axis_sensitivity if sensor.is_triad else (sensor.sensitivity,) * columns
     return np.asarray(1 / np.array([value or np.nan for value in (nominal if scale is None else scale)]))
@@ -354,7 +353,7 @@ def _axes(
     statistics: NoiseStatistics,
     progress: Progress,
 ) -> list[dict[str, Any]]:
-    """Every column: its statistics, and what the survey found in it."""
+    """Return the results of every column: its statistics and those of the survey."""
     axes = []
     for column, name in enumerate(_columns(sensor)):
         unit = float(per_count[column])
@@ -367,9 +366,9 @@ def _axes(
 
 
 def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
-    """The rows that the Allan deviation is taken of; `interval_s` is their mean interval, which tau is counted in.
+    """Return the rows of the Allan deviation; `interval_s` is their mean interval, the unit of tau.
 
-    The mean and not the median: an array that is scanned to and fro has a short and a long interval in turn.
+    It is the mean and not the median, because an array that is polled in alternating order has alternating intervals.
     """
     first, last = timing.run.start, timing.run.stop - 1
     if last <= first:
@@ -380,7 +379,7 @@ def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
 
 
 def _columns(sensor: SensorLog) -> list[str]:
-    """Return the names of the columns: x, y, z, or what the log says."""
+    """Return the names of the columns: x, y, z, or those in the log."""
     count = int(sensor.counts.shape[1])
     if sensor.is_triad:
         return ["x", "y", "z"]

@@ -1,4 +1,4 @@
-"""Sums of squared second differences of a running sum, which is what Allan variances are made of.
+"""Sums of squared second differences of a running sum, from which Allan variances are computed.
 
 The running sum of whole numbers is kept as float64 of their distance from the first: exact while it stays below 2^53,
 and so are its differences; the rest is float64 too, and no conversion is needed on the way to the sum of squares.
@@ -18,7 +18,7 @@ Values = npt.NDArray[Any]
 
 
 class CountColumn(Protocol):
-    """Whole numbers (n,) that are read where they are asked for, such as a column of a log."""
+    """Whole numbers (n,) that are read on demand, such as a column of a log."""
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -34,11 +34,11 @@ EXACT = 1 << 53
 """Whole numbers below this are exact in float64."""
 
 _BLOCK = 32768
-"""Ends of second differences at once. At every distance in turn, so that what one distance read the next finds in the
+"""Number of second differences that are processed at once, for every distance in turn, so that they remain in the
 cache."""
 
 _DOT = 8192
-"""Products at once: up to 10,000 OpenBLAS adds them up without waking other threads."""
+"""Number of products that are summed at once: up to 10,000 OpenBLAS does not start threads."""
 
 
 def running_sum(values: Values) -> Floats:
@@ -56,8 +56,8 @@ def running_sum(values: Values) -> Floats:
 
 
 def compact_running_sum(values: CountColumn) -> Values:
-    """The `running_sum` of counts of two bytes or fewer, read block by block: as int32, which halves its memory, where
-    it stays below 2^31.
+    """Return the `running_sum` of counts of two bytes or fewer, read block by block: as int32, which halves its memory,
+    where it stays below 2^31.
     """
     reference, phase, total = values[:1][0], np.zeros(len(values) + 1, np.int32), 0.0
     work = np.empty(min(_BLOCK, len(values)))
@@ -72,7 +72,7 @@ def compact_running_sum(values: CountColumn) -> Values:
 
 
 def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
-    """The running sum of the distance of `values` (b,) from `reference` beyond `total`, into `out` (b,); ValueError."""
+    """Write to `out` (b,) `total` plus the running sum of `values` (b,) less `reference`; ValueError if not finite."""
     with np.errstate(invalid="ignore", over="ignore"):
         if values.dtype.itemsize == 8 and isinstance(reference, np.integer) and _near(values, reference):
             out[:] = (values - reference).view(np.int64)  # float64 would round before it subtracts
@@ -81,7 +81,7 @@ def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
         out[0] += total
         np.cumsum(out, out=out)
     if not np.isfinite(out[-1]):
-        raise ValueError("the series holds values that are not finite")
+        raise ValueError("the series contains values that are not finite")
 
 
 def _near(values: Values, reference: np.integer[Any]) -> bool:

@@ -1,12 +1,12 @@
-"""Power spectral density by Welch's method, fed block by block: memory doesn't grow with the log.
+"""Power spectral density by Welch's method, block by block: memory does not grow with the log.
 
 Segments of N rows overlap by half, lose their mean and are weighted with a Hann window w; the one-sided density of
 segment j at frequency k / N * rate is |DFT(w x_j)_k|^2 * 2 / (rate * sum w^2) (no factor 2 at 0 and at half the rate),
 and the estimate is the mean over all segments (Welch, IEEE Trans. Audio Electroacoust. 15, 1967). No segment reaches
 over the end of a run, so that a gap doesn't count as an interval like any other.
 
-The mean is taken off after the transform: of the periodic Hann window only the bins 0 and 1 hold anything, N/2 and
--N/4. That also takes part of the power of bin 1 away (a sixth of it, for white noise).
+The mean is removed after the transform: only the bins 0 and 1 of the periodic Hann window are not zero, N/2 and -N/4.
+That also removes part of the power of bin 1 (a sixth of it, for white noise).
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ _WEIGHTED = 3 / 8
 """Mean square of the Hann window."""
 
 _ROWS_AT_ONCE = 1 << 18
-"""Rows of all columns in work: with their windowed segments and transforms 5 MB in single precision."""
+"""Number of rows of all columns that are processed at once: with windowed segments and transforms 5 MB in single
+precision."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Spectrum:
         """Ends (m, k) of the interval that holds the true density with `confidence`: freedom * estimate / truth is
         chi-squared.
         """
-        from scipy.special import chdtri, gammaincinv  # inverse chi-squared without the weight of scipy.stats
+        from scipy.special import chdtri, gammaincinv  # scipy.stats is slow to import
 
         freedom = self.freedom[:, np.newaxis]
         tail = (1 - confidence) / 2
@@ -106,7 +107,9 @@ class Welch:
         self._run_segments = 0
 
     def update(self, values: Values) -> None:
-        """The next rows of the run, (n,) or (n, k); ValueError for another number of columns or what isn't finite."""
+        """Add the next rows of the run, (n,) or (n, k); ValueError for another number of columns, or values that are
+        not finite.
+        """
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
             raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
@@ -119,7 +122,7 @@ class Welch:
                 self._transform()
 
     def end_run(self) -> None:
-        """A gap: the next rows don't continue those before."""
+        """End a run at a gap."""
         self._transform()
         if self._run_segments:
             self._runs += 1
@@ -127,7 +130,7 @@ class Welch:
         self._filled = self._run_segments = 0
 
     def result(self) -> Spectrum:
-        """The spectrum of all rows so far; ends the run."""
+        """Return the spectrum of all rows so far; ends the run."""
         self.end_run()
         bins = len(self._squares[0])
         scale = _sides(bins) / (self._rate_hz * self._segment_rows * _WEIGHTED)
@@ -140,11 +143,11 @@ class Welch:
         return Spectrum(frequency_hz, density, freedom, self._rate_hz, *counts)
 
     def _append(self, part: Values) -> None:
-        """Rows less an origin that is near them: single precision shall not be spent on a large mean."""
-        columns = np.ascontiguousarray(part.T)  # along which numpy adds up faster
+        """Append rows less an origin near them, so that single precision is not lost to a large mean."""
+        columns = np.ascontiguousarray(part.T)  # sums are faster along contiguous memory
         means = columns.mean(axis=1, dtype=np.float64)
         if not np.isfinite(means).all():
-            raise ValueError("the series holds values that are not finite")
+            raise ValueError("the series contains values that are not finite")
         if self._filled == 0:
             self._origin = means
         filled = slice(self._filled, self._filled + len(part))
@@ -155,7 +158,7 @@ class Welch:
         self._rows += len(part)
 
     def _transform(self) -> None:
-        """Adds the segments that the line holds and keeps of it what the next segment starts with."""
+        """Add the complete segments of the buffer, and keep the rows of the next segment."""
         hop = self._segment_rows // 2
         segments = self._filled // hop - 1
         if segments < 1:
@@ -185,19 +188,19 @@ class Welch:
 
 @lru_cache(maxsize=16)
 def _hann(rows: int) -> Floats:
-    """The periodic one; kept, since phases of the same length have the same."""
+    """Return the periodic Hann window; cached, because segments of the same length share it."""
     return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(rows) / rows))
 
 
 @lru_cache(maxsize=16)
 def _sides(bins: int) -> Floats:
-    """2, but 1 at 0 and at half the rate: these have no twin, and are real: one square instead of two."""
+    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, which have no negative twin."""
     return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 
 
 def degrees_of_freedom(segments: int, runs: int) -> float:
-    """Return the degrees of freedom of the mean of `segments` periodograms in `runs` runs, for noise: two each, less
-    what the overlap shares.
+    """Return the degrees of freedom of the mean of `segments` periodograms in `runs` runs, for noise: two each, reduced
+    by the overlap.
 
     Periodograms of neighbouring segments correlate by 1/36, others don't: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967).
     0 without a segment.
@@ -208,5 +211,5 @@ def degrees_of_freedom(segments: int, runs: int) -> float:
 
 
 def segment_rows(run_rows: int) -> int:
-    """A segment length for runs of `run_rows`: the power of two that leaves at least 16 segments; 64 to 4096."""
+    """Return a segment length for runs of `run_rows`: the power of two that leaves at least 16 segments; 64 to 4096."""
     return min(SEGMENT, max(64, 1 << max(run_rows * 2 // 17, 1).bit_length() - 1))

@@ -40,17 +40,17 @@ class Stretch:
 
 
 _MOST_RUNS = 20_000
-"""Runs that are remembered, the longest ones."""
+"""Largest number of runs that are kept, the longest ones."""
 
 LEAST_RUN = 9
-"""Rows of a run that count in the Allan deviation: fewer do not have two octaves."""
+"""Fewest rows of a run in the Allan deviation: fewer do not have two octaves."""
 
 Spans = Sequence[tuple[int, int]]
 """Start and end in ns of times in which readings do not count."""
 
 
 def flags_of(sensor: SensorLog, part: slice, left_out: Spans = ()) -> npt.NDArray[np.uint16]:
-    """Return the flags (n,) of rows of a sensor; those in spans that are left out are suspect."""
+    """Return the flags (n,) of rows of a sensor, with rows in the spans `left_out` marked as suspect."""
     flags = np.array(sensor.status[part], np.uint16)
     if len(left_out):
         time_ns = np.asarray(sensor.time[part], np.int64)
@@ -75,7 +75,7 @@ class Timing:
 
 
 def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
-    """The longest phase called `phase`; without a name the longest phase at rest, or the whole log if none is.
+    """Return the longest phase called `phase`; without a name the longest phase at rest, or the whole log if none is.
 
     LogError if no phase has that name.
     """
@@ -137,7 +137,7 @@ def find_timing(
 
 
 def _longest(runs: list[slice]) -> list[slice]:
-    """The longest of the runs, in order: those that are long enough, and not too many."""
+    """Return the longest of the runs, in order: those that are long enough, and not too many."""
     chosen = sorted((run for run in runs if _length(run) >= LEAST_RUN), key=_length, reverse=True)[:_MOST_RUNS]
     return sorted(chosen, key=lambda run: int(run.start))
 
@@ -156,8 +156,8 @@ def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
 
 
 def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
-    """Return for each of (n,) flags: the row doesn't continue the one before; the first row, as far as its own flags
-    say.
+    """Return for each of (n,) flags whether the row does not continue the one before; for the first row by its own
+    flags only.
     """
     doubt = (status & SUSPECT) != 0
     broken: npt.NDArray[np.bool_] = ((status & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt

@@ -39,10 +39,10 @@ from imuarray.log.format import SUSPECT
 from imuarray.robust import MEDIAN_ABSOLUTE
 
 PLACES = 5
-"""The number of longest gaps that are named."""
+"""Number of longest gaps that are listed."""
 
 _TYPICAL = 1024
-"""The typical interval is the upper quartile of this many first intervals."""
+"""Number of first intervals whose upper quartile is the typical interval."""
 
 _QUARTILE = 0.75
 
@@ -96,7 +96,7 @@ class IntervalTally:
         self._longest: list[RowGap] = []
 
     def update(self, time_ns: Times) -> None:
-        """The next times (n,), ascending; ValueError if they aren't."""
+        """Add the next times (n,), ascending; ValueError if they are not."""
         if len(time_ns) == 0:
             return
         times = np.asarray(time_ns, np.int64)
@@ -136,7 +136,7 @@ class IntervalTally:
         return SamplingIntervals(self._rows, *seconds, int(self._counts[is_gap].sum()), gaps_ns * 1e-9, longest)
 
     def _name(self, intervals: Times, times: Times, first_row: int) -> None:
-        """Keeps the longest intervals with their places."""
+        """Keep the longest intervals with their rows."""
         count = min(PLACES, len(intervals))
         before = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
         for at in np.argpartition(-intervals, count - 1)[:count].tolist() if count else ():
@@ -182,17 +182,17 @@ class IntervalTally:
 
 
 def _quantile(values: Floats, counts: Times, share: float) -> float:
-    """The least of `values` (b,), ascending, that come `counts` (b,) times, with `share` of all up to it."""
+    """Return the least of `values` (b,), ascending, that come `counts` (b,) times, with `share` of all up to it."""
     total = np.cumsum(counts)
     return float(values[np.searchsorted(total, share * total[-1])])
 
 
 MIN_ROWS = LEAST_RUN
-"""A run shorter than this gives no Allan deviation: not even two octaves."""
+"""Fewest rows of a run with an Allan deviation: two octaves."""
 
 EXACT_ROWS = 4_000_000
-"""Up to here the overlapping estimator is the default: it holds one column's running sum, 4 bytes a row, or 8 where the
-counts wander far.
+"""Largest number of rows with the overlapping estimator by default: it holds one column's running sum, 4 bytes per row,
+or 8 if the counts drift far.
 """
 
 LAGS = 50
@@ -255,8 +255,8 @@ def survey(
 
 
 def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
-    """The runs of rows that the Allan deviation is taken of: the longest ones, of `EXACT_ROWS` together at most; with
-    the decimated estimator the longest one alone.
+    """Return the runs of rows that the Allan deviation is taken of: the longest ones, of `EXACT_ROWS` together at most;
+    with the decimated estimator the longest one alone.
     """
     if estimator == "decimated" or not timing.runs:
         return (timing.run,)
@@ -271,7 +271,7 @@ def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
 
 
 def _exact(sensor: SensorLog, runs: Sequence[slice], interval_s: float) -> AllanCurve | None:
-    """The overlapping Allan deviation of runs that are short enough for their running sum to be held."""
+    """Return the overlapping Allan deviation of runs that are short enough for their running sum to be held."""
     lengths = [run.stop - run.start for run in runs]
     if max(lengths) < MIN_ROWS:
         return None
@@ -317,7 +317,7 @@ class _Column:
 def _pieces(
     sensor: SensorLog, rows: slice, timing: Timing, intervals: IntervalTally, left_out: Spans
 ) -> Iterator[tuple[int, bool, npt.NDArray[np.int64]]]:
-    """The rows cut into pieces: number of the first row, whether it starts a run, and the counts (n, k)."""
+    """Yield the rows cut into pieces: number of the first row, whether it starts a run, and the counts (n, k)."""
     before_ns, in_doubt = None, False
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))

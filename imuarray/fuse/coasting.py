@@ -1,17 +1,17 @@
-"""Effect of errors of rate and of specific force on a navigator that coasts: heading and velocity after a minute.
+"""Effect of errors of rate and of specific force on a coasting navigator: heading and velocity after a minute.
 
 The box stands still for some seconds, in which the mean errors are removed; after that nothing is corrected. Over a
-minute the small errors of a strapdown navigator follow, in the level frame in which the box stood (Titterton and
-Weston, Strapdown Inertial Navigation Technology, 2nd edition, chapter 12; the Earth's rate and curvature and the change
-of gravity with height are left out, which add less than 1 % in a minute)::
+minute the small errors of a strapdown navigator obey, in the level frame in which the box stood (Titterton and Weston,
+Strapdown Inertial Navigation Technology, 2nd edition, chapter 12; the Earth's rate and curvature and the change of
+gravity with height, which add less than 1 % in a minute, are neglected)::
 
     d tilt / dt     = C rate_error
     d velocity / dt = C force_error + tilt x (C force)
 
 with C the true attitude from box to that frame and `tilt` the small rotation from the true attitude to that of the
-navigator. At rest C is one and C force is gravity's reaction g upwards, so that a constant rate error b about a level
-axis gives b t of tilt and g b t^2 / 2 of velocity. Heading is the tilt about the vertical: about box Z of a box that
-stood upright.
+navigator. At rest C is the identity and C force is gravity's reaction g upwards, so that a constant rate error b about
+a level axis gives a tilt b t and a velocity g b t^2 / 2. Heading is the tilt about the vertical: about box Z of a box
+that stood upright.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ STILL_S, COAST_S = 10.0, 60.0
 _STILL_RAD_PER_S = np.radians(0.1)
 _STILL_MPS2 = 0.01 * STANDARD_GRAVITY
 _STEP_S = 1.0
-"""Shift of a window that does not begin at rest, or that contains a pause."""
+"""Step to the next window if a window does not begin at rest or contains a pause."""
 
 _PAUSE_S = 0.5
 
 _FIRST_FRAMES = 64
-"""Frames that tell the period."""
+"""Number of frames from which the period is determined."""
 
 
 @dataclass(frozen=True)
 class Coasting:
-    """Errors at the end of w coasts: heading in degrees (w,), horizontal velocity in m/s (w,), and when each coast
-    begins, in s of the log (w,).
+    """Errors at the end of w coasts: heading in degrees (w,), horizontal velocity in m/s (w,), and the start of each
+    coast in s since the log's epoch (w,).
     """
 
     heading_deg: Floats
@@ -74,15 +74,15 @@ class Errors:
     force: Floats
 
     def __getitem__(self, rows: slice) -> Errors:
-        """Some of the frames."""
+        """Return some of the frames."""
         return Errors(*(getattr(self, name)[rows] for name in ("time", "rate_error", "force_error", "rate", "force")))
 
 
 def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_s: float = COAST_S) -> Coasting:
-    """Every coast of `coast_s` that fits, one after the other, each after `still_s` in which the box truly stood still.
+    """Evaluate every coast of `coast_s` that fits, in sequence, each after `still_s` in which the true motion is rest.
 
-    With `still_s` 0 nothing is taken out before, and no stillness is asked for. Of errors in blocks, memory holds those
-    of a coast; the result does not depend on the blocks.
+    With `still_s` 0 no mean errors are removed and no rest is required. For errors in blocks, those of one coast are in
+    memory; the result does not depend on the blocks.
     """
     frames = _FrameBuffer([errors] if isinstance(errors, Errors) else errors)
     if len(frames.seconds) < 2:
@@ -102,7 +102,7 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
             continue
         offsets = [part.mean(axis=0) if still_s > 0 else 0.0 for part in (rest.rate_error, rest.force_error)]
         upwards = (rest if still_s > 0 else window[:1]).force.mean(axis=0)
-        tilt, velocity = propagated(window[go - first :], *offsets)
+        tilt, velocity = propagate(window[go - first :], *offsets)
         upwards /= np.linalg.norm(upwards)
         level = velocity - velocity @ upwards * upwards
         result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + frames.start_ns * 1e-9))
@@ -130,11 +130,11 @@ class _FrameBuffer:
         return np.asarray((self.errors.time - self.start_ns) * 1e-9)
 
     def extend(self, until_s: float) -> None:
-        """Read blocks until a frame is after a time, if there is any."""
+        """Read blocks until a frame is later than `until_s`, or to the end."""
         self._extend(lambda count, newest_ns: (newest_ns - self.start_ns) * 1e-9 > until_s)
 
     def _extend(self, is_enough: Callable[[int, int], bool]) -> None:
-        """Read blocks until the number of frames and the time of the newest one are enough."""
+        """Read blocks until `is_enough`, of the number of frames and the newest time, is true."""
         parts = [self.errors]
         count = len(self.errors.time)
         while not (count and is_enough(count, int(parts[-1].time[-1]))):
@@ -154,25 +154,25 @@ class _FrameBuffer:
         self.errors = self.errors[first:]
 
 
-def propagated(
+def propagate(
     errors: Errors, rate_offset: Floats | float = 0.0, force_offset: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Tilt (3,) in rad and velocity (3,) in m/s that errors less their offsets grow to, in the box frame of the first
-    frame.
+    """Integrate errors less their offsets. Returns the final tilt (3,) in rad and velocity (3,) in m/s, in the box
+    frame of the first frame.
     """
     seconds = (errors.time - errors.time[0]) * 1e-9
     attitude = _attitudes(seconds, errors.rate)
-    turned = attitude.apply(errors.rate_error - rate_offset)
-    steps = np.diff(seconds)[:, None] * (turned[1:] + turned[:-1]) / 2
+    tilt_rate = attitude.apply(errors.rate_error - rate_offset)
+    steps = np.diff(seconds)[:, None] * (tilt_rate[1:] + tilt_rate[:-1]) / 2
     tilt = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    pushed = attitude.apply(errors.force_error - force_offset) + np.cross(tilt, attitude.apply(errors.force))
-    return np.asarray(tilt[-1]), np.asarray(np.trapezoid(pushed, seconds, axis=0))
+    acceleration = attitude.apply(errors.force_error - force_offset) + np.cross(tilt, attitude.apply(errors.force))
+    return np.asarray(tilt[-1]), np.asarray(np.trapezoid(acceleration, seconds, axis=0))
 
 
 def _attitudes(seconds: Floats, rate: Floats) -> Rotation:
-    """n rotations from the box to the box frame of the first frame.
+    """Return n rotations from the box to the box frame of the first frame.
 
-    Products of the steps between frames, all prefixes at once by doubling (Hillis and Steele, 1986).
+    They are the prefix products of the steps between frames, by doubling (Hillis and Steele, 1986).
     """
     from scipy.spatial.transform import Rotation
 
@@ -188,7 +188,7 @@ def _attitudes(seconds: Floats, rate: Floats) -> Rotation:
 
 
 def _is_still(rest: Errors) -> bool:
-    """Return whether the truth neither turns nor shakes."""
+    """Return whether the true motion is rest."""
     if len(rest.time) == 0:
         return False
     turning = np.linalg.norm(rest.rate, axis=1).max()

@@ -1,20 +1,19 @@
 """Comparison of every technique on one log with known truth: errors, gains over the simple average, and covariances.
 
 All techniques use the same sensors and the same calibration. Only frames that both the average and the technique
-estimate are counted. The errors of a navigator that coasts on each result are compared as well
-(`imuarray.fuse.coasting`). The interval of a ratio covers chance within this log; how a sensor came up this time is the
-same in all of it.
+estimate are counted. The errors of a coasting navigator are compared as well (`imuarray.fuse.coasting`). The interval
+of a ratio covers chance within this log; the turn-on bias of a sensor is the same throughout it.
 
 An estimator of the whole array takes longer than all simple techniques together. With an executor another process
-computes its frames in the meantime; the figures are the same as from one process.
+computes its frames at the same time; the figures are the same as from one process.
 
 Errors are consistent with their covariances if the normalised error squared is within its chi-square interval: ``e'
 P^-1 e / 3`` has mean 1 if P is right (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
 Navigation, 2001, section 5.4). Its mean over n frames would be chi-square of 3 n degrees of freedom over 3 n if the
 errors of different frames were independent. They are not: biases persist. The variance of the mean of normal errors
 with lagged correlations C(k) (3, 3) is ``2 / n sum over k of (1 - |k| / n) |C(k)|^2``, |.| the Frobenius norm, so the
-interval is that of a chi-square with this variance. C(k) is about zero, not about the mean: a constant error stays
-correlated at every lag, and many frames of it count as few.
+interval is that of a chi-square with this variance. C(k) is taken about zero, not about the mean, so that a constant
+error is correlated at every lag and many frames of it count as few.
 """
 
 from __future__ import annotations
@@ -56,13 +55,13 @@ from imuarray.log import Log, open_log
 _FEWEST = 20
 
 _SEGMENT = 1 << 17
-"""Rows whose spectrum is taken at once."""
+"""Number of rows of one spectrum."""
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Mean normalised error squared over its expectation; the 95 % interval in which it lies if covariances are right;
-    the degrees of freedom that the errors' correlation leaves.
+    """Mean normalised error squared over its expectation; its 95 % interval under correct covariances; the effective
+    degrees of freedom under the errors' correlation.
     """
 
     normalised: float
@@ -77,8 +76,8 @@ class Consistency:
 
 
 def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None:
-    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`), block by block; None if fewer
-    than twenty have one.
+    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`), read block by block; None if
+    fewer than twenty frames have both.
     """
     from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
 
@@ -99,8 +98,9 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
 
 
 def _whitened(errors: Floats, covariances: Floats) -> tuple[Floats, Booleans]:
-    """Errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), and which of these are
-    positive definite (n,): written out, for all frames at a time, in a twentieth of the time of a routine for matrices.
+    """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), and which of
+    these are positive definite (n,). It is written out for all frames at once, twenty times as fast as a matrix
+    routine.
     """
     xx, yy, zz, xy, xz, yz = covariances.T
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -117,10 +117,11 @@ def _whitened(errors: Floats, covariances: Floats) -> tuple[Floats, Booleans]:
 
 
 def _freedom(white: RowSource, mean_square: float) -> float:
-    """18 over the variance of the mean of |x|^2, where x (n, 3) has unit variance: 3 n if nothing is remembered.
+    """Return the effective degrees of freedom: 18 over the variance of the mean of |x|^2, where x (n, 3) is `white`
+    scaled to unit variance by its `mean_square`; 3 n without correlation.
 
-    Lags up to half the length are added up one by one, less what chance makes of them; beyond they are as large as
-    from a quarter of the length to half of it. `mean_square` of `white` makes x of it.
+    Lags up to half the length are added up, less their expectation by chance; correlations at longer lags are assumed
+    as large as from a quarter of the length to half of it.
     """
     rows, half = len(white), len(white) // 2
     near, far = 0.0, 0.0
@@ -130,17 +131,17 @@ def _freedom(white: RowSource, mean_square: float) -> float:
         squares = products / (rows * mean_square * share) ** 2 - 9 / (rows * share)
         near += float(share @ squares)
         far += float(squares[lags > half // 2].sum())
-    remembered = near + rows / 8 * far / (half - half // 2)
-    return float(np.clip(18 / (2 / rows * (3 + 2 * max(remembered, 0.0))), 1.0, 3 * rows))
+    correlated = near + rows / 8 * far / (half - half // 2)
+    return float(np.clip(18 / (2 / rows * (3 + 2 * max(correlated, 0.0))), 1.0, 3 * rows))
 
 
 def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]]:
-    """Yield a lag k > 0 and, for that and those that follow it, up to the `last`, the squared Frobenius norm of the sum
-    over i of x(i) x(i + k)'.
+    """Yield a lag k > 0 and, for it and the lags that follow, up to `last`, the squared Frobenius norm of the sum over
+    i of x(i) x(i + k)'.
 
     Correlations of segments are products of their spectra (T. G. Stockham, "High-speed convolution and correlation",
-    1966): those of all pairs of segments that are as far apart are added up before they are transformed back. What the
-    sum of one distance says of shorter lags goes with that of the distance before.
+    1966); the products of all pairs of segments at one distance are added up before the inverse transform. The shorter
+    lags of one distance are added to the result of the distance before.
     """
     from scipy.fft import next_fast_len
 
@@ -174,17 +175,17 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
             products = np.einsum("ijk,ijk->k", lagged, lagged)[: last + 1 - first]
             yield (first, products) if first else (1, products[1:])
             lagged[...] = ahead[..., :segment]
-            del ahead  # before the next one is made
+            del ahead  # frees memory before the next one is computed
 
 
-_LOOK_S = 0.5
-"""Time between two looks at how far the other process is."""
+_POLL_S = 0.5
+"""Time between two readings of the other process's progress."""
 
 _HEAVY = 5.0
-"""How much longer an estimator of the whole array takes than all simple techniques together."""
+"""Duration of an estimator of the whole array relative to all simple techniques together."""
 
 _SHARE = "share"
-"""The file in which a process tells how far it is."""
+"""The file to which a process writes its progress."""
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
@@ -192,8 +193,8 @@ AXES = ("X", "Y", "Z", "XYZ")
 
 @dataclass(frozen=True)
 class Score:
-    """One technique, one quantity: its `error` per box axis; `ratio`, its rms error over that of the simple average by
-    box axis (`AXES`); whether its covariance holds (None: it claims none).
+    """Result of one technique for one quantity: its `error` per box axis; `ratio`, its rms error over that of the
+    simple average by box axis (`AXES`); the consistency of its covariance (None: it has none).
     """
 
     technique: str
@@ -205,14 +206,16 @@ class Score:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All scores, and each technique's errors of heading and velocity (none without both quantities)."""
+    """The scores of all techniques, and their errors of heading and velocity (empty unless both quantities are
+    fused).
+    """
 
     scores: tuple[Score, ...]
     coasting: Mapping[str, Coasting]
 
 
 def technique_names() -> tuple[str, ...]:
-    """Every name that `fuse` takes."""
+    """Return the names of all techniques of `fuse`."""
     return NAMES
 
 
@@ -225,23 +228,22 @@ def compare(
     progress: Progress = lambda share: None,
     executor: Executor | None = None,
 ) -> Comparison:
-    """Fuse `log` by `techniques` (all of them, if none is named) and compare their errors, with `only` these sensors if
-    any are named.
+    """Fuse `log` by `techniques` (empty: all) and compare their errors, with `only` these sensors (empty: all).
 
-    `progress` is called with the share of the work that is done. Processes of the `executor` fuse by estimators of the
-    whole array beside this one; the result is the same. FusionError without a truth, or with too few frames.
+    `progress` is called with the share of the work that is done. Processes of the `executor` run the estimators of the
+    whole array concurrently; the result is the same. FusionError without a truth, or with too few frames.
     """
     log.keep_rows()
-    wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
-    each_alone = [technique for technique in wanted if technique in TECHNIQUES]
-    parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
+    names = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
+    simple = [technique for technique in names if technique in TECHNIQUES]
+    parts = _ProgressParts(progress, [1.0, *(_HEAVY for technique in names if technique not in TECHNIQUES)])
     scores, coasts = [], {}
     with ErrorFramesOnDisk(log) as errors, ExitStack() as stack:
         processes = {}
-        for technique in wanted:
-            if executor is not None and technique not in each_alone:
+        for technique in names:
+            if executor is not None and technique not in simple:
                 processes[technique] = stack.enter_context(_OtherProcess(executor, log, calibration, technique, only))
-        together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
+        together = fuse_together(log, calibration, simple, only=only, progress=parts.next())
         for blocks in together:
             errors.add(blocks)
         average = errors.of(AVERAGE)
@@ -260,7 +262,9 @@ def compare(
 
 
 class _OtherProcess:
-    """The frames of one technique, made by a process of an executor in a folder that both see; a context manager."""
+    """The frames of one technique, computed by a process of an executor and exchanged in a folder; a context
+    manager.
+    """
 
     def __init__(
         self, executor: Executor, log: Log, calibration: Calibration, technique: str, only: Collection[str]
@@ -272,15 +276,15 @@ class _OtherProcess:
         )
 
     def files(self, progress: Progress) -> dict[str, Path]:
-        """Wait for the files of frames by quantity; what `fuse` raises."""
+        """Wait for the files of frames by quantity; raises what `fuse` raises."""
         share = 0.0
         while True:
             try:
-                return self._future.result(timeout=_LOOK_S)
+                return self._future.result(timeout=_POLL_S)
             except TimeoutError:
                 if self._future.done():
                     raise
-                share = max(share, _share_in(Path(self._folder.name)))  # which is 0 while the file is being written
+                share = max(share, _share_in(Path(self._folder.name)))  # 0 while the file is being written
                 progress(share)
 
     def __enter__(self) -> Self:
@@ -292,12 +296,12 @@ class _OtherProcess:
 
 
 def _proxy_parts(proxy: MappingProxyType[Any, Any]) -> tuple[Callable[..., Any], tuple[dict[Any, Any]]]:
-    """Return how another process makes a read-only mapping anew; Python itself can't send one."""
+    """Return the constructor and arguments of a read-only mapping for pickle, which does not support it."""
     return _read_only, (dict(proxy),)
 
 
 def _read_only(mapping: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    """Return the mapping, not to be written to."""
+    """Return a read-only view of the mapping."""
     return MappingProxyType(mapping)
 
 
@@ -306,33 +310,33 @@ def _write_error_frames(
 ) -> dict[str, Path]:
     """Fuse a log by a technique and write the frames that have an error to a folder; return the files by quantity."""
     with open_log(path) as log, ErrorFramesOnDisk(log, folder) as errors:
-        for block in fuse(log, calibration, technique, only=only, progress=lambda share: _tell_share(folder, share)):
+        for block in fuse(log, calibration, technique, only=only, progress=lambda share: _write_share(folder, share)):
             errors.add({technique: block})
         return errors.files(technique)
 
 
-def _tell_share(folder: Path, share: float) -> None:
-    """Tell the process that waits what share is done."""
+def _write_share(folder: Path, share: float) -> None:
+    """Write the share of the work that is done for the waiting process."""
     (folder / _SHARE).write_text(f"{share:.4f}")
 
 
 def _share_in(folder: Path) -> float:
-    """Return the share that was told last; 0 before, or while it is being written."""
+    """Return the share that was written last; 0 before, or while it is being written."""
     try:
         return float((folder / _SHARE).read_text())
     except (OSError, ValueError):
         return 0.0
 
 
-class _Parts:
-    """Progress of work in parts of these weights."""
+class _ProgressParts:
+    """Progress of work that consists of parts with these weights."""
 
     def __init__(self, progress: Progress, weights: Sequence[float]) -> None:
         self._progress, self._done = progress, 0.0
         self._weights = iter([weight / sum(weights) for weight in weights])
 
     def next(self) -> Progress:
-        """Return the estimate of the next part."""
+        """Return the progress callback of the next part."""
         begin, weight = self._done, next(self._weights)
         self._done += weight
         return lambda share: self._progress(begin + weight * share)
@@ -342,24 +346,24 @@ ErrorFrameSource = ErrorFrames | ErrorFrameSpool
 
 
 def both(frames: Mapping[str, ErrorFrameSource]) -> Iterator[Errors]:
-    """Yield the frames in which both quantities are known, as `coasting` takes them, block by block."""
+    """Yield the frames in which both quantities are known, block by block, as input of `coasting`."""
     for rate, force in _common(frames["angular_rate"], frames["specific_force"]):
         yield Errors(rate.time, rate.errors, force.errors, rate.truth, force.truth)
 
 
 def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple[ErrorFrames, ErrorFrames]]:
-    """Yield the frames of either at times that both have, in order, block by block."""
+    """Yield the frames of both at their common times, block by block."""
     end = 0
     for start in range(0, len(first), AT_ONCE):
-        mine, begin = first[start : start + AT_ONCE], end
+        block, begin = first[start : start + AT_ONCE], end
         end = bisect_right(
-            range(len(second)), mine.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0]
+            range(len(second)), block.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0]
         )
         other = second[begin:end]
-        if not np.array_equal(mine.time, other.time):  # mostly they are the same
-            _, of_mine, of_other = np.intersect1d(mine.time, other.time, assume_unique=True, return_indices=True)
-            mine, other = mine[of_mine], other[of_other]
-        yield mine, other
+        if not np.array_equal(block.time, other.time):  # they are usually equal
+            _, rows, others = np.intersect1d(block.time, other.time, assume_unique=True, return_indices=True)
+            block, other = block[rows], other[others]
+        yield block, other
 
 
 def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: ErrorFrameSource) -> Score:
@@ -368,8 +372,8 @@ def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: E
         squares = _squares_of(technique, quantity, average.errors, estimate.errors)
     else:
         with RowSpool(3) as before, RowSpool(3) as after:
-            for mine, other in _common(average, estimate):
-                before.append(mine.errors)
+            for block, other in _common(average, estimate):
+                before.append(block.errors)
                 after.append(other.errors)
             squares = _squares_of(technique, quantity, before, after)
     ratio = {axis: ratio_of(squares[:, k], squares[:, k + 3]) for k, axis in enumerate(AXES[:3])}
@@ -380,13 +384,15 @@ def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: E
 
 
 def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> bool:
-    """Return whether both have the same frames; mostly they have."""
+    """Return whether both have the same frames, which is usual."""
     parts = (slice(start, start + AT_ONCE) for start in range(0, len(first), AT_ONCE))
     return len(first) == len(second) and all(np.array_equal(first.times(part), second.times(part)) for part in parts)
 
 
 def _squares_of(technique: str, quantity: str, before: RowSource, after: RowSource) -> Floats:
-    """(b, 6) the sums of squared errors before and after in consecutive stretches; FusionError for too few errors."""
+    """Return the sums (b, 6) of squared errors before and after in consecutive stretches; FusionError for too few
+    errors.
+    """
     count = min(BLOCKS, len(after) // 2)
     if count < FEWEST_BLOCKS:
         known = f"{len(after)} values of {quantity} with a truth"

@@ -1,11 +1,11 @@
 """Temperature of each sensor's element, which its bias follows, and the uncertainty of a bias from another temperature.
 
-Biases follow the temperature where the calibration has slopes. `element_temperatures` reads a finished log.
+Biases follow the temperature if the calibration has slopes. `element_temperatures` reads a finished log.
 `causal_temperatures` uses only rows that were read before the frame: a temperature is the mean over the last complete
 segment of `SEGMENT_S`, extrapolated from its middle along the line through the segments of the last `TREND_S`, because
-a barometer's value of 20 s ago is degrees behind while a box is heated. An element with a first-order lag follows
+while a box is heated a barometer's value of 20 s ago differs by degrees. An element with a first-order lag follows
 straight lines between the middles of segments, and the extrapolated line after the last of them. Before the first
-segment is complete its rows so far are averaged.
+segment is complete, its rows so far are averaged.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from imuarray.printable import listed
 from imuarray.units import READABLE
 
 AWAY_DEGC = 5.0
-"""A log whose temperature differs by more from that of a calibration is told of: a bias changes by more than a good
-calibration leaves of it (2.5 mg by BMA-115's 0.5 mg per degC).
+"""Largest difference between the temperatures of a log and of a calibration without a remark: beyond it a bias changes
+by more than the error of a good calibration (2.5 mg by BMA-115's 0.5 mg per degC).
 """
 
 SCALE_PER_DEGC = 1.6e-4
-"""Standard deviation of what a scale factor changes by per degC, a share: 2 % over 125 degC (L3G-72)."""
+"""Standard deviation of the relative change of a scale factor per degC: 2 % over 125 degC (L3G-72)."""
 
 _OF_THE_BOX = ("barometer", "reference")
 
 
 def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
-    """The slopes of a sensor's bias; None where none were measured, or none of its axes is known to be one of bias."""
+    """Return the slopes of a sensor's bias; None if none were measured, or if no axis has a slope of bias."""
     thermal = calibration.or_nominal(sensor).thermal
     return thermal if thermal is not None and BIAS in thermal.meaning else None
 
@@ -49,11 +49,12 @@ def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
 def element_temperatures(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration, *, of_all: bool = False
 ) -> dict[str, TemperatureSeries]:
-    """The temperature that the bias of each sensor follows, behind its lag, by sensor: one row for 5 s, or longer.
+    """Return the temperature that the bias of each sensor follows, after its lag, by sensor: one row per 5 s, or
+    longer.
 
-    Read as `calibrate thermal` reads it: barometer, `/reference`, the chip's own thermometer, that of another chip.
-    Without the sensors whose bias has no slopes, and those that have none of these here; slopes over a thermometer
-    without a zero go with no other kind, and slopes over another not with it. `of_all`: of sensors without slopes too,
+    The thermometer is the one that `calibrate thermal` uses: barometer, `/reference`, the chip's own thermometer, or
+    that of another chip. Sensors without slopes or without a compatible thermometer are omitted; slopes from a
+    thermometer without a zero are compatible only with such a thermometer. `of_all`: include sensors without slopes,
     without a lag.
     """
     sensors = list(sensors)
@@ -66,7 +67,7 @@ def element_temperatures(
 
 
 def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[SensorLog, TemperatureSeries]]:
-    """Each sensor that has one with its best thermometer; one that serves the whole box is read once."""
+    """Yield sensors with their best thermometers, if any; a thermometer of the whole box is read once."""
     of_box: TemperatureSeries | None = None
     for sensor in sensors:
         thermometer = of_box or thermometer_of(log, sensor, SEGMENT_S)
@@ -76,14 +77,14 @@ def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[Sens
 
 
 def is_compatible(kind: str, thermal: Thermal | None) -> bool:
-    """Return whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. Slopes that
-    nobody measured want one that compares with the temperature of the bias.
+    """Return whether slopes apply to a thermometer of this kind: both have a zero, or neither has. Without slopes
+    (None) a zero is required, so that the temperature is comparable with that of the bias.
     """
     return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
 
 def _behind(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
-    """The thermometer behind the lag of the slopes, unless their interval holds no lag at all."""
+    """Return the temperature after the lag of the slopes, if that is significant."""
     lag_s = thermal.significant_lag_s
     if lag_s == 0:
         return thermometer
@@ -93,9 +94,9 @@ def _behind(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeri
 
 @dataclass(frozen=True)
 class TemperatureMismatch:
-    """The distance of a log from the temperature at which a sensor was calibrated: its temperature then and its mean
-    one in the log (degC), the root mean square of the difference, and what the bias (3,) is uncertain by for each
-    degree, in counts.
+    """Difference between the temperature of a log and that at which a sensor was calibrated: the temperature of the
+    calibration and the mean one of the log (degC), the rms difference, and the uncertainty of the bias (3,) per degree,
+    in counts.
     """
 
     sensor: str
@@ -106,23 +107,23 @@ class TemperatureMismatch:
 
     @property
     def bias_sd_lsb(self) -> Floats:
-        """(3,) standard deviation of what the temperature does to the bias."""
+        """Standard deviation (3,) of the change of the bias by the temperature difference."""
         return self.rms_degc * self.unsure_lsb_per_degc
 
 
 def temperature_mismatch(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration
 ) -> dict[str, TemperatureMismatch]:
-    """Return the temperature mismatch by sensor, for sensors whose bias was calibrated at a known temperature that the
-    log knows, too. A bias that follows the log's temperature is uncertain by the standard errors of its slopes; one
-    that does not, by the usual size of such slopes.
+    """Return the temperature mismatch by sensor, for sensors whose bias was calibrated at a known temperature, in a log
+    with a temperature. The uncertainty of a bias that follows the log's temperature is that of its slopes; otherwise it
+    is the usual size of slopes.
     """
     mismatches: dict[str, TemperatureMismatch] = {}
     sensors = list(sensors)
     calibrated = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
-    wanted = [s for s in sensors if calibrated[s.name].temperature_degc is not None]
-    wanted = [s for s in wanted if calibrated[s.name].bias_sem_lsb is not None]
-    for sensor, thermometer in _thermometers(log, wanted):
+    measured = [s for s in sensors if calibrated[s.name].bias_sem_lsb is not None]
+    comparable = [s for s in measured if calibrated[s.name].temperature_degc is not None]
+    for sensor, thermometer in _thermometers(log, comparable):
         known = calibrated[sensor.name]
         if known.temperature_degc is None or thermometer.kind == "relative":
             continue
@@ -140,7 +141,7 @@ def temperature_mismatch(
 
 
 def with_mismatch(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Calibration:
-    """The calibration with covariances of bias and response that hold at the temperatures of a log."""
+    """Return the calibration with covariances of bias and response that are valid at the temperatures of a log."""
     sensors = dict(calibration.sensors)
     for name, each in away.items():
         known = sensors[name]
@@ -163,7 +164,7 @@ def with_mismatch(calibration: Calibration, away: Mapping[str, TemperatureMismat
 
 
 def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Iterator[str]:
-    """A line for all sensors that were calibrated at one temperature, if the log is far from it."""
+    """Yield one sentence for all sensors that were calibrated at one temperature, if that of the log differs much."""
     far = [each for each in away.values() if each.rms_degc > AWAY_DEGC]
     for calibrated_degc in sorted({round(each.calibrated_degc, 1) for each in far}):
         group = [each for each in far if round(each.calibrated_degc, 1) == calibrated_degc]
@@ -188,26 +189,26 @@ def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureM
 
 
 BAROMETER_S = 15.0
-"""How much older than a frame a barometer's rows are that it is told by: a recording gives them out only when later
-looks at the chip have vouched for them, and frames don't wait so long.
+"""Age of a barometer's rows that a frame uses: a recording releases them only after later checks of the chip, and
+frames do not wait for that.
 """
 
 TREND_S = 20.0
-"""Time over which the trend is fitted: short beside the minutes in which a box is heated, and gone on for 20 s it makes
-the noise of the means, hundredths of a degree, two or three times as large.
+"""Time over which the trend is fitted: short compared with the minutes of a heating; extrapolation by 20 s multiplies
+the noise of the means, hundredths of a degree, by two or three.
 """
 
 _FEWEST = 3
-"""Segments without which no trend is told."""
+"""Fewest segments for a trend."""
 
 _WIDTH_NS = round(SEGMENT_S * 1e9)
 _KEPT = 64
-"""Segments that are kept beyond those that are asked for."""
+"""Number of segments that are kept before the requested times."""
 
 
 class _Segment(NamedTuple):
-    """One segment: its end, the mean time of its rows (s), its mean (degC), the elements behind each lag then, and the
-    trend (degC/s) from then on.
+    """One segment: its end, the mean time of its rows (s), its mean (degC), the temperature `behind` each lag (k,) at
+    that time, and the trend (degC/s) after it.
     """
 
     end_s: float
@@ -218,10 +219,10 @@ class _Segment(NamedTuple):
 
 
 class CausalThermometer:
-    """Temperatures as they come, and what elements behind the lags (k,) have of them, by rows that are `delay_s` old.
+    """Temperatures of a stream of rows after the lags (k,), from rows that are at least `delay_s` old.
 
-    Ask for no time before all rows up to `delay_s` earlier were added, nor for times long before those that were asked
-    for.
+    A time may be requested once all rows up to `delay_s` before it were added, and not long after later times were
+    requested.
     """
 
     def __init__(self, lags_s: Sequence[float], delay_s: float = 0.0) -> None:
@@ -236,7 +237,7 @@ class CausalThermometer:
         """The rows of the first segment."""
 
     def add(self, time: Times, degc: Floats) -> None:
-        """Rows (n,) in ns and degC; those that are not finite don't count."""
+        """Add rows: times (n,) in ns and degC (n,); values that are not finite are ignored."""
         kept = np.isfinite(degc)
         time, degc = time[kept], degc[kept]
         if len(time) == 0:
@@ -248,10 +249,10 @@ class CausalThermometer:
         self._first_s = np.concatenate([self._first_s, time[first] * 1e-9])
         self._first_degc = np.concatenate([self._first_degc, degc[first]])
         for segment, rows in runs_of(number):
-            self._into(segment, time[rows], degc[rows])
+            self._add_to(segment, time[rows], degc[rows])
 
-    def _into(self, number: int, time: Times, degc: Floats) -> None:
-        """Rows of one segment; the one before is whole if this is another."""
+    def _add_to(self, number: int, time: Times, degc: Floats) -> None:
+        """Add rows to a segment; a new segment completes the one before."""
         if number > self._number and self._count:
             closed = self._open()
             self._closed.append(closed._replace(trend=self._trend(closed)))
@@ -262,7 +263,7 @@ class CausalThermometer:
         self._sum += float(degc.sum())
 
     def _open(self) -> _Segment:
-        """The segment that rows go into, as far as it is known."""
+        """Return the current segment, with its rows so far."""
         begin_ns = self._begin_ns or 0
         mid_s = (begin_ns + self._moment / self._count) * 1e-9
         degc = self._sum / self._count
@@ -275,7 +276,7 @@ class CausalThermometer:
         return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, behind)
 
     def _trend(self, last: _Segment) -> float:
-        """The slope of the line through the segments that end with `last`."""
+        """Return the slope of the line through the segments up to `last`."""
         recent = [each for each in self._closed[-_KEPT:] if each.mid_s > last.mid_s - TREND_S + SEGMENT_S / 2]
         if len(recent) + 1 < _FEWEST:
             return 0.0
@@ -283,7 +284,7 @@ class CausalThermometer:
         return float(np.polyfit(since, [each.degc for each in (*recent, last)], 1)[0])
 
     def at(self, time_s: Floats, column: int) -> Floats:
-        """The temperature (n,) behind one of the lags at times (n,) in s, NaN before there is any."""
+        """Return the temperature (n,) after one of the lags at times (n,) in s; NaN before the first row."""
         if self._begin_ns is None or len(time_s) == 0:
             return np.full(len(time_s), np.nan)
         known_s = time_s - self.delay_s
@@ -300,7 +301,7 @@ class CausalThermometer:
         return np.where(last >= 0, going, self._at_first(known_s))
 
     def _at_first(self, time_s: Floats) -> Floats:
-        """The mean of the rows so far; that of the first one before it."""
+        """Return the mean of the rows so far; before the first row, the first row."""
         means = np.cumsum(self._first_degc) / np.arange(1, len(self._first_degc) + 1)
         return np.asarray(means[np.maximum(np.searchsorted(self._first_s, time_s, "right") - 1, 0)])
 
@@ -311,20 +312,20 @@ class CausalThermometer:
 
 @dataclass(frozen=True)
 class ElementThermometer:
-    """The element of one sensor: a thermometer behind one of its lags."""
+    """The element of one sensor: a thermometer after one of its lags."""
 
     thermometer: CausalThermometer
     column: int
 
     def at(self, time_s: Floats) -> Floats:
-        """Degrees (n,) at times (n,) in s since the log's epoch; NaN where it is not known."""
+        """Return degrees Celsius (n,) at times (n,) in s since the log's epoch; NaN if not known."""
         return self.thermometer.at(time_s, self.column)
 
 
 @dataclass(frozen=True)
 class TemperatureSources:
-    """The `elements` whose temperature the bias follows; who must hear of rows for that, and how much older than a
-    frame these may be; all by sensor.
+    """By sensor: the `elements` whose temperature the bias follows, the functions (`feeds`) to call with rows of
+    thermometers, and the age of these rows with respect to a frame (`delays_s`).
     """
 
     elements: Mapping[str, ElementTemperature]
@@ -335,22 +336,22 @@ class TemperatureSources:
 def causal_temperatures(
     everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> TemperatureSources:
-    """Return element temperatures as `element_temperatures` does, from what is known at the time of a frame: the
-    barometer, the chip's own thermometer, or that of another chip among `everything`. A reference is known only
-    afterwards and not used.
+    """Return element temperatures as `element_temperatures` does, from rows before a frame only: the barometer, the
+    chip's own thermometer, or that of another chip among `everything`. A reference is known only afterwards and not
+    used.
     """
-    wanted: dict[str, dict[str, float]] = {}
+    lags_by_source: dict[str, dict[str, float]] = {}
     for sensor in sensors:
         thermal = slopes_of(calibration, sensor)
         source = _source(everything, sensor) if of_all or thermal is not None else None
         if source is not None and is_compatible(_kind(source), thermal):
             lag_s = 0.0 if thermal is None else thermal.significant_lag_s
-            wanted.setdefault(source.name, {})[sensor.name] = lag_s
+            lags_by_source.setdefault(source.name, {})[sensor.name] = lag_s
     elements: dict[str, ElementTemperature] = {}
     feeds: dict[str, Callable[[Block], None]] = {}
     delays_s: dict[str, float] = {}
     for source in everything:
-        if lags := wanted.get(source.name):
+        if lags := lags_by_source.get(source.name):
             delays_s[source.name] = BAROMETER_S if source.quantity == "pressure" else 0.0
             thermometer = CausalThermometer(list(lags.values()), delays_s[source.name])
             elements |= {name: ElementThermometer(thermometer, column) for column, name in enumerate(lags)}
@@ -367,7 +368,7 @@ def _source(everything: Sequence[Described], sensor: Described) -> Described | N
 
 
 def _kind(source: Described) -> str:
-    """The kind of its thermometer, one of `stability.THERMOMETERS`."""
+    """Return the kind of a sensor's thermometer, one of `stability.THERMOMETERS`."""
     if source.quantity == "pressure":
         return "barometer"
     return "chip" if has_zero(source) else "relative"

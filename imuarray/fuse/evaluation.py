@@ -1,5 +1,5 @@
-"""Errors of a fused result against the truth of emulated and simulated logs, or against a reference, and the gain of a
-technique over the simple average of the same sensors, with its uncertainty.
+"""Errors of a fused result with respect to the truth of emulated and simulated logs or to a reference, and the gain of
+a technique over the simple average of the same sensors, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MARGIN = 32
 @dataclass(frozen=True)
 class Error:
     """Error of one quantity over a stretch, per box axis (3,) in SI: its mean, its scatter from frame to frame, its
-    rms, its drift (spread of sixteen slow means), and how many frames.
+    rms, its drift (spread of sixteen slow means), and the number of frames.
     """
 
     mean: Floats
@@ -49,7 +49,8 @@ class Error:
 
 
 def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, Error]:
-    """Errors of a fused result against `/truth` (or `/reference`) by quantity; only inside `phases` if there are any.
+    """Return the errors of a fused result with respect to `/truth` (or `/reference`) by quantity, inside `phases`
+    (empty: everywhere).
 
     FusionError if the log has neither.
 
@@ -67,19 +68,21 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
 
 
 class Evaluation:
-    """Errors of several results against `/truth` (or `/reference`), block by block as they are made: what is kept of
-    them lies on the disk. A context manager.
+    """Errors of several results with respect to `/truth` (or `/reference`), block by block, stored on disk. A context
+    manager.
     """
 
     def __init__(self, log: Log, phases: Iterable[Phase] = ()) -> None:
-        """Evaluate frames only inside `phases`, if there are any. FusionError if the log has neither."""
+        """Evaluate frames inside `phases` (empty: all frames). FusionError if the log has neither truth nor
+        reference.
+        """
         self._track = _track_of(log)
         self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
         self._stack = ExitStack()
         self._kept: dict[str, dict[str, RowSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """The next block of each result by its name, all of the same frames."""
+        """Add the next block of each result, by name; all blocks have the same frames."""
         for name, quantity, frames in _errors_in(self._track, self._stretches, together):
             kept = self._kept.setdefault(name, {})
             if quantity not in kept:
@@ -101,7 +104,9 @@ class Evaluation:
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
-    """Scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity: it needs no truth."""
+    """Return the scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity; it needs no
+    truth.
+    """
     noise = QuietNoise()
     for block in blocks:
         noise.add(block)
@@ -109,11 +114,11 @@ def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
 
 
 class QuietNoise:
-    """The scatter of `quiet_noise`, block by block.
+    """The scatter of `quiet_noise`, computed block by block.
 
-    The lower quartile over segments of `SEGMENT` frames of the standard deviation of differences over sqrt 2; a motion
-    that lasts does not count, a box that never rests makes it too large. Frames without a quantity, as every second one
-    is whose sensors are half as fast as the frames, are passed over.
+    It is the lower quartile, over segments of `SEGMENT` frames, of the standard deviation of differences over sqrt 2. A
+    motion has no effect if the box rests at times; it is too large for a box that never rests. Frames without a
+    quantity, such as every second frame if its sensors are half as fast as the frames, are skipped.
     """
 
     def __init__(self) -> None:
@@ -121,7 +126,7 @@ class QuietNoise:
         self._rest: dict[str, Floats] = {quantity: np.zeros((0, 3)) for quantity in INERTIAL}
 
     def add(self, block: FusedBlock) -> None:
-        """The next frames."""
+        """Add the next frames."""
         for quantity, triad in block.triads.items():
             known = triad[np.isfinite(triad).all(axis=1)]
             frames = np.concatenate([self._rest[quantity], known])
@@ -140,15 +145,15 @@ class QuietNoise:
 
 
 def _scatters(segments: Floats) -> Floats:
-    """(s, 3) the scatter from frame to frame of the segments (s, n, 3)."""
+    """Return the scatter (s, 3) from frame to frame of segments (s, n, 3)."""
     steps = np.diff(segments, axis=1)
     return np.asarray(np.std(steps, axis=1) / np.sqrt(2) if steps.shape[1] > 1 else np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
 class ErrorFrames:
-    """n frames of one quantity: time (n,) ns, fused less true triad (n, 3), the truth (n, 3), and the covariance
-    (n, 6) that the fused result claims (`frames.ENTRIES`; NaN where it claims none), SI, box frame.
+    """n frames of one quantity in SI in the box frame: time (n,) ns, fused less true triad (n, 3), the truth (n, 3),
+    and the covariance (n, 6) that the fused result states (`frames.ENTRIES`; NaN if it states none).
     """
 
     time: npt.NDArray[np.int64]
@@ -164,20 +169,22 @@ class ErrorFrames:
         return self.time[frames]
 
     def __getitem__(self, frames: slice | Indices) -> ErrorFrames:
-        """Return some of them."""
+        """Return some of the frames."""
         return ErrorFrames(self.time[frames], self.errors[frames], self.truth[frames], self.covariances[frames])
 
 
 def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
 ) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
-    """Time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if nothing is known."""
+    """Return time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError without a
+    truth.
+    """
     result = error_frames(log, blocks, phases)
     return {quantity: (frames.time, frames.errors) for quantity, frames in result.items()}
 
 
 def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
-    """The same with the truth and the covariances."""
+    """Return frames with errors, truth and covariances by quantity. FusionError without a truth."""
     track, stretches = _track_of(log), [(phase.start_ns, phase.end_ns) for phase in phases]
     result: dict[str, list[ErrorFrames]] = {quantity: [] for quantity in INERTIAL}
     for block in blocks:
@@ -187,18 +194,16 @@ def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase]
 
 
 class ErrorFramesOnDisk:
-    """Frames with an error of several results, block by block as they are made, on the disk. A context manager."""
+    """Frames with an error of several results, block by block, stored on disk. A context manager."""
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
-        """Keep the frames' errors on disk; with a `folder`, in files there that stay. FusionError if the log knows no
-        truth.
-        """
+        """Store the frames in temporary files, or in permanent files in `folder`. FusionError without a truth."""
         self._track, self._folder = _track_of(log), folder
         self._stack = ExitStack()
         self._kept: dict[str, dict[str, ErrorFrameSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """The next block of each result by its name, all of the same frames."""
+        """Add the next block of each result, by name; all blocks have the same frames."""
         for name, quantity, frames in _errors_in(self._track, (), together):
             kept = self._kept.setdefault(name, {})
             if quantity not in kept:
@@ -211,9 +216,7 @@ class ErrorFramesOnDisk:
         return {quantity: kept.complete() for quantity, kept in self._kept.get(name, {}).items()}
 
     def take(self, name: str, files: Mapping[str, Path]) -> None:
-        """Take the frames of one result from such files, which may be of another process and must stay until they are
-        asked for.
-        """
+        """Take the frames of one result from such files, possibly of another process; they must exist until read."""
         kept = self._kept.setdefault(name, {})
         for quantity, path in files.items():
             kept[quantity] = self._stack.enter_context(ErrorFrameSpool(path, "rb"))
@@ -243,21 +246,21 @@ def _track_of(log: Log) -> Track:
 def _errors_in(
     track: Track, stretches: Sequence[tuple[int, int]], together: Mapping[str, FusedBlock]
 ) -> Iterator[tuple[str, str, ErrorFrames]]:
-    """Technique, quantity and frames with an error of one block of each technique; only inside the `stretches` (start
-    and end in ns), if there are any.
+    """Yield technique, quantity and the frames with an error, of one block of each technique, inside the `stretches`
+    (start and end in ns; empty: everywhere).
     """
     time = next(iter(together.values())).time
     inside = np.ones(len(time), bool)
     if stretches:
         inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
-    wanted = [quantity for quantity in INERTIAL if any(quantity in block.triads for block in together.values())]
-    for quantity, felt in _felt(track, wanted, time).items():
+    quantities = [quantity for quantity in INERTIAL if any(quantity in block.triads for block in together.values())]
+    for quantity, truth in _truth_at(track, quantities, time).items():
         for name, block in together.items():
-            errors = block.triads[quantity] - felt
+            errors = block.triads[quantity] - truth
             finite = np.isfinite(errors)
             keep = slice(None) if inside.all() and finite.all() else inside & finite.all(axis=1)
-            claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
-            yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
+            stated = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
+            yield name, quantity, ErrorFrames(time[keep], errors[keep], truth[keep], stated[keep])
 
 
 def error_of(rows: RowSource) -> Error:
@@ -306,7 +309,7 @@ class ErrorFrameSpool:
         return (self._time, self.errors, self._truth, self.covariances)
 
     def add(self, frames: ErrorFrames) -> None:
-        """Add more of them."""
+        """Add more frames."""
         self._time.append(np.ascontiguousarray(frames.time, np.int64).view(np.float64)[:, None])  # the same bits
         self.errors.append(frames.errors)
         self._truth.append(frames.truth)
@@ -320,7 +323,7 @@ class ErrorFrameSpool:
         return self._time[frames][:, 0].view(np.int64)
 
     def __getitem__(self, frames: slice) -> ErrorFrames:
-        """Read some of them."""
+        """Read some of the frames."""
         return ErrorFrames(self.times(frames), self.errors[frames], self._truth[frames], self.covariances[frames])
 
     def complete(self) -> Path:
@@ -343,9 +346,9 @@ def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
     return ErrorFrames(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames)))
 
 
-def _felt(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:
-    """The truth (n, 3) at `time` by quantity, of those that the track has, by a cubic spline through its rows: between
-    them a shaken box does not move in straight lines.
+def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:
+    """Return the truth (n, 3) at `time` by quantity, for the quantities of the track, by a cubic spline through its
+    rows: a straight line would not follow a shaken box between rows.
     """
     columns = {"specific_force": track.specific_force, "angular_rate": track.angular_rate}
     known = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
@@ -357,23 +360,22 @@ def _felt(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) 
     gap_ns = 5 * float(np.median(np.diff(at)))
     rows = {quantity: np.asarray(column[first:last], float) for quantity, column in known.items()}
     together = np.concatenate([*rows.values(), np.zeros((len(at), 0))], axis=1)
-    if not np.isfinite(together).all():  # what one quantity lacks is no gap of the other
+    if not np.isfinite(together).all():  # a gap of one quantity is not a gap of the other
         return {quantity: between_gaps(at, each, time, gap_ns) for quantity, each in rows.items()}
-    felt = between_gaps(at, together, time, gap_ns)
-    return {quantity: felt[:, 3 * place : 3 * place + 3] for place, quantity in enumerate(rows)}
+    truth = between_gaps(at, together, time, gap_ns)
+    return {quantity: truth[:, 3 * place : 3 * place + 3] for place, quantity in enumerate(rows)}
 
 
 BLOCKS = 20
-"""Stretches of a log that are left out in turn for the uncertainty of a ratio (jackknife, Tukey 1958)."""
+"""Number of stretches of a log that are omitted in turn for the uncertainty of a ratio (jackknife, Tukey 1958)."""
 
 FEWEST_BLOCKS = 5
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Rms error in SI of the average and of a technique along one box axis, and their ratio with its standard error.
-
-    `box_axis` "XYZ" is the length of the error vector.
+    """Rms error in SI of the average and of a technique along one box axis ("XYZ": the length of the error vector), and
+    their ratio with its standard error.
     """
 
     technique: str
@@ -394,30 +396,27 @@ def gains(
     phases: Sequence[Phase] = (),
     slow: bool = False,
 ) -> list[Gain]:
-    """A row per quantity and box axis, and one for all three. `slow`: the rms of ten-second means less the first of
-    them, which is drift and hardly noise.
+    """Return the gains of a technique per quantity and box axis, and for all three axes together. With `slow`, of
+    ten-second means less the first of them, which show drift and hardly noise.
 
     FusionError if the log has neither truth nor reference.
     """
     errors = [errors_of(log, fuse(log, calibration, name, only=only), phases) for name in ("mean", technique)]
     rows = []
     for quantity in errors[0]:
-        time, mine, other = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
-        before, after = errors[0][quantity][1][mine], errors[1][quantity][1][other]
+        time, first, second = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
+        before, after = errors[0][quantity][1][first], errors[1][quantity][1][second]
         if slow:
             before, after = (ten_second_means(time, part) for part in (before, after))
         for axis in range(3):
             rows.append(_gain(technique, quantity, "XYZ"[axis], before[:, axis : axis + 1], after[:, axis : axis + 1]))
-        rows.append(
-            _gain(
-                technique, quantity, "XYZ", *(np.linalg.norm(part, axis=1, keepdims=True) for part in (before, after))
-            )
-        )
+        lengths = (np.linalg.norm(part, axis=1, keepdims=True) for part in (before, after))
+        rows.append(_gain(technique, quantity, "XYZ", *lengths))
     return rows
 
 
 def ten_second_means(time: npt.NDArray[np.int64], rows: Floats) -> Floats:
-    """Means of ten seconds each, less the first: what standing still at the start would have taken out."""
+    """Return means over ten seconds, less the first, which a rest at the start would remove."""
     step = (time - time[0]) // 10_000_000_000
     _, first = np.unique(step, return_index=True)
     means = np.add.reduceat(rows, first) / np.diff(np.append(first, len(rows)))[:, None]
@@ -444,12 +443,12 @@ class Ratio:
 
 
 def ratio_of(before: Floats, after: Floats) -> Ratio:
-    """The root of the ratio of two sums of squared errors from their parts (b,), blocks of a log or runs; b > 1.
+    """Return the root of the ratio of two sums of squared errors from their parts (b,), blocks of a log or runs; b > 1.
 
-    Each part is left out in turn (jackknife, Tukey 1958) from the ratio; the interval is that of its logarithm,
-    Student's with b - 1 degrees of freedom: its ends stay positive, and are inverted with the ratio.
+    Its standard error is that of the jackknife (Tukey 1958), with each part omitted in turn. The interval is Student's
+    of the logarithm with b - 1 degrees of freedom, so that its ends are positive and invert with the ratio.
     """
-    from scipy.special import stdtrit  # the inverse of Student's distribution without the weight of scipy.stats
+    from scipy.special import stdtrit  # scipy.stats is slow to import
 
     count = len(before)
     total = before.sum(), after.sum()
@@ -457,8 +456,8 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
         same = 1.0 if total[0] == total[1] else float("inf") if total[0] == 0 else 0.0
         return Ratio(same, 0.0, same, same)
     ratio = float(np.sqrt(total[1] / total[0]))
-    left_out = np.sqrt(np.maximum(total[1] - after, 0) / np.maximum(total[0] - before, 1e-300))
-    spread = float(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean()) ** 2)))
+    omitted = np.sqrt(np.maximum(total[1] - after, 0) / np.maximum(total[0] - before, 1e-300))
+    spread = float(np.sqrt((count - 1) / count * np.sum((omitted - omitted.mean()) ** 2)))
     reach = float(np.exp(stdtrit(count - 1, 0.975) * spread / ratio))
     return Ratio(ratio, spread, ratio / reach, ratio * reach)
 

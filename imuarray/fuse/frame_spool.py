@@ -15,23 +15,23 @@ from imuarray.fuse.frames import Frames
 _COLUMNS = ("time", "values", "valid", "clipped", "stale", "offsets")
 
 
-class _Place(NamedTuple):
-    """An array of the file: its type and shape."""
+class _ArrayHeader(NamedTuple):
+    """Type and shape of an array in the file."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
 
 
 class FrameSpool:
-    """Frames by quantity, and temperatures by sensor, block by block, until it is closed. It holds 9 bytes for each
-    axis of a frame, on the disk, and is gone with the object.
+    """Frames by quantity and temperatures by sensor, block by block, in a temporary file of 9 bytes per axis and frame,
+    which is deleted with the object.
     """
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
-        self._blocks: list[tuple[dict[str, dict[str, _Place]], dict[str, _Place]]] = []
+        self._blocks: list[tuple[dict[str, dict[str, _ArrayHeader]], dict[str, _ArrayHeader]]] = []
         self.frames = 0
-        """Frames of all blocks."""
+        """Number of frames in all blocks."""
 
     def add(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
         """Write the next block. OSError."""
@@ -52,11 +52,11 @@ class FrameSpool:
             }
             yield frames, {sensor: self._get(place) for sensor, place in degc.items()}
 
-    def _put(self, column: npt.NDArray[Any]) -> _Place:
+    def _put(self, column: npt.NDArray[Any]) -> _ArrayHeader:
         self._file.write(np.ascontiguousarray(column).data)
-        return _Place(column.dtype, column.shape)
+        return _ArrayHeader(column.dtype, column.shape)
 
-    def _get(self, place: _Place) -> npt.NDArray[Any]:
+    def _get(self, place: _ArrayHeader) -> npt.NDArray[Any]:
         column = np.empty(place.shape, place.dtype)
         self._file.readinto(column.data)
         return column

@@ -1,5 +1,5 @@
-"""Input and output of techniques: aligned readings, estimates with their covariance, and the axes of an array
-(direction and position of each in the box frame, its range and its noise).
+"""Input and output of techniques: aligned readings, estimates with their covariance, and the axes of an array (their
+directions and positions in the box frame, ranges and noise).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from imuarray.units import SI_PER_UNIT
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """Errors that a calibration leaves in the three axes of one sensor, constant in a log.
+    """Remaining errors of the three axes of one sensor after calibration, constant in a log.
 
-    `bias_si2` (3, 3): covariance of their biases, with what biases do from run to run and within a run, in the square
-    of m/s2 or rad/s; `response` (3, 3, 3, 3): covariance of axis i's error along box axis a with axis j's along box
-    axis b at [i, a, j, b], as shares of the axes' scale factors. What was not measured is zero: nobody knows it.
+    `bias_si2` (3, 3): covariance of their biases, including changes from run to run and within a run, in (m/s2)^2 or
+    (rad/s)^2; `response` (3, 3, 3, 3): covariance of axis i's error along box axis a with axis j's along box axis b at
+    [i, a, j, b], relative to the axes' scale factors. Unmeasured parts are zero.
     """
 
     bias_si2: Floats
@@ -34,12 +34,12 @@ class CalibrationErrors:
 
 @dataclass(frozen=True)
 class Axis:
-    """One sensor axis: where it points in the box frame (unit vector) and what it is.
+    """One sensor axis: its sensor, chip and index (0 to 2), and its direction in the box frame (unit vector).
 
     `range_si` is the end of the measuring range and `noise_si` the standard deviation of a reading (None: unknown), in
-    m/s2 or rad/s; `position_m` where the sensor sits in the box frame; `bandwidth_hz` the -3 dB bandwidth to which it
-    is set (None: unknown); `stability_si` the rms of its slow error, from run to run and within a run (None: unknown);
-    `errors` what the calibration of its sensor leaves unknown (None: nothing was measured).
+    m/s2 or rad/s; `position_m` the position of the sensor in the box frame; `bandwidth_hz` its configured -3 dB
+    bandwidth (None: unknown); `stability_si` the rms of its slow error, from run to run and within a run (None:
+    unknown); `errors` the remaining errors of its sensor after calibration (None: nothing was measured).
     """
 
     sensor: str
@@ -55,17 +55,17 @@ class Axis:
 
     @property
     def in_plane(self) -> bool:
-        """True for x and y, which lie in the plane of the silicon; z stands on it."""
+        """True for x and y, which are in the plane of the silicon; z is perpendicular to it."""
         return self.index < 2
 
     @property
     def label(self) -> str:
-        """Sensor and axis as people say it: "Gyro1 y"."""
+        """Sensor and axis as text: "Gyro1 y"."""
         return f"{self.sensor} {'xyz'[self.index]}"
 
 
 def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis]:
-    """Every axis of `sensors`, in order."""
+    """Return every axis of `sensors`, in order."""
     axes = []
     for sensor in sensors:
         known = calibration.or_nominal(sensor)
@@ -86,8 +86,8 @@ def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis
 
 
 def response_shares(known: SensorCalibration) -> Floats | None:
-    """(9, 9) covariance of a sensor's response row by row, as shares of the axes' scale factors; None if it was not
-    measured.
+    """Return the covariance (9, 9) of a sensor's response row by row, relative to the axes' scale factors; None if it
+    was not measured.
     """
     covariance = known.response_covariance()
     if covariance is None:
@@ -97,7 +97,7 @@ def response_shares(known: SensorCalibration) -> Floats | None:
 
 
 def _errors_of(known: SensorCalibration) -> CalibrationErrors | None:
-    """Return a calibration's own errors as they were measured; None without a measurement."""
+    """Return the remaining errors of a calibrated sensor; None without a measurement."""
     bias = np.zeros((3, 3))
     if known.bias_covariance_lsb2 is not None:
         bias = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
@@ -112,33 +112,33 @@ def _errors_of(known: SensorCalibration) -> CalibrationErrors | None:
 
 
 def _stability_si(known: SensorCalibration, index: int) -> float | None:
-    """Rms of what the bias of an axis does from run to run and within a run, as far as either was measured."""
+    """Return the rms change of an axis's bias from run to run and within a run, as far as either was measured."""
     parts = [group.rms_lsb[index] for group in (known.turn_on, known.drift) if group is not None]
     finite = [float(part / known.lsb_per_si[index]) for part in parts if np.isfinite(part)]
     return math.hypot(*finite) if finite else None
 
 
 def directions(axes: Sequence[Axis]) -> Floats:
-    """(m, 3) unit vectors of the axes in the box frame: values = directions @ truth_box + errors."""
+    """Return the unit vectors (m, 3) of the axes in the box frame: values = directions @ truth_box + errors."""
     return np.array([axis.direction_box for axis in axes])
 
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 
 ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
-"""Columns of a covariance as it is kept: the six entries that differ."""
+"""Columns of a stored covariance: its six different entries."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """n frames of m axes: time (n,) ns, values (n, m) in SI along each axis, valid (n, m): there is a reading, no
-    flag throws doubt on it, and its triad is off the ends of its range (a clipped reading is a bound, not a
+    """n frames of m axes: time (n,) ns and values (n, m) in SI along each axis; `valid` (n, m) is true if there is a
+    reading that no flag marks as doubtful and whose triad is within its range (a clipped reading is a bound, not a
     value).
 
-    `clipped` (n, m) is +1 where an axis stands at the upper end of its range, -1 at the lower one, else 0; `stale`
-    (n, m) where the chip had nothing newer than the reading before. None: nowhere.
+    `clipped` (n, m) is +1 for an axis at the upper end of its range, -1 at the lower end, else 0; `stale` (n, m) is
+    true if the chip had no reading newer than the one before. None: nowhere.
 
-    `offsets` (n, m): in frames that lack a reading, how far each axis has recently been from the array's mean, NaN for
+    `offsets` (n, m), in frames that lack a reading: the recent difference of each axis from the array's mean, NaN for
     axes without a recent reading; 0 in all other frames (`imuarray.fuse.stream`). None: not known.
     """
 
@@ -150,20 +150,20 @@ class Frames:
     offsets: Floats | None = None
 
     def part(self, rows: slice) -> Frames:
-        """Some of the frames."""
+        """Return some of the frames."""
         clipped = None if self.clipped is None else self.clipped[rows]
         stale = None if self.stale is None else self.stale[rows]
         offsets = None if self.offsets is None else self.offsets[rows]
         return Frames(self.time[rows], self.values[rows], self.valid[rows], clipped, stale, offsets)
 
     def without(self, excluded: Booleans) -> Frames:
-        """The frames without the axes `excluded` (n, m), whose offsets are forgotten, too."""
+        """Return the frames with the axes `excluded` (n, m) marked as not valid and without their offsets."""
         offsets = None if self.offsets is None else np.where(excluded, np.nan, self.offsets)
         return replace(self, valid=self.valid & ~excluded, offsets=offsets)
 
     @staticmethod
     def joined(parts: Sequence[Frames]) -> Frames:
-        """Frames of the same axes one after the other, of one part at least."""
+        """Concatenate one or more parts with frames of the same axes."""
         return Frames(
             np.concatenate([part.time for part in parts]),
             np.concatenate([part.values for part in parts]),
@@ -177,7 +177,7 @@ class Frames:
 def _flags(
     columns: Sequence[npt.NDArray[_Kind] | None], parts: Sequence[Frames], kind: type[_Kind]
 ) -> npt.NDArray[_Kind] | None:
-    """Booleans of all parts, 0 in those that have none; None if no part has any."""
+    """Concatenate an optional column of all parts, with 0 for parts without it; None if no part has it."""
     if all(column is None for column in columns):
         return None
     pairs = zip(columns, parts, strict=True)
@@ -188,8 +188,8 @@ def _flags(
 class Estimate:
     """n frames of one quantity in SI in the box frame.
 
-    `triad_box` (n, 3), NaN where the axes used don't span space; `covariance_box` (n, 6), the entries `ENTRIES` of its
-    error's covariance, NaN where a noise is not known; `used` (n, m): which axes went into it.
+    `triad_box` (n, 3) is NaN where the axes used do not span space; `covariance_box` (n, 6) are the entries `ENTRIES`
+    of its error's covariance, NaN if a noise is not known; `used` (n, m) are the axes that contribute.
     """
 
     triad_box: Floats
@@ -203,8 +203,7 @@ class FusedBlock:
     were valid).
 
     `covariances` (n, 6), per quantity, are the entries `ENTRIES` of its error's covariance; `used` (n, s), per
-    quantity, says which axes of each of its s sensors went into it: 1 x, 2 y, 4 z. Both are missing where nobody
-    worked them out.
+    quantity, are the axes of each of its s sensors that contribute: 1 x, 2 y, 4 z. Both are empty if not computed.
     """
 
     time: Times
@@ -213,7 +212,7 @@ class FusedBlock:
     used: Mapping[str, npt.NDArray[np.uint8]] = field(default_factory=lambda: MappingProxyType({}))
 
     def part(self, rows: slice) -> FusedBlock:
-        """Some of the frames."""
+        """Return some of the frames."""
         return FusedBlock(
             self.time[rows],
             {name: column[rows] for name, column in self.triads.items()},
@@ -223,7 +222,7 @@ class FusedBlock:
 
     @staticmethod
     def joined(blocks: Sequence[FusedBlock]) -> FusedBlock:
-        """Frames of the same quantities one after the other, of one block at least."""
+        """Concatenate one or more blocks with frames of the same quantities."""
         return FusedBlock(
             np.concatenate([block.time for block in blocks]),
             _columns([block.triads for block in blocks]),
@@ -233,23 +232,23 @@ class FusedBlock:
 
 
 def _columns(parts: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt.NDArray[_Kind]]:
-    """The rows of all parts, by name."""
+    """Concatenate the columns of all parts, by name."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def entries(covariance_box: Floats) -> Floats:
-    """(..., 6) the entries `ENTRIES` of covariances (..., 3, 3)."""
+    """Return the entries `ENTRIES` (..., 6) of covariances (..., 3, 3)."""
     rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     return np.asarray(covariance_box[..., rows, columns])
 
 
 def matrices(covariance_entries: Floats) -> Floats:
-    """(..., 3, 3) covariances from their entries (..., 6)."""
+    """Return covariances (..., 3, 3) from their entries (..., 6)."""
     return np.asarray(covariance_entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
 
 
 def axis_bits(used: Booleans, axes: Sequence[Axis]) -> npt.NDArray[np.uint8]:
-    """(n, s) from (n, m): for every sensor of `axes`, in order, the sum of 1 x, 2 y, 4 z over its axes in use."""
+    """Return (n, s), for every sensor of `axes` in order, the sum of 1 x, 2 y, 4 z over its axes in `used` (n, m)."""
     sensors = list(dict.fromkeys(axis.sensor for axis in axes))
     table = np.zeros((len(axes), len(sensors)), np.uint8)
     for index, axis in enumerate(axes):

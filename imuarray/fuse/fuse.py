@@ -1,6 +1,6 @@
-"""Fusing a log, or what becomes one: one specific force and one angular rate per frame, in the box frame.
+"""Fusion of a log or of a recording in progress: one specific force and one angular rate per frame, in the box frame.
 
-The inputs are prepared for one log: the calibration as it holds for this log, and the sensors to fuse.
+`prepare_inputs` adapts a calibration to one log and selects the sensors to fuse.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.errors import CalibrationError, FusionError
 from imuarray.fuse import techniques
-from imuarray.fuse.alignment import FIRST_ROWS, choose
+from imuarray.fuse.alignment import FIRST_ROWS, choose_grid
 from imuarray.fuse.element_temperature import (
     TemperatureSources,
     causal_temperatures,
@@ -48,11 +48,11 @@ _NO_RANGES: Mapping[str, Mapping[float, float]] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class FusionInputs:
-    """A calibration and the sensors to fuse (`only`, all if empty), with what a person should know of them.
+    """A calibration and the sensors to fuse (`only`, all if empty), with remarks for the user.
 
     `uncalibrated`: sensors that are fused with data-sheet values. `start_up`: sentences on the states in which sensors
     started. `thermal`: sensors whose bias follows the log's temperature. `temperature`: sentences on sensors that were
-    calibrated at another temperature. `remarks`: sentences on what the calibration lacks.
+    calibrated at another temperature. `remarks`: sentences on missing parts of the calibration.
     """
 
     calibration: Calibration
@@ -73,13 +73,13 @@ def prepare_inputs(
     ranges: Mapping[str, Mapping[float, float]] = _NO_RANGES,
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
-    """Prepare `calibration` for fusing `log` by `technique` (None: by any of them); `only` these sensors, if any are
-    named.
+    """Prepare `calibration` for the fusion of `log` by `technique` (None: by any), with `only` these sensors (empty:
+    all).
 
-    Biases become those of the states in which the sensors started, and sensors that started wrong are left out: in
-    another range, too, for chips whose sensitivities by range are in `ranges` (`imuarray.chips.SENSITIVITIES`). Noise
-    that the technique needs and the calibration lacks is measured where the log is at rest; `progress` is called
-    meanwhile with a text, the number of sensors that are done, and of how many.
+    Biases become those of the states in which the sensors started, and sensors with a start-up fault are excluded; this
+    includes a start in another range, for chips whose sensitivities by range are in `ranges`
+    (`imuarray.chips.SENSITIVITIES`). Noise that the technique needs and the calibration lacks is measured where the box
+    rests in the log; `progress` is called with the step, the number of sensors done, and their total.
 
     >>> from imuarray import load_calibration, open_log
     >>> from imuarray.chips import SENSITIVITIES
@@ -96,19 +96,19 @@ def prepare_inputs(
     cold = [sensor.name for sensor in sloped if sensor.name not in warm]
     remarks = []
     if cold:
-        remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; biases stay as calibrated")
+        remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; calibrated biases are used")
     lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]
     if lacking and (technique is None or technique in NEEDS_NOISE):
         which = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
-        from imuarray.calibrate.noise import with_noise_of  # its weight is for those who lack it
+        from imuarray.calibrate.noise import with_noise_of  # slow to import
 
         remarks.append(f"no noise{which} in the calibration; it was measured in this log at rest")
         try:
             calibration = with_noise_of(log, calibration, lacking, progress)
         except CalibrationError as error:
             raise FusionError(
-                f"{error}, to measure noise{which} that the calibration lacks; record the box at rest, run"
-                " `imuarray calibrate noise` on that log and give the file as calibration, or choose a technique"
+                f"{error}, to measure the noise{which}, which the calibration lacks; record the box at rest, run"
+                " `imuarray calibrate noise` on that log and pass the file as calibration, or choose a technique"
                 " that needs no noise (mean, opposed)"
             ) from None
     mismatch = temperature_mismatch(log, sensors, calibration)
@@ -124,14 +124,14 @@ def prepare_inputs(
 
 
 def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
-    """Return the inputs of `prepare_inputs` with the columns of gyroscopes' responses that the calibration lacks and
-    the log determines, from other gyroscopes or from gravity, and sentences about them. It takes the whole log: frames
-    that are fused by what was known when they were read do without.
+    """Complete the inputs of `prepare_inputs` by columns of gyroscopes' responses that the calibration lacks and the
+    log determines, from other gyroscopes or from gravity, with remarks. This uses the whole log, so it does not apply
+    to causal fusion.
     """
     gyroscopes = [sensor for sensor in _inertial(log, inputs.only) if sensor.quantity == "angular_rate"]
     if not any(inputs.calibration.or_nominal(sensor).uncertain_axes() for sensor in gyroscopes):
         return inputs
-    from imuarray.calibrate.response_transfer import transfer_response  # its weight is for those who lack a column
+    from imuarray.calibrate.response_transfer import transfer_response  # slow to import
 
     transfer = transfer_response(log, inputs.calibration, inputs.only)
     remarks = [
@@ -140,21 +140,22 @@ def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
         for name, axes in transfer.axes.items()
     ]
     remarks += [
-        f"rates of {name} contradict its calibration and {listed(transfer.references)}; its response stays as"
-        " calibrated"
+        f"rates of {name} contradict its calibration and {listed(transfer.references)}; its calibrated response is used"
         for name in transfer.refused
     ]
     return replace(inputs, calibration=transfer.calibration, remarks=(*inputs.remarks, *remarks))
 
 
 def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
-    """The accelerometers and gyroscopes of a log; `only` these, if any are named."""
+    """Return the accelerometers and gyroscopes of a log, `only` these (empty: all)."""
     sensors = [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
     return [sensor for sensor in sensors if not only or sensor.name in only]
 
 
 def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str], calibration_file: str) -> None:
-    """FusionError if a calibration, named by its file, knows none of the inertial sensors of `log` (`only` these)."""
+    """Raise FusionError if a calibration, from the named file, contains none of the inertial sensors of `log` (`only`
+    these).
+    """
     fused = [sensor.name for sensor in _inertial(log, only)]
     if fused and not calibration.sensors.keys() & set(fused):
         raise FusionError(
@@ -166,7 +167,9 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
 def _in_start_states(
     log: Log, calibration: Calibration, only: Sequence[str], ranges: Mapping[str, Mapping[float, float]]
 ) -> tuple[Calibration, list[str], Sequence[str]]:
-    """The calibration with the biases of the states in which sensors started; sentences; the sensors to fuse."""
+    """Return the calibration with the biases of the states in which sensors started, sentences on these, and the
+    sensors to fuse.
+    """
     by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
     chosen, starts = start_up_states(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
@@ -177,27 +180,27 @@ def _in_start_states(
 
 
 BLOCK = 1 << 14
-"""Rows of each sensor that are read at once; the result does not depend on it."""
+"""Number of rows per sensor that are read at once; the result does not depend on it."""
 
 AVERAGE, OPTIMAL = "mean", "optimal"
 
 NEEDS_NOISE = frozenset({*techniques.NEEDS_NOISE, OPTIMAL})
-"""Techniques that must know how much each axis scatters (`calibrate noise`)."""
+"""Techniques that need the noise of every axis (`calibrate noise`)."""
 
 NAMES = (*TECHNIQUES, OPTIMAL)
-"""Every technique: those that take each quantity by itself, and the estimator of the whole array."""
+"""All techniques: those that fuse each quantity separately, and the estimator of the whole array."""
 
 _Sensor = TypeVar("_Sensor", SensorLog, SensorHeader)
 _Out = TypeVar("_Out")
 EventCallback = Callable[[FaultEvent], None]
 Progress = Callable[[float], None]
-"""Told from time to time what share of the work is done, 0 ... 1."""
+"""Called from time to time with the share of the work that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Watch:
     """Supervision of sensors: whether failed ones are excluded (None: by `optimal` only), the sensitivities of chips by
-    name, for one that fell back to another range, and the function that is told of it.
+    name, to identify a chip that returned to another range, and the function that is called with each fault event.
     """
 
     on: bool | None = None
@@ -205,7 +208,7 @@ class Watch:
     on_fault: EventCallback = lambda event: None
 
     def over(self, technique: str | PipelineFactory) -> bool:
-        """Return whether there is any watching."""
+        """Return whether sensors are supervised with this technique."""
         return technique == OPTIMAL if self.on is None else self.on
 
 
@@ -214,8 +217,8 @@ WATCH = Watch()
 
 @dataclass(frozen=True)
 class Patience:
-    """The time that frames wait for rows of a sensor; `tell` is given a sentence when a sensor is waited for no longer,
-    and when it is back.
+    """Time that frames wait for rows of a sensor; `tell` is called with a sentence when a sensor times out, and when
+    its rows arrive again.
     """
 
     timeout_s: float = TIMEOUT_S
@@ -225,7 +228,7 @@ class Patience:
 PATIENCE = Patience()
 
 _FIRST_PASS = 0.75
-"""Share of the time that the first of two passes takes: it looks for faults and filters."""
+"""Share of the time of the first of two passes, which detects faults and filters."""
 
 
 # The options are independent of one another, keyword-only and the interface of the package.
@@ -242,14 +245,14 @@ def fuse(  # noqa: PLR0913
     progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
-    """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
-    a pipeline for their axes; FusionError if they can't feed it.
+    """Fuse the inertial sensors of `log` (`only` these; empty: all) by `technique`, one of `NAMES` or a factory of a
+    pipeline for their axes; FusionError if the sensors are not sufficient for it.
 
-    Biases follow the temperature of the log where the calibration has slopes; covariances include what a calibration at
-    another temperature leaves unknown. `causal`: each frame is estimated from what was known when it was read, as by
-    `live`; otherwise `optimal` smooths: it estimates every frame from the whole log. `notes` is called after the last
-    block with what the technique has learnt about the sensors. `average` is called with blocks of the simple average of
-    the same frames, before they are smoothed; no technique but a smoothing `optimal` calls it.
+    Biases follow the temperature of the log if the calibration has slopes; covariances include the uncertainty of a
+    calibration at another temperature. `causal`: each frame is estimated from rows before it only, as by `live`;
+    otherwise `optimal` smooths, that is, estimates every frame from the whole log. `notes` is called after the last
+    block with the technique's estimates on the sensors. `average` is called with blocks of the simple average of the
+    same frames, by a smoothing `optimal` only.
 
     >>> from imuarray import load_calibration, open_log
     >>> with open_log("run.h5") as log:
@@ -259,7 +262,7 @@ def fuse(  # noqa: PLR0913
     """
     everything = list(log.sensors.values())
     chosen = _chosen(everything, only, str(log.path))
-    if not causal and technique != OPTIMAL:  # which follows the temperature itself
+    if not causal and technique != OPTIMAL:  # `optimal` follows the temperature itself
         inertial = [sensor for sensors in chosen.values() for sensor in sensors]
         calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
     array = _Array(chosen, calibration, technique, watch)
@@ -271,8 +274,8 @@ def fuse(  # noqa: PLR0913
     if array.is_optimal and not causal:
         yield from _smoothed(log, array, temperatures, _Callbacks(notes, average, progress), block)
         return
-    stream = FusionStream(array.groups, calibration, array.making(temperatures), temperatures, timeout_s=float("inf"))
-    yield from _replayed(log, stream, block, progress)
+    stream = FusionStream(array.groups, calibration, array.factory(temperatures), temperatures, timeout_s=float("inf"))
+    yield from _replay(log, stream, block, progress)
     notes(notes_of(stream.pipeline))
 
 
@@ -285,7 +288,7 @@ def fuse_together(
     progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[dict[str, FusedBlock]]:
-    """`fuse` by several techniques that take each quantity by itself (`TECHNIQUES`), whose frames are aligned once: the
+    """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`); frames are aligned once. Returns
     blocks by the name of the technique. FusionError.
     """
     array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
@@ -294,7 +297,7 @@ def fuse_together(
     stream = FusionStream(
         array.groups, calibration, lambda period_s: TechniqueSet(axes, names), temperatures, timeout_s=float("inf")
     )
-    return _replayed(log, stream, block, progress)
+    return _replay(log, stream, block, progress)
 
 
 def live(
@@ -306,16 +309,16 @@ def live(
     watch: Watch = WATCH,
     patience: Patience = PATIENCE,
 ) -> FusionStream[FusedBlock]:
-    """Return a pipeline that fuses rows of `sensors` as they arrive, with the same result as `fuse` with `causal`.
-    FusionError if the sensors can't feed the technique.
+    """Return a stream that fuses rows of `sensors` as they arrive, with the same result as `fuse` with `causal`.
+    FusionError if the sensors are not sufficient for the technique.
     """
-    sensors = sorted(sensors, key=lambda sensor: sensor.name)  # as a log has them
+    sensors = sorted(sensors, key=lambda sensor: sensor.name)  # the order in a log
     array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
-    making = array.making(temperatures)
-    making(1.0)  # what can't be fed is said before anything is read
+    factory = array.factory(temperatures)
+    factory(1.0)  # raises before anything is read
     return FusionStream(
-        array.groups, calibration, making, temperatures, timeout_s=patience.timeout_s, tell=patience.tell
+        array.groups, calibration, factory, temperatures, timeout_s=patience.timeout_s, tell=patience.tell
     )
 
 
@@ -330,11 +333,11 @@ def aligned(
     stream = FusionStream(
         array.groups, calibration, lambda period_s: FramePipeline(), temperatures, timeout_s=float("inf")
     )
-    return _replayed(log, stream, block)
+    return _replay(log, stream, block)
 
 
 class _Array(Generic[_Sensor]):
-    """Sensors by quantity, and what is to be done with them; FusionError for a technique that there isn't."""
+    """Sensors by quantity, with calibration and technique; FusionError for an unknown technique."""
 
     def __init__(
         self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | PipelineFactory, watch: Watch
@@ -354,32 +357,34 @@ class _Array(Generic[_Sensor]):
 
     @property
     def axes(self) -> dict[str, list[Axis]]:
-        """Return the axes by quantity."""
+        """Axes by quantity."""
         return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
 
     def model(self, temperatures: TemperatureSources) -> ErrorModel:
-        """The errors that the calibration leaves."""
+        """Return the model of the errors that remain after calibration."""
         return error_model(self.inertial, self.calibration, watched=temperatures.elements)
 
-    def making(self, temperatures: TemperatureSources) -> Callable[[float], Pipeline[FusedBlock]]:
-        """Return the function that makes the pipeline from the seconds between frames."""
+    def factory(self, temperatures: TemperatureSources) -> Callable[[float], Pipeline[FusedBlock]]:
+        """Return the function that creates the pipeline from the seconds between frames."""
         axes, technique = self.axes, self.technique
         if technique == OPTIMAL:
             model = self.model(temperatures)
-            return lambda period_s: self.watched(CausalPipeline(axes, model, period_s), axes, period_s)
+            return lambda period_s: self.supervised(CausalPipeline(axes, model, period_s), axes, period_s)
         if isinstance(technique, str):
-            return lambda period_s: self.watched(QuantityPipeline(axes, technique), axes, period_s)
-        return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
+            return lambda period_s: self.supervised(QuantityPipeline(axes, technique), axes, period_s)
+        return lambda period_s: self.supervised(technique(axes, period_s), axes, period_s)
 
-    def watched(self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float) -> Pipeline[_Out]:
-        """The pipeline behind fault monitors, if there is to be any watching."""
+    def supervised(
+        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float
+    ) -> Pipeline[_Out]:
+        """Return the pipeline with fault monitors before it, if sensors are supervised."""
         if not self.watch.over(self.technique):
             return pipeline
         return MonitoredPipeline(pipeline, axes, period_s, self.watch.ranges, self.watch.on_fault)
 
 
 class _Callbacks(NamedTuple):
-    """The functions that `fuse` calls besides giving blocks."""
+    """The callbacks of `fuse`."""
 
     notes: Callable[[FusionNotes], None]
     average: Callable[[FusedBlock], None] | None
@@ -389,35 +394,35 @@ class _Callbacks(NamedTuple):
 def _smoothed(
     log: Log, array: _Array[SensorLog], temperatures: TemperatureSources, callbacks: _Callbacks, block: int
 ) -> Iterator[FusedBlock]:
-    """Every frame by what the whole log tells. Rows are aligned once, and their frames are gone through twice."""
+    """Estimate every frame from the whole log. Rows are aligned once, and their frames are processed twice."""
     axes, model = array.axes, array.model(temperatures)
     period_s = _period_s(array)
-    watched: list[Pipeline[FrameBlock]] = []
+    supervised: list[Pipeline[FrameBlock]] = []
     average = None if callbacks.average is None else _Average(axes, callbacks.average)
 
-    def making(period_s: float) -> Pipeline[FrameBlock]:
-        watched.append(array.watched(FramePipeline(), axes, period_s))
-        return _SpooledPipeline(watched[0], spool, average)
+    def factory(period_s: float) -> Pipeline[FrameBlock]:
+        supervised.append(array.supervised(FramePipeline(), axes, period_s))
+        return _SpooledPipeline(supervised[0], spool, average)
 
     def first_pass() -> Iterator[FrameBlock]:
-        stream = FusionStream(array.groups, array.calibration, making, temperatures, timeout_s=float("inf"))
-        yield from _replayed(log, stream, block, lambda done: callbacks.progress(_FIRST_PASS * done))
+        stream = FusionStream(array.groups, array.calibration, factory, temperatures, timeout_s=float("inf"))
+        yield from _replay(log, stream, block, lambda done: callbacks.progress(_FIRST_PASS * done))
 
     def second_pass() -> Iterator[FrameBlock]:
-        first = watched[0]  # what failed is looked for, and told, once
+        first = supervised[0]  # faults are detected and reported once
         inner: Pipeline[FrameBlock] = FramePipeline()
         again = MaskedPipeline(inner, first.left_out) if isinstance(first, MonitoredPipeline) else inner
-        done = 0
+        done = 0  # frames
         for frames, degc in spool.blocks():
             done += len(next(iter(frames.values())).time)
             callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * done / spool.frames)
             yield from again(frames, degc)
         yield from again.finish()
 
-    def with_remarks(learnt: FusionNotes) -> None:
-        first = watched[0]
+    def with_remarks(notes: FusionNotes) -> None:
+        first = supervised[0]
         remarks = first.remarks() if isinstance(first, MonitoredPipeline) else []
-        callbacks.notes(replace(learnt, remarks=(*learnt.remarks, *remarks)))
+        callbacks.notes(replace(notes, remarks=(*notes.remarks, *remarks)))
 
     with closing(FrameSpool()) as spool:
         passes = iter((first_pass, second_pass))
@@ -425,18 +430,18 @@ def _smoothed(
 
 
 class _Average:
-    """Gives the simple average of frames to `heard`."""
+    """Calls `observe` with blocks of the simple average of frames."""
 
-    def __init__(self, axes: Mapping[str, Sequence[Axis]], heard: Callable[[FusedBlock], None]) -> None:
-        self._pipeline, self._heard = QuantityPipeline(axes, AVERAGE), heard
+    def __init__(self, axes: Mapping[str, Sequence[Axis]], observe: Callable[[FusedBlock], None]) -> None:
+        self._pipeline, self._observe = QuantityPipeline(axes, AVERAGE), observe
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
         for block in self._pipeline(frames, degc):
-            self._heard(block)
+            self._observe(block)
 
 
 class _SpooledPipeline:
-    """A pipeline whose input is kept on a spool, and is averaged too. A `Pipeline`."""
+    """A `Pipeline` that stores its input on a spool, and averages it if required."""
 
     def __init__(self, inner: Pipeline[FrameBlock], spool: FrameSpool, average: _Average | None) -> None:
         self._inner, self._spool, self._average = inner, spool, average
@@ -454,28 +459,30 @@ class _SpooledPipeline:
 
 
 def _period_s(array: _Array[SensorLog]) -> float:
-    """Return the time from frame to frame, as a stream will choose it."""
+    """Return the time from frame to frame that a stream will choose."""
     first = [np.asarray(sensor.time[:FIRST_ROWS]) for sensor in array.inertial]
     numbers = iter(range(len(first)))
     groups = [[next(numbers) for _ in sensors] for sensors in array.groups.values()]
-    return choose(first, groups, [sensor.where for sensor in array.inertial]).period_ns * 1e-9
+    return choose_grid(first, groups, [sensor.where for sensor in array.inertial]).period_ns * 1e-9
 
 
 def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
-    """The inertial sensors that are to be fused, by quantity; FusionError if there are none."""
+    """Return the inertial sensors to fuse, by quantity; FusionError if there are none."""
     chosen: dict[str, list[_Sensor]] = {
         quantity: [s for s in sensors if s.quantity == quantity and (not only or s.name in only)]
         for quantity in INERTIAL
     }
     if not any(chosen.values()):
-        raise FusionError(f"{where}: no inertial sensor {f'among {sorted(only)}' if only else 'in it'}")
+        raise FusionError(f"{where}: no inertial sensor{f' among {sorted(only)}' if only else ''}")
     return {quantity: group for quantity, group in chosen.items() if group}
 
 
-def _replayed(
+def _replay(
     log: Log, stream: FusionStream[_Out], block: int, progress: Progress = lambda share: None
 ) -> Iterator[_Out]:
-    """The rows of all sensors in the order of their times, more or less: none is read far ahead of the others."""
+    """Push the rows of all sensors to the stream, about in order of time, so that none is far ahead of the others, and
+    yield its output.
+    """
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
@@ -495,11 +502,11 @@ def _replayed(
     yield from stream.finish()
 
 
-def _read(sensor: SensorLog, rows: slice, warm: bool) -> Block:
-    """Some rows of a log; what its thermometers say only if it is required (`warm`)."""
+def _read(sensor: SensorLog, rows: slice, with_temperature: bool) -> Block:
+    """Read some rows of a sensor, with the temperature if required."""
     time, counts = np.asarray(sensor.time[rows]), np.asarray(sensor.counts[rows])
     status, degrees = np.asarray(sensor.status[rows]), sensor.temperature_counts
-    if not warm:
+    if not with_temperature:
         return Block(time, counts, status)
     if sensor.quantity == "pressure":
         return Block(time, counts, status, None, {"temperature": np.asarray(sensor.compensated("temperature")[rows])})

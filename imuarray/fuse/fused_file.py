@@ -1,7 +1,7 @@
 """A fused result as a file: its format, writing, and reading with every part checked.
 
 HDF5, format "imuarray-fused", with the names of a log's `/truth`; a reader ignores other columns. Texts have fixed
-lengths: others can't be read while a file is written (SWMR).
+lengths, because other texts can't be read while a file is written (SWMR).
 
 ::
 
@@ -9,11 +9,11 @@ lengths: others can't be read while a file is written (SWMR).
     /fused  time (n,) int64 ns since epoch
             specific_force (n, 3) m/s2, angular_rate (n, 3) rad/s, box frame; NaN: not enough axes
             specific_force_covariance (n, 6) (m/s2)^2, ...: xx yy zz xy xz yz (attr columns); NaN: a noise is not known
-            specific_force_used (n, s) uint8, ...: which axes of each sensor (attr sensors) went into it: 1 x, 2 y, 4 z
+            specific_force_used (n, s) uint8, ...: axes of each sensor (attr sensors) that contribute: 1 x, 2 y, 4 z
             axis, entry, specific_force_sensor, ...: labels of the second dimensions (HDF5 dimension scales, as `time`
             is), so that xarray (engine h5netcdf) opens the group with named dimensions and time as a coordinate
-    /events time (m,) int64 ns since epoch, and text (m,): sensor, kind, state, message: which sensors failed, were left
-            out and came back (`imuarray.fuse.FaultEvent`); empty where nobody watched, not there in older files
+    /events time (m,) int64 ns since epoch, and text (m,): sensor, kind, state, message: sensors that failed, were
+            excluded and readmitted (`imuarray.fuse.FaultEvent`); empty without supervision, absent in older files
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from imuarray.printable import printable
 from imuarray.units import INERTIAL
 
 MOST_SENSORS = 1024
-"""Number of sensors whose use a file can record."""
+"""Largest number of sensors whose use a file can record."""
 
 
 _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
@@ -56,8 +56,8 @@ _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
 
 @dataclass(frozen=True)
 class FusedHead:
-    """Description of a fused file: `log` and `calibration` are the paths it was made from, `sensors` names, per
-    quantity, those whose use it tells.
+    """Description of a fused file: `log` and `calibration` are the paths of the inputs, `sensors` the names, per
+    quantity, of the sensors whose use it records.
     """
 
     technique: str
@@ -76,22 +76,22 @@ def is_fused(path: Path) -> bool:
 
 
 def read_fused_head(path: str | PathLike[str]) -> FusedHead:
-    """The head of a file that `write_fused` wrote; LogError for another one, or one built to do harm."""
-    with fused_columns(path) as (said, columns):
+    """Return the head of a file that `write_fused` wrote; LogError for another or a hostile file."""
+    with fused_columns(path) as (head, columns):
         sensors = {
             name.removesuffix(USED): texts_of(column.attrs, "sensors")
             for name, column in columns.items()
             if name.endswith(USED)
         }
         technique, log, calibration, epoch = (
-            said.get(name, "") for name in ("technique", "log", "calibration", "epoch")
+            head.get(name, "") for name in ("technique", "log", "calibration", "epoch")
         )
         return FusedHead(technique, log, calibration, epoch, rows_of(columns), sensors)
 
 
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
-    """The blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for one that is damaged or
-    built to do harm.
+    """Yield the blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for a damaged or hostile
+    file.
     """
     with fused_columns(path) as (_, columns):
         frames = rows_of(columns)
@@ -106,50 +106,50 @@ def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[Fuse
 
 
 def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
-    """Return the fault events in the order of detection; none if the file has no such table. LogError."""
+    """Return the fault events in order of detection; empty if the file has no such table. LogError."""
     with fused_columns(path) as (_, columns):
         return events_in(columns["time"].file, str(path))
 
 
 @contextmanager
 def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], dict[str, NamedColumn]]]:
-    """The texts of a fused file's head, and its columns by name, `time` first: of the types and shapes that the format
-    says. LogError for another file, or one that is damaged or built to do harm.
+    """Open a fused file: the texts of its head, and its columns by name, `time` first, with the types and shapes of the
+    format. LogError for another, damaged or hostile file.
     """
     with _opened(Path(path)) as file:
         try:
             with h5py.File(UnclosedFile(Path(path)), "r") as inspected:
                 refuse_hostile(file, inspected, str(path))
-            said = {name: _text(value) for name, value in file.attrs.items() if isinstance(value, str | bytes)}
+            head = {name: _text(value) for name, value in file.attrs.items() if isinstance(value, str | bytes)}
             version = file.attrs.get("format_version")
             group = file.get("fused")
-            if said.get("format") != FORMAT or not isinstance(group, h5py.Group) or "time" not in group:
+            if head.get("format") != FORMAT or not isinstance(group, h5py.Group) or "time" not in group:
                 raise LogError(f"{path}: not a fused result")
             if version != FORMAT_VERSION:
                 raise LogError(f"{path}: format_version is {version!s:.20}; this software reads {FORMAT_VERSION}")
             columns = _checked(group, str(path))
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {printable(' '.join(str(error).split()))}") from None
-        yield said, columns
+        yield head, columns
 
 
 def _opened(path: Path) -> h5py.File:
-    """The file, be it that it is being written, or that its writing was cut short; LogError."""
+    """Open the file, also while it is being written or after an interrupted write; LogError."""
     if not path.is_file() or not is_marked_open(path):
         return open_file(path)
     try:
         return h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except OSError:
-        raise LogError(f"{path}: was never closed, and is damaged") from None
+        raise LogError(f"{path}: was not closed and is damaged") from None
 
 
 def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
-    """The columns of a fused file, each as the format says; LogError."""
-    wanted: dict[str, tuple[str, int]] = {"time": ("i", 0)}
+    """Return the columns of a fused file, checked against the format; LogError."""
+    formats: dict[str, tuple[str, int]] = {"time": ("i", 0)}
     for quantity in INERTIAL:
-        wanted |= {quantity: ("f", 3), quantity + COVARIANCE: ("f", len(ENTRIES)), quantity + USED: ("u", -1)}
+        formats |= {quantity: ("f", 3), quantity + COVARIANCE: ("f", len(ENTRIES)), quantity + USED: ("u", -1)}
     results: dict[str, NamedColumn] = {}
-    for name, (kind, width) in wanted.items():
+    for name, (kind, width) in formats.items():
         if name not in group:
             continue
         column = group[name]
@@ -159,37 +159,37 @@ def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
         shape = column.shape or ()
         tail = (shape[1:] if width < 0 else (width,)) if width else ()
         if len(shape) != (2 if width else 1) or shape[1:] != tail or max(tail, default=0) > MOST_SENSORS:
-            raise LogError(f"{place}: its shape is {shape}; required is {_wanted(width)}")
+            raise LogError(f"{place}: its shape is {shape}; required is {_shape_text(width)}")
         results[name] = NamedColumn(column, place)
     return results
 
 
 def rows_of(columns: Mapping[str, NamedColumn]) -> int:
-    """The frames of which every column tells: a writing that was cut short leaves some of them longer than others."""
+    """Return the number of frames in every column: after an interrupted write some columns are longer than others."""
     return min(map(len, columns.values()))
 
 
-def _wanted(width: int) -> str:
-    """A shape in words."""
+def _shape_text(width: int) -> str:
+    """Describe the shape of a column in words."""
     if width == 0:
         return "(n,)"
     return f"(n, {width})" if width > 0 else f"(n, sensors), at most {MOST_SENSORS} of these"
 
 
 def _finite(triads: Floats, name: str, path: str | PathLike[str]) -> Floats:
-    """Rows in which nothing is infinite; LogError."""
+    """Return the rows; LogError if a value is infinite."""
     if np.isinf(triads).any():
         raise LogError(f"{path}: fused/{name}: infinite values; unknown values must be NaN")
     return triads
 
 
 def _parts(columns: Mapping[str, NamedColumn], suffix: str, rows: slice) -> dict[str, npt.NDArray[Any]]:
-    """Rows of the columns with a suffix, by quantity."""
+    """Read rows of the columns with a suffix, by quantity."""
     return {name.removesuffix(suffix): column[rows] for name, column in columns.items() if name.endswith(suffix)}
 
 
 def texts_of(attributes: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    """An attribute that is a list of texts; empty for any other, and where there is none."""
+    """Return an attribute that is a list of texts; empty for any other, or without one."""
     value = attributes.get(name)
     listed = value.tolist() if isinstance(value, np.ndarray) and value.ndim == 1 else []
     return tuple(map(_text, listed)) if all(isinstance(item, str | bytes) for item in listed) else ()
@@ -200,14 +200,14 @@ def _text(value: str | bytes) -> str:
 
 
 _TEXTS = {"sensor": 256, "kind": 32, "state": 32, "message": 1024}
-"""The columns of text, and how many bytes of each are kept."""
+"""The columns of text, and the number of bytes that are stored."""
 
 _CHUNK = 16
 
 
 class FusedEvent(NamedTuple):
-    """One thing that became of a sensor: `kind` of fault and `state` ("isolated", "readmitted", ...) as `FaultEvent`
-    has them, `message` the same for a person.
+    """One event of a sensor: `kind` of fault and `state` ("isolated", "readmitted", ...) as in `FaultEvent`, and the
+    `message` for the user.
     """
 
     time_ns: int
@@ -218,7 +218,7 @@ class FusedEvent(NamedTuple):
 
 
 class StoredEvents:
-    """The events of an open file, empty at first."""
+    """The table of events of an open file, empty at first."""
 
     def __init__(self, file: h5py.File, epoch: str) -> None:
         self._group = file.create_group("events")
@@ -229,7 +229,7 @@ class StoredEvents:
             self._group.create_dataset(name, (0,), text, maxshape=(None,), chunks=(_CHUNK,))
 
     def append(self, event: FaultEvent) -> None:
-        """One more. OSError."""
+        """Append an event. OSError."""
         texts = (event.sensor, event.kind, event.state, event.sentence)
         kept = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
         for name, value in zip(("time", *_TEXTS), (event.time_ns, *kept), strict=True):
@@ -240,48 +240,48 @@ class StoredEvents:
 
 
 def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
-    """The events of a file, as far as every column has them: a writing that was cut short leaves some longer than
-    others. LogError where they can't be read.
+    """Return the events of a file that every column contains: after an interrupted write some columns are longer than
+    others. LogError if they can't be read.
     """
     group = file.get("events")
     if group is None:
         return ()
     try:
         rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
-        return tuple(FusedEvent(int(time), *(_direct(text) for text in texts)) for time, *texts in rows)
+        return tuple(FusedEvent(int(time), *(_decoded(text) for text in texts)) for time, *texts in rows)
     except DAMAGE:
         raise LogError(f"{where}: its events can't be read") from None
 
 
 def _column(column: h5py.Dataset) -> list[Any]:
-    """All of a column; ValueError for more than anybody has of events, before it is read."""
+    """Read a whole column; ValueError, before reading, for an implausible size."""
     if column.ndim != 1 or column.nbytes > MAX_TEXT_BYTES:
         raise ValueError("no column of events")
     return read_texts(column)
 
 
 def _shortened(text: str, length: int) -> bytes:
-    """The first bytes of a text, no character cut through."""
+    """Return the first bytes of a text, without a partial character."""
     return text.encode()[:length].decode(errors="ignore").encode()
 
 
-def _direct(text: object) -> str:
+def _decoded(text: object) -> str:
     return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
 _SLACK_BYTES = 1 << 18
-"""The bytes that HDF5 buffers or adds: a chunk of each column, and the index of the chunks."""
+"""Bytes that HDF5 buffers or adds: a chunk of each column, and the index of the chunks."""
 
 _COMPRESSED: Mapping[str, Any] = MappingProxyType({"compression": "gzip", "compression_opts": 1, "shuffle": True})
-"""How columns are stored, except triads: half of the bits of these are noise, and compressing them takes a fifth of
-the time of a fusion for a fifth of the space.
+"""Storage of columns except triads: half of the bits of these are noise, and their compression would take a fifth of
+the time of a fusion to save a fifth of the space.
 """
 
 _AT_ONCE = 1 << 14
-"""Frames that are written at once, four chunks: a chunk that is written in parts is packed as often."""
+"""Number of frames that are written at once, four chunks: a chunk that is written in parts is compressed repeatedly."""
 
 _NO_CACHE = 0
-"""Bytes of HDF5's cache of chunks: whole chunks are written once, and caching them would take 60 MB on a long log."""
+"""Bytes of HDF5's chunk cache: whole chunks are written once, and caching them would take 60 MB for a long log."""
 
 UNITS: Mapping[str, str] = MappingProxyType(
     {
@@ -312,7 +312,7 @@ COVARIANCE, USED = "_covariance", "_used"
 
 class FusedOrigin(TypedDict):
     """Origin of a fused result: the `epoch` of its times, the `technique`, the paths of `log` and `calibration` ("" or
-    left out: data-sheet values).
+    missing: data-sheet values).
     """
 
     epoch: str
@@ -331,9 +331,10 @@ def write_fused(
     progress: Callable[[int], None] = lambda frames: None,
     **origin: Unpack[FusedOrigin],
 ) -> int:
-    """Write blocks as they come, under a temporary name until all are there; the number of frames. `sensors` names, per
-    quantity, those whose use a block tells; `events` are read after the last block, so that they may be what `Watch`
-    finds in the meantime. OutputExistsError, OutputError.
+    """Write blocks as they arrive, under a temporary name until the last one, and return the number of frames.
+
+    `sensors` are the names, per quantity, of the sensors whose use a block records; `events` are read after the last
+    block, so that `Watch.on_fault` may fill them meanwhile. OutputExistsError, OutputError.
     """
     with whole_file(path, force=force) as draft, h5py.File(draft, "w", rdcc_nbytes=_NO_CACHE) as file:
         fused = _FusedColumns(file, draft, origin, sensors)
@@ -347,7 +348,7 @@ def write_fused(
 
 
 def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
-    """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` is called with their number so far."""
+    """Yield the frames in blocks of `_AT_ONCE`, except the last; `progress` is called with their number so far."""
     waiting: list[FusedBlock] = []
     count = total = 0
     for block in blocks:
@@ -365,8 +366,8 @@ def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) ->
 
 
 class LiveFused:
-    """A fused result under its own name from its first frames on, to be read (SWMR) while it is written; not
-    compressed, which would take the interpreter from a recording for milliseconds. A context manager.
+    """A fused result that can be read (SWMR) under its own name while it is written; not compressed, because that would
+    block the interpreter for milliseconds during a recording. A context manager.
     """
 
     def __init__(
@@ -396,11 +397,11 @@ class LiveFused:
             self._file.swmr_mode = True
 
     def event(self, event: FaultEvent) -> None:
-        """Write what became of a sensor. OSError."""
+        """Write an event of a sensor. OSError."""
         self._fused.events.append(event)
 
     def close(self) -> None:
-        """Complete the file; one without frames goes."""
+        """Complete the file; a file without frames is deleted."""
         self._file.close()
         if self.frames == 0:
             self._path.unlink(missing_ok=True)
@@ -412,25 +413,25 @@ class LiveFused:
         self.close()
 
 
-def _ask_for_room(path: Path, block: FusedBlock) -> None:
-    """OSError where there is no room for a block, before HDF5 runs into it: that it does not survive."""
-    wanted = _SLACK_BYTES + sum(rows.nbytes for rows in _columns(block).values())
+def _require_disk_space(path: Path, block: FusedBlock) -> None:
+    """Raise OSError if the disk has no space for a block; HDF5 does not recover from a failed write."""
+    required = _SLACK_BYTES + sum(rows.nbytes for rows in _columns(block).values())
     limit = longest_file()
-    if limit is not None and path.stat().st_size + wanted > limit:
+    if limit is not None and path.stat().st_size + required > limit:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
-    if free_bytes(path) < wanted:
+    if free_bytes(path) < required:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _columns(block: FusedBlock) -> dict[str, npt.NDArray[Any]]:
-    """The columns of a block by name."""
+    """Return the columns of a block by name."""
     covariances = {name + COVARIANCE: rows.astype(np.float32) for name, rows in block.covariances.items()}
     used = {name + USED: np.asarray(rows) for name, rows in block.used.items()}
     return {"time": block.time, **block.triads, **covariances, **used}
 
 
 class _FusedColumns:
-    """An HDF5 file that a result goes into; its columns are made by the first block."""
+    """An HDF5 file for a result; the first block determines its columns."""
 
     def __init__(
         self,
@@ -446,7 +447,7 @@ class _FusedColumns:
             **{"calibration": "", **origin},
             software=f"imuarray {__version__}",
         )
-        file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
+        file.attrs.update(NX_class="NXroot", default="fused")  # for viewers of NeXus files
         self._file, self._path, self._sensors = file, path, sensors
         self._group = file.create_group("fused")
         self.events = StoredEvents(file, origin["epoch"])
@@ -456,14 +457,14 @@ class _FusedColumns:
 
     def append(self, block: FusedBlock) -> None:
         """Append more rows of every column. OSError."""
-        _ask_for_room(self._path, block)
+        _require_disk_space(self._path, block)
         columns = _columns(block)
         if not len(self._group):
             signal, *others = block.triads
             self._group.attrs.update(NX_class="NXdata", axes=["time", "."], signal=signal)
             if others:
                 self._group.attrs["auxiliary_signals"] = others
-        for name in [name for name in columns if name not in self._group]:  # time comes first: a dimension of the rest
+        for name in [name for name in columns if name not in self._group]:  # time first: it is a dimension of the rest
             self._create(name, columns[name])
         for name, rows in columns.items():
             dataset = self._datasets.setdefault(name, self._group[name])
@@ -501,7 +502,7 @@ class _FusedColumns:
         column.dims[1].attach_scale(self._scale(dimension, labels))
 
     def _scale(self, name: str, labels: Sequence[str]) -> h5py.Dataset:
-        """The labels of a dimension, as a scale that netCDF readers name the dimension by."""
+        """Return the labels of a dimension as a dimension scale, from which netCDF readers take its name."""
         if name not in self._group:
             longest = max(1, *(len(label.encode()) for label in labels))
             kind = h5py.string_dtype("utf-8", longest if self._live else None)

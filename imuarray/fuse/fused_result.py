@@ -1,5 +1,5 @@
-"""A fused log in memory: one specific force and one angular rate a frame with their covariances, what became of
-sensors, and how good it is where the truth is known.
+"""A fused log in memory: one specific force and one angular rate per frame with their covariances, events of sensors,
+and errors if the truth is known.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 class FusedResult:
     """The fused `frames` of a log by `technique`, with the `epoch` of their times.
 
-    `sensors` names, per quantity, those that were fused; `events` say which failed and came back; `remarks` are
-    sentences on the sensors and the calibration, `notes` what the technique has learnt of them. `errors`, per quantity,
-    against the log's truth or reference; empty where it has none. `log` and `calibration` are the paths it was made
-    from ("": data-sheet values).
+    `sensors` are the names of the fused sensors, per quantity; `events` are failures and recoveries; `remarks` are
+    sentences on the sensors and the calibration, `notes` the estimates of the technique on the sensors. `errors`, per
+    quantity, are with respect to the log's truth or reference; empty without one. `log` and `calibration` are the paths
+    of the inputs ("": data-sheet values).
     """
 
     frames: FusedBlock
@@ -50,26 +50,28 @@ class FusedResult:
 
     @property
     def time(self) -> Times:
-        """(n,) ns since the epoch."""
+        """Time (n,) of the frames in ns since the epoch."""
         return self.frames.time
 
     @property
     def specific_force(self) -> Floats:
-        """(n, 3) m/s2 in the box frame, NaN where too few axes were valid; FusionError if none was fused."""
+        """Specific force (n, 3), m/s2, box frame; NaN where too few axes were valid. FusionError if none was fused."""
         return self._triad("specific_force")
 
     @property
     def angular_rate(self) -> Floats:
-        """(n, 3) rad/s in the box frame, NaN where too few axes were valid; FusionError if none was fused."""
+        """Angular rate (n, 3), rad/s, box frame; NaN where too few axes were valid. FusionError if none was fused."""
         return self._triad("angular_rate")
 
     def standard_error(self, quantity: str) -> Floats:
-        """(n, 3) the estimate's own standard error along the box axes, SI; NaN where it is not known."""
+        """Return the standard error (n, 3) of the estimate along the box axes in SI; NaN if not known."""
         covariance = self.frames.covariances.get(quantity)
         return np.full_like(self._triad(quantity), np.nan) if covariance is None else np.sqrt(covariance[:, :3])
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> int:
-        """Write a fused file, as `imuarray fuse -o` does; the number of frames. OutputExistsError, OutputError."""
+        """Write a fused file, as `imuarray fuse -o` does, and return the number of frames. OutputExistsError,
+        OutputError.
+        """
         return write_fused(
             path,
             [self.frames],
@@ -83,7 +85,9 @@ class FusedResult:
         )
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` over time: triads, covariances and the sensors used; MissingExtraError without xarray."""
+        """Return an `xarray.Dataset` over time: triads, covariances and the sensors used; MissingExtraError without
+        xarray.
+        """
         variables: dict[str, Any] = {}
         for quantity, triad in self.frames.triads.items():
             variables[quantity] = ("time", BOX_AXIS), triad, {"units": UNITS[quantity]}
@@ -100,13 +104,11 @@ class FusedResult:
         return labelled.assign_coords(known)
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame` indexed by time, a column for each number; MissingExtraError without pandas."""
+        """Return a `pandas.DataFrame` indexed by time, one column per number; MissingExtraError without pandas."""
         return table(self.to_xarray())
 
     def plot(self) -> Figure:
-        """Both quantities over time in the box frame, and their errors where the truth is known; MissingExtraError
-        without matplotlib.
-        """
+        """Plot both quantities over time in the box frame; MissingExtraError without matplotlib."""
         time_s, panels = self.time * 1e-9, {}
         for quantity, triad in self.frames.triads.items():
             factor, unit = READABLE_SI[quantity]
@@ -115,7 +117,7 @@ class FusedResult:
 
     def _triad(self, quantity: str) -> Floats:
         if quantity not in self.frames.triads:
-            raise FusionError(f"no {quantity} was fused; there is {', '.join(self.frames.triads) or 'nothing'}")
+            raise FusionError(f"no {quantity} was fused; the result has {', '.join(self.frames.triads) or 'nothing'}")
         return self.frames.triads[quantity]
 
     def __repr__(self) -> str:
@@ -123,7 +125,7 @@ class FusedResult:
         return f"<FusedResult by {self.technique}: {len(self.time)} frames, {used}>"
 
     def _repr_html_(self) -> str:
-        """Mean, standard error and (where the truth is known) rms error by axis, for notebooks."""
+        """Return a table of mean, standard error and (if the truth is known) rms error by axis, for notebooks."""
         from imuarray.html_table import html_table, number
 
         rows = []
@@ -137,5 +139,5 @@ class FusedResult:
             for axis in range(3):
                 cells = (number(factor * values[axis]) for values in (mean, sem, rms))
                 rows.append((f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, *cells))
-        heading = ("box axis", "unit", "mean", "own standard error, rms", "rms error against the truth")
+        heading = ("box axis", "unit", "mean", "estimated standard error, rms", "rms error")
         return html_table(f"{len(self.time)} frames fused by {self.technique}", heading, rows)

@@ -1,13 +1,13 @@
 """Weighted least squares of axis values, frame by frame, and a robust mean of the sensors (`consensus`).
 
-The model is ``values = directions @ truth_box + errors``. Errors are noise and what a calibration leaves unknown:
+The model is ``values = directions @ truth_box + errors``. Errors are noise and the remaining errors of a calibration:
 biases, and errors of the responses times the stimulus.
 
-The robust mean is the value on which the sensors agree before any of them has been tested for faults; a sensor that is
-far from the others has little influence on it. Where all readings of a frame are near the values that their mean
+The robust mean is the value on which the sensors agree before any of them has been tested for faults; a sensor that
+differs much from the others has little influence on it. If all readings of a frame are near the values that their mean
 predicts, it is that mean. Otherwise each sensor's difference from the median of the triads is limited, on its worst
-axis, to `TOLERATED_SI` plus a multiple of the median of all differences (in a fast motion sensors that are read one
-after the other differ in proportion to the time between their readings), and the mean is that of the limited readings:
+axis, to `TOLERATED_SI` plus a multiple of the median of all differences (in a fast motion, sensors that are read in
+sequence differ in proportion to the time between their readings), and the mean is that of the limited readings:
 Huber's estimator of location, one step from the median (P. J. Huber, Annals of Mathematical Statistics 35, 1964). A
 distant reading is limited and not discarded, so that the result does not jump when a reading passes the limit.
 """
@@ -27,14 +27,14 @@ from imuarray.fuse.frames import Axis, Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 19
-"""Size of a block of counts: it stays in the cache."""
+"""Size of a block of counts that fits the processor's cache."""
 
 
 class ConstantGain:
-    """Triads straight from counts: ``gain @ (counts - bias)``, the bias taken off the triad and not off every count.
+    """Triads from counts: ``gain @ (counts - bias)``, with the bias subtracted from the triad and not from every count.
 
-    `gain` (3, m) in SI per count, `bias` (m,) in counts. `precision` is that of the arithmetic: float32 errs by some
-    1e-7 of the largest term, far below the noise of any sensor.
+    `gain` (3, m) in SI per count, `bias` (m,) in counts. `precision` is that of the arithmetic: the error of float32 is
+    about 1e-7 of the largest term, far below the noise of any sensor.
     """
 
     def __init__(self, gain: Floats, bias: Floats, precision: type[np.float32] | type[np.float64] = np.float64) -> None:
@@ -44,8 +44,8 @@ class ConstantGain:
         self._triads = np.empty((3, rows), precision)
 
     def __call__(self, counts: Sequence[npt.NDArray[Any]]) -> Floats:
-        """(n, 3) from counts (n, k), the columns of several arrays side by side making m."""
-        triads = np.empty((3, len(counts[0])))  # axis by axis: BLAS takes a third longer for rows of three
+        """Return triads (n, 3) from arrays of counts (n, k) with m columns in total."""
+        triads = np.empty((3, len(counts[0])))  # one row per axis: BLAS takes a third longer for rows of three
         for start in range(0, triads.shape[1], len(self._counts)):
             rows = slice(start, min(start + len(self._counts), triads.shape[1]))
             buffer, column = self._counts[: rows.stop - start], 0
@@ -58,11 +58,11 @@ class ConstantGain:
 
 
 class SlowErrors:
-    """Errors that the calibrations of axes leave, and what gains make of them."""
+    """Remaining errors of calibrated axes, and the covariance of triads that they cause."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         m = len(axes)
-        terms = np.zeros((4, 4, m, m))  # what goes with (1, X, Y, Z) of the stimulus
+        terms = np.zeros((4, 4, m, m))  # factors of the products of (1, X, Y, Z) of the stimulus
         for i, axis in enumerate(axes):
             for j, other in enumerate(axes):
                 if axis.errors is not None and axis.sensor == other.sensor:
@@ -73,18 +73,20 @@ class SlowErrors:
         """True if the covariance of any slow error is known."""
 
     def covariance(self, gains: Floats, triads: Floats) -> Floats:
-        """(n, 6) (`frames.ENTRIES`) of triads (n, 3) that were made with `gains` (n, 3, m), or (1, 3, m) for all."""
+        """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) computed with `gains` (n, 3, m), or (1, 3, m)
+        for all.
+        """
         ones = np.concatenate([np.ones((1, len(triads))), triads.T])
         pairs = (ones[:, None] * ones).reshape(16, len(triads))
         if len(gains) == 1:
             return np.asarray(entries(gains[0] @ self._terms @ gains[0].T).T @ pairs).T
-        unsure = (pairs.T @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
-        return entries(gains @ unsure @ np.swapaxes(gains, 1, 2))
+        errors = (pairs.T @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
+        return entries(gains @ errors @ np.swapaxes(gains, 1, 2))
 
 
 def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats, slow: SlowErrors | None = None) -> Estimate:
-    """The weighted least squares of each frame, its covariance by the `noise` (m,) and the `slow` errors of the axes,
-    and the axes in use.
+    """Solve weighted least squares for each frame; the covariance includes the `noise` (m,) and the `slow` errors of
+    the axes.
     """
     used = weights > 0
     triad, gains, solvable = _solved(values, weights, rows)
@@ -95,13 +97,13 @@ def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats, slow:
 
 
 def whole_gain(weights: Floats, rows: Floats) -> Floats:
-    """(3, m) the gain of weighted least squares with one set of weights (m,); NaN where the axes do not span space."""
+    """Return the gain (3, m) of weighted least squares with weights (m,); NaN if the axes do not span space."""
     gain, solvable = frame_gains(weights[None], rows)
     return gain[0] if solvable[0] else np.full((3, len(weights)), np.nan)
 
 
 def _covariances(gains: Floats, solvable: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_], noise: Floats) -> Floats:
-    """(n, 6) what the noise of the axes in use makes of the triads."""
+    """Return the covariances (n, 6) of triads by the noise of the axes in use."""
     scatter = np.where(used[:, None, :], gains * noise, 0.0)
     covariance = entries(np.einsum("nim,njm->nij", scatter, scatter))
     covariance[~solvable] = np.nan
@@ -109,14 +111,16 @@ def _covariances(gains: Floats, solvable: npt.NDArray[np.bool_], used: npt.NDArr
 
 
 def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
-    """Weighted least squares of ``values = rows @ truth_box`` for each frame: (n, 3), NaN where the axes do not span
-    space.
+    """Solve ``values = rows @ truth_box`` by weighted least squares for each frame: (n, 3), NaN where the axes do not
+    span space.
     """
     return _solved(values, weights, rows)[0]
 
 
 def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-    """The same, with the gains and whether they are any: of every frame, or once where all frames weigh alike."""
+    """Solve as `solve_frames`; return also the gains and whether the axes span space, of every frame, or once if all
+    frames have the same weights.
+    """
     if (weights == weights[0]).all():  # the usual case: one gain for the whole block
         gains, solvable = frame_gains(weights[:1], rows)
         triad = values @ gains[0].T if solvable[0] else np.full((len(values), 3), np.nan)
@@ -128,15 +132,15 @@ def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floa
 
 
 def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """(n, 3, m) gains that turn axis values into a triad, and whether the weighted axes span space at all."""
-    if len(weights) == 1:  # of a block in which all frames weigh alike, and so of the blocks before it
+    """Return the gains (n, 3, m) from axis values to a triad, and whether the weighted axes span space."""
+    if len(weights) == 1:  # often the same weights as in the block before
         return _gain_of(np.asarray(weights, float).tobytes(), np.asarray(rows, float).tobytes())
     return _solve_gains(weights, rows)
 
 
 @lru_cache(maxsize=64)
 def _gain_of(weights: bytes, rows: bytes) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """The gain of one set of weights (the bytes of float64), not to be written to."""
+    """Return the read-only gain of one set of weights (bytes of float64)."""
     gains, solvable = _solve_gains(np.frombuffer(weights)[None], np.frombuffer(rows).reshape(-1, 3))
     gains.flags.writeable = solvable.flags.writeable = False
     return gains, solvable
@@ -152,8 +156,8 @@ def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.
 
 
 def spans(normal: Floats) -> npt.NDArray[np.bool_]:
-    """(...) whether axes with these normal matrices (..., 3, 3) tell all of a triad."""
-    if normal.ndim == 2:  # by its cofactors, several times faster than by a factorisation
+    """Return (...) whether axes with these normal matrices (..., 3, 3) determine a triad."""
+    if normal.ndim == 2:  # cofactors are several times faster than a factorisation
         (a, b, c), (d, e, f), (g, h, i) = normal.tolist()
         determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
         return np.asarray(determinant > 1e-9 * max(a + e + i, 1e-300) ** 3)
@@ -164,22 +168,22 @@ def spans(normal: Floats) -> npt.NDArray[np.bool_]:
 TOLERATED_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.25 * STANDARD_GRAVITY, "angular_rate": np.radians(2.0)}
 )
-"""Keyed by quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. Axes whose bias is
-more than that tell the mean no more than where they are, which does no harm to its slope.
+"""Keyed by quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. An axis with a larger
+bias adds a constant to the mean, which does not affect its slope.
 """
 
 _TIMES_USUAL = 4.0
 
 _CONSENSUS_BYTES = 1 << 18
-"""Of the readings on which frames agree at once: with what is made of them on the way they stay in the cache."""
+"""Size of the readings that are processed at once, so that they and the intermediate results fit the cache."""
 
 _FEW = 8
-"""Sensors that are put in order by exchanges of neighbours, at most."""
+"""Largest number of sensors that are sorted by exchanges of neighbours."""
 
 
 def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
-    """(n, 3) what the valid ones of the axes along `rows` (m, 3), in threes, agree on of `values` (n, m) in SI; NaN
-    where they don't span space.
+    """Return the robust mean (n, 3) of the valid `values` (n, m) in SI of axes along `rows` (m, 3), in triads; NaN
+    where they do not span space.
     """
     mean = np.empty((3, len(values)))
     at_once = max(1, _CONSENSUS_BYTES // (8 * len(rows)))
@@ -191,13 +195,13 @@ def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> F
 
 
 def _agreed(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> Floats:
-    """(3, n) the `consensus` of a few frames (m, n): column by column, as numpy is fastest."""
+    """Return the `consensus` (3, n) of a few frames (m, n); one row per axis is fastest in numpy."""
     mean = _mean(values, valid, rows)
     doubtful: Booleans = (np.abs(values - rows @ mean) > tolerated / 2) & valid
     if not doubtful.any():
         return mean
     whole: Booleans = valid[0::3] & valid[1::3] & valid[2::3]
-    checked: Booleans = np.asarray(whole.sum(axis=0) > 2)  # of two sensors none is more right than the other
+    checked: Booleans = np.asarray(whole.sum(axis=0) > 2)  # two sensors don't show which one is wrong
     some = np.flatnonzero(doubtful.any(axis=0) & checked)
     if len(some) == len(checked):
         return _limited(values, valid, whole, rows, tolerated)
@@ -207,8 +211,8 @@ def _agreed(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> 
 
 
 def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tolerated: float) -> Floats:
-    """(3, n) the mean of the readings when the differences of sensors from their median are limited."""
-    inverse = np.zeros((len(rows), len(rows)))  # all sensors' inverses along the diagonal: one product for all of them
+    """Return the mean (3, n) of the readings with the differences of sensors from their median limited."""
+    inverse = np.zeros((len(rows), len(rows)))  # block diagonal of all sensors' inverses: one product for all of them
     for first, own in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):
         inverse[first : first + 3, first : first + 3] = own
     triads = (inverse @ values).reshape(-1, 3, values.shape[1])
@@ -223,7 +227,7 @@ def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tol
 
 
 def _mean(values: Floats, valid: Booleans, rows: Floats) -> Floats:
-    """(3, n) least squares of the valid ones of values (m, n), all of the same weight."""
+    """Return least squares (3, n) of the valid ones of values (m, n), all with the same weight."""
     if valid.all():
         gains, solvable = frame_gains(np.ones((1, len(rows))), rows)
         if solvable[0]:
@@ -232,8 +236,8 @@ def _mean(values: Floats, valid: Booleans, rows: Floats) -> Floats:
 
 
 def _middle(triads: Floats) -> Floats:
-    """(3, n) medians of whole triads (s, 3, n): few sensors are put in order by exchanges of neighbours, all frames at
-    a time, faster than frame by frame.
+    """Return the medians (3, n) of whole triads (s, 3, n). A few sensors are sorted by exchanges of neighbours for all
+    frames at once, which is faster than frame by frame.
     """
     columns = list(triads)
     count = len(columns)
@@ -247,9 +251,9 @@ def _middle(triads: Floats) -> Floats:
 
 
 def _medians(values: Floats) -> Floats:
-    """Medians along the first axis of what is not NaN."""
+    """Return medians along the first axis, ignoring NaN."""
     ordered = np.sort(np.moveaxis(values, 0, -1), axis=-1)  # numpy sorts contiguous numbers faster
-    if np.isfinite(ordered[..., -1]).all():  # NaN is sorted behind all others
+    if np.isfinite(ordered[..., -1]).all():  # NaN is sorted to the end
         count = len(values)
         return np.asarray((ordered[..., (count - 1) // 2] + ordered[..., count // 2]) / 2)
     known = np.isfinite(values).sum(axis=0)[..., None]

@@ -1,11 +1,12 @@
-"""Fusion during a recording, in a thread of its own: the recording neither waits for it nor is affected by its failure.
+"""Fusion during a recording, in a separate thread: the recording does not wait for it and is not affected by its
+failure.
 
-Rows pass through a bounded queue. If it is full, rows are dropped until half of it is free again, and counted; the log
-has them all, so `imuarray fuse` will have them later.
+Rows pass through a bounded queue. If it is full, rows are dropped and counted until half of it is free again; the log
+contains all rows, so `imuarray fuse` can fuse them later.
 
-Fusion starts with the first inertial rows. Where a calibration knows the states in which sensors start, these rows
-arrive as soon as the states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor
-that has to be set up again later keeps its first state.
+Fusion starts with the first inertial rows. If a calibration contains start-up states, these rows arrive as soon as the
+states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor that is configured
+again later keeps its first state.
 """
 
 from __future__ import annotations
@@ -40,15 +41,16 @@ from imuarray.units import INERTIAL, READABLE_SI
 _SECONDS_WAITING = 30.0
 """Longest duration of the rows in the queue."""
 _WRITE_S = 1.0
-"""Frames of so long are written at once."""
+"""Duration of the frames that are written at once."""
 _SWITCH_S = 5e-5
-"""How long the thread may keep the interpreter from the recording, which asks for it after every transaction."""
+"""Longest time for which the thread keeps the interpreter from the recording, which needs it after every transaction.
+"""
 _FAULTS_KEPT = 1000
-"""The last ones, for the report; the file has all of them."""
+"""Number of most recent faults in the report; the file contains all of them."""
 
 
 def default_path(log: Path) -> Path:
-    """The default path of the result of a log, where `imuarray monitor` looks for it: `RUN_fused.h5`."""
+    """Return the default path of the result of a log, where `imuarray monitor` expects it: `RUN_fused.h5`."""
     return log.with_name(f"{log.stem}_fused.h5")
 
 
@@ -68,7 +70,7 @@ class FusionOutput:
     force: bool = False
 
     def part(self, number: int) -> tuple[Path, Path]:
-        """The paths of the fused file and of the log of part `number`, counted from 0."""
+        """Return the paths of the fused file and of the log of part `number`, counted from 0."""
         if self.rotate_s is None:
             return self.path, self.log
         log = part_of(self.log, number + 1)
@@ -76,10 +78,10 @@ class FusionOutput:
 
 
 class FusedFiles:
-    """Fused frames as they come, each in the file of the part in which its time lies.
+    """Writes fused frames, each to the file of the part that contains its time.
 
-    Of a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or where another name
-    was given, FUSED_001.h5, ...
+    For a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or, with another output
+    name, FUSED_001.h5, ...
     """
 
     def __init__(self, output: FusionOutput, *, epoch: str, sensors: Mapping[str, Sequence[str]]) -> None:
@@ -87,7 +89,7 @@ class FusedFiles:
         self._output, self._epoch, self._sensors = output, epoch, sensors
         self._part_ns = None if output.rotate_s is None else round(output.rotate_s * 1e9)
         self.origin_ns = 0
-        """When the first part begins."""
+        """Start of the first part."""
         self.paths: list[Path] = []
         self.frames = 0
         self._number = 0
@@ -99,11 +101,11 @@ class FusedFiles:
             if number > self._number:
                 self._file.close()
                 self._number, self._file = number, self._create(number)
-            self._file.append(_part(block, rows))
+            self._file.append(block.part(rows))
             self.frames += rows.stop - rows.start
 
     def event(self, event: FaultEvent) -> None:
-        """Write what became of a sensor into the file of the last frames. OSError."""
+        """Write a fault event to the file of the last frames. OSError."""
         self._file.event(event)
 
     def _create(self, number: int) -> LiveFused:
@@ -121,7 +123,7 @@ class FusedFiles:
         return file
 
     def _split(self, block: FusedBlock) -> list[tuple[int, slice]]:
-        """The number of a part, and the frames in it; what is before the first one is of the first one."""
+        """Return the numbers of parts and the frames in each; frames before the first part belong to it."""
         if self._part_ns is None or not len(block.time):
             return [(0, slice(0, len(block.time)))]
         return runs_of(np.maximum((block.time - self.origin_ns) // self._part_ns, 0))
@@ -131,24 +133,15 @@ class FusedFiles:
         self._file.close()
 
 
-def _part(block: FusedBlock, rows: slice) -> FusedBlock:
-    return FusedBlock(
-        block.time[rows],
-        {quantity: values[rows] for quantity, values in block.triads.items()},
-        {quantity: values[rows] for quantity, values in block.covariances.items()},
-        {quantity: values[rows] for quantity, values in block.used.items()},
-    )
-
-
 @dataclass(frozen=True)
 class LiveFusionOptions:
-    """The options of a fusion of rows while they are recorded at `rate_hz` frames per second.
+    """Options of a fusion during a recording at `rate_hz` frames per second.
 
-    `watch`: whether failing sensors are left out (None: by `optimal` only); `ranges` are the sensitivities of chips by
-    range, for a sensor that fell back to another one (`imuarray.chips.SENSITIVITIES`). `start_calibration` returns,
-    once the first inertial rows are there, the calibration for the states in which the sensors started (None: the given
-    one). A sensor is waited for `timeout_s` (None: by the frame rate); `queue_blocks` may wait to be fused (None: 30 s
-    of them).
+    `watch`: whether failing sensors are excluded (None: by `optimal` only); `ranges` are the sensitivities of chips by
+    range, to identify a sensor that returned to another range (`imuarray.chips.SENSITIVITIES`). `start_calibration`
+    returns, once the first inertial rows have arrived, the calibration for the states in which the sensors started
+    (None: the given calibration). Frames wait for a sensor for `timeout_s` (None: by the frame rate); the queue holds
+    `queue_blocks` (None: 30 s).
     """
 
     rate_hz: float
@@ -160,7 +153,7 @@ class LiveFusionOptions:
 
 
 class LiveFusion:
-    """Fuses the rows that it observes into `output`. Call `begin` once, `observe` often, then `close`."""
+    """Fuses observed rows into `output`. Call `begin` once, `observe` for each block of rows, then `close`."""
 
     def __init__(
         self,
@@ -174,7 +167,7 @@ class LiveFusion:
         self.frames = 0
         self._calibration, self._options, self.tell = calibration, options, tell
         self._start_calibration = options.start_calibration or (lambda: calibration)
-        self._watch = Watch(options.watch, options.ranges, self._failed)
+        self._watch = Watch(options.watch, options.ranges, self._record_fault)
         self._faults: deque[FaultEvent] = deque(maxlen=_FAULTS_KEPT)
         self._unwritten: list[FaultEvent] = []
         self._notes = FusionNotes()
@@ -189,17 +182,17 @@ class LiveFusion:
 
     @property
     def path(self) -> Path:
-        """The path of the result, or of the whole of which it would be parts."""
+        """The path of the result; for a result in parts, the path from which their names are derived."""
         return self.output.path
 
     @property
     def first_path(self) -> Path:
-        """The first file that will be written."""
+        """The path of the first file of the result."""
         return self.output.part(0)[0]
 
     def begin(self, epoch: str, headers: Sequence[SensorHeader]) -> None:
-        """Begin with the log's epoch and sensors: FusionError if they can't feed the technique, CalibrationError if the
-        calibration does not fit, OutputExistsError, OutputError.
+        """Begin with the log's epoch and sensors. FusionError if these are not sufficient for the technique,
+        CalibrationError if the calibration does not fit, OutputExistsError, OutputError.
         """
         stream = self._stream(headers, self._calibration)
         ordered = sorted(headers, key=lambda header: header.name)
@@ -215,12 +208,12 @@ class LiveFusion:
         self._thread.start()
 
     def set_start(self, time_ns: int) -> None:
-        """Set when the first part of a log in parts begins, before there are rows."""
+        """Set the start of the first part of a log in parts; call it before there are rows."""
         if self._files is not None:
             self._files.origin_ns = time_ns
 
     def observe(self, sensor: str, block: Block) -> None:
-        """Queue rows that were written; returns at once."""
+        """Queue rows without waiting."""
         if self.failure or self._thread is None or sensor not in self._wanted:
             return
         if self._overrun and self._queue.qsize() <= self._queue.maxsize // 2:
@@ -231,12 +224,12 @@ class LiveFusion:
                 return
             except queue.Full:
                 self._overrun = True
-                self.tell("fusion can't keep up: its file skips frames, but the log has them")
+                self.tell("fusion can't keep up: its file lacks frames; the log contains them")
         self._dropped[sensor] = self._dropped.get(sensor, 0) + len(block.time)
         self.skipped = max(self._dropped.values())
 
     def status(self) -> str:
-        """The latest result in one line of text."""
+        """Return the latest result as one line of text."""
         block = self._latest
         if self.failure or block is None:
             return "no fusion" if self.failure else ""
@@ -247,7 +240,7 @@ class LiveFusion:
         return ", ".join(parts)
 
     def close(self) -> None:
-        """Fuse everything that waits, and complete the file."""
+        """Fuse the queued rows, and complete the file."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -258,11 +251,11 @@ class LiveFusion:
 
     @property
     def paths(self) -> list[Path]:
-        """The files that were written, in the order of their time."""
+        """The files that were written, in order of time."""
         return [path for path in (self._files.paths if self._files else []) if path.exists()]
 
     def report(self) -> dict[str, object]:
-        """A summary of the fusion, JSON-ready."""
+        """Return a summary of the fusion for JSON."""
         return {
             "fused": str(self.path),
             "files": [str(path) for path in self.paths],
@@ -282,27 +275,27 @@ class LiveFusion:
             patience=Patience(self._timeout_s, lambda text: self.tell(text)),
         )
 
-    def _failed(self, event: FaultEvent) -> None:
-        """A sensor has failed, or recovered."""
+    def _record_fault(self, event: FaultEvent) -> None:
+        """Store and report a failure or recovery of a sensor."""
         self._faults.append(event)
         self._unwritten.append(event)
         self.tell(event.sentence)
 
     def _work(self, headers: Sequence[SensorHeader], files: FusedFiles) -> None:
-        """Run in the thread. An error is reported once, and the rest is not fused."""
+        """Run in the thread. An error is reported once and ends the fusion."""
         try:
             with closing(files):
-                held: list[FusedBlock] = []
+                blocks: list[FusedBlock] = []
                 first = self._first_rows({header.name for header in headers if header.quantity in INERTIAL})
                 stream = self._stream(headers, self._start_calibration())
                 for sensor, block in chain(first, self._rows()):
-                    held += stream.push(sensor, block)
-                    if held and held[-1].time[-1] - held[0].time[0] >= _WRITE_S * 1e9:
-                        self._write(files, held)
-                        held = []
-                self._write(files, [*held, *stream.finish()])
+                    blocks += stream.push(sensor, block)
+                    if blocks and blocks[-1].time[-1] - blocks[0].time[0] >= _WRITE_S * 1e9:
+                        self._write(files, blocks)
+                        blocks = []
+                self._write(files, [*blocks, *stream.finish()])
                 self._notes = notes_of(stream.pipeline)
-        except Exception as error:  # whatever it is, the log goes on
+        except Exception as error:  # no error may stop the recording
             known = isinstance(error, ImuArrayError | OSError)
             self.failure = str(error) if known else f"{type(error).__name__}: {error}"
             self.tell(f"fusion stops, recording continues: {self.failure}")
@@ -312,7 +305,7 @@ class LiveFusion:
                     self._queue.get_nowait()
 
     def _first_rows(self, inertial: Collection[str]) -> list[tuple[str, Block]]:
-        """Everything up to and including the first rows of an inertial sensor."""
+        """Return all rows up to and including the first rows of an inertial sensor."""
         first = []
         for sensor, block in self._rows():
             first.append((sensor, block))
@@ -321,7 +314,7 @@ class LiveFusion:
         return first
 
     def _rows(self) -> Iterable[tuple[str, Block]]:
-        """The rows that come through the queue, until the end and until it is empty."""
+        """Yield the rows from the queue until the fusion is closed and the queue is empty."""
         while True:
             try:
                 yield self._queue.get(timeout=0.1)

@@ -1,6 +1,6 @@
-"""Pipelines between aligned frames and the fused result: one object that is fed with consecutive blocks.
+"""Pipelines from aligned frames to the fused result: objects that process consecutive blocks.
 
-`FusionNotes` are remarks of techniques on the sensors, once a log is fused.
+`FusionNotes` are the estimates and remarks of techniques on the sensors after the fusion of a log.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from imuarray.spelling import guess
 
 @dataclass(frozen=True)
 class LearnedBias:
-    """The slow error of one axis as it is felt now, in m/s2 or rad/s along the axis: all states but those of its
-    response. `sd_before`: its standard deviation had the log told nothing.
+    """The current slow error of one axis in m/s2 or rad/s along the axis, without errors of its response, with its
+    standard deviation and the prior one (`sd_before`).
     """
 
     axis: str
@@ -30,29 +30,29 @@ class LearnedBias:
 
 @dataclass(frozen=True)
 class FusionNotes:
-    """The slow errors that were learnt of every axis, by quantity (`optimal` does), and `remarks`: sentences."""
+    """The estimated slow errors of every axis, by quantity (of `optimal`), and `remarks`: sentences."""
 
     biases: Mapping[str, Sequence[LearnedBias]] = field(default_factory=dict)
     remarks: Sequence[str] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-ready, in SI."""
+        """Return the notes for JSON, in SI."""
         biases = {quantity: [asdict(bias) for bias in result] for quantity, result in self.biases.items()}
         return {"biases": biases, "remarks": list(self.remarks)}
 
 
 @runtime_checkable
 class RemarkSource(Protocol):
-    """A technique that has something to say of the axes it was given."""
+    """A technique with remarks on its axes."""
 
     def remarks(self, quantity: str) -> list[str]:
-        """Sentences; `quantity` is what the axes measure, as a log calls it."""
+        """Return sentences; `quantity` is what the axes measure, as in a log."""
         ...
 
 
 @runtime_checkable
 class NoteSource(Protocol):
-    """A pipeline that has found out something."""
+    """A pipeline with notes."""
 
     def notes(self) -> FusionNotes:
         """Return the notes on the frames so far."""
@@ -60,7 +60,7 @@ class NoteSource(Protocol):
 
 
 def notes_of(pipeline: object) -> FusionNotes:
-    """Return the notes of a pipeline; none if it has none to give."""
+    """Return the notes of a pipeline; empty if it has none."""
     return pipeline.notes() if isinstance(pipeline, NoteSource) else FusionNotes()
 
 
@@ -69,44 +69,45 @@ Out_co = TypeVar("Out_co", covariant=True)
 
 class Pipeline(Protocol[Out_co]):
     """An estimator of the whole array. All quantities of a block have the same times; a block may have any length, and
-    the result does not depend on it. A pipeline may hold frames back, in order.
+    the result does not depend on it. A pipeline may return frames later, in order.
     """
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out_co]:
-        """Return the frames that are ready after the next block, by quantity; `degc` are the temperatures (n,) of the
-        elements of the sensors of which they are known, by sensor, NaN where not yet.
+        """Process the next block of frames by quantity, and return the results that are complete. `degc` are
+        temperatures (n,) of the elements of sensors with a thermometer, by sensor, NaN if not yet known.
         """
         ...
 
     def finish(self) -> Iterator[Out_co]:
-        """Return the frames that were held back."""
+        """Return the remaining results."""
         ...
 
 
 PipelineFactory = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
-"""The axes by quantity, and the seconds from frame to frame, to a pipeline for them; FusionError if they can't feed it.
+"""Creates a pipeline from the axes by quantity and the seconds from frame to frame; FusionError if the axes are not
+sufficient.
 """
 
 
 @runtime_checkable
 class ByQuantity(Protocol):
-    """A pipeline that does nothing but apply a technique to each quantity: there may be a shorter way to the same."""
+    """A pipeline that only applies a technique to each quantity, for which there may be a faster way."""
 
     axes: Mapping[str, Sequence[Axis]]
     techniques: Mapping[str, Technique]
 
 
 class QuantityPipeline:
-    """A technique on each quantity by itself."""
+    """A technique applied to each quantity separately."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
-        """FusionError if there is no such technique, or the axes can't feed it."""
+        """FusionError if there is no such technique, or if the axes are not sufficient for it."""
         if technique not in TECHNIQUES:
             allowed = ", ".join(TECHNIQUES)
             raise FusionError(f"technique {technique!r}: allowed are {allowed}{guess(technique, TECHNIQUES)}")
         self.axes: Mapping[str, Sequence[Axis]] = dict(axes)
         self.techniques: Mapping[str, Technique] = {
-            quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()
+            quantity: TECHNIQUES[technique](members) for quantity, members in axes.items()
         }
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
@@ -124,13 +125,13 @@ class QuantityPipeline:
         """Return the remarks of the techniques."""
         remarks: list[str] = []
         for quantity, technique in self.techniques.items():
-            remarking: object = technique
-            remarks += remarking.remarks(quantity) if isinstance(remarking, RemarkSource) else []
+            source: object = technique
+            remarks += source.remarks(quantity) if isinstance(source, RemarkSource) else []
         return FusionNotes(remarks=remarks)
 
 
 class TechniqueSet:
-    """Several techniques, each on each quantity by itself: blocks by technique. A `Pipeline`."""
+    """A `Pipeline` of several techniques, each applied to each quantity separately: yields blocks by technique."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], names: Sequence[str]) -> None:
         """FusionError as `QuantityPipeline`."""
@@ -146,20 +147,20 @@ class TechniqueSet:
 
 
 class ComparisonPipeline:
-    """A technique on each quantity by itself, and another one on the same frames: `heard` is given the other's block
-    before the technique's is. A `Pipeline`.
+    """A `Pipeline` of a technique applied to each quantity separately, and of another technique on the same frames:
+    `observe` is called with the other's block before the technique's is returned.
     """
 
     def __init__(
-        self, axes: Mapping[str, Sequence[Axis]], technique: str, other: str, heard: Callable[[FusedBlock], None]
+        self, axes: Mapping[str, Sequence[Axis]], technique: str, other: str, observe: Callable[[FusedBlock], None]
     ) -> None:
         """FusionError as `QuantityPipeline`."""
         self._technique, self._other = QuantityPipeline(axes, technique), QuantityPipeline(axes, other)
-        self._heard = heard
+        self._observe = observe
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
         """See `Pipeline`; nothing is held back."""
-        self._heard(next(self._other(frames, degc)))
+        self._observe(next(self._other(frames, degc)))
         yield from self._technique(frames, degc)
 
     def finish(self) -> Iterator[FusedBlock]:
@@ -172,7 +173,7 @@ class ComparisonPipeline:
 
 
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:
-    """The estimates, by quantity, of one block of frames at `time` (n,) ns, as the result."""
+    """Return the fused block of the estimates, by quantity, of frames at `time` (n,) ns."""
     return FusedBlock(
         time,
         {quantity: estimate.triad_box for quantity, estimate in estimates.items()},

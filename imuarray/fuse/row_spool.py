@@ -14,7 +14,7 @@ import numpy as np
 from imuarray.arrays import Floats
 
 AT_ONCE = 1 << 15
-"""Rows of a block."""
+"""Number of rows of a block."""
 
 
 class RowSource(Protocol):
@@ -26,7 +26,9 @@ class RowSource(Protocol):
 
 
 class RowSpool:
-    """Rows (n, `columns`) of float64 in a temporary file, or in one with a name. A `RowSource`, a context manager."""
+    """Rows (n, `columns`) of float64 in a temporary file, or in a file with a name. A `RowSource`, a context
+    manager.
+    """
 
     def __init__(self, columns: int, path: Path | None = None, mode: str = "w+b") -> None:
         self._columns, self._path = columns, path
@@ -51,7 +53,7 @@ class RowSpool:
         return result
 
     def complete(self) -> Path:
-        """Write everything to the file that has a name, and return it; ValueError for one without."""
+        """Write everything to the named file and return its path; ValueError for a temporary file."""
         if self._path is None:
             raise ValueError("a temporary file has no name")
         self._file.flush()
@@ -77,7 +79,7 @@ def row_blocks(rows: RowSource, begin: int = 0, end: int | None = None) -> Itera
 
 def square_sum(rows: RowSource, begin: int, end: int) -> Floats:
     """Return the sum (k,) of the squares of the rows from `begin` to `end`."""
-    columns = (np.ascontiguousarray(block.T) for block in row_blocks(rows, begin, end))  # several times as fast
+    columns = (np.ascontiguousarray(block.T) for block in row_blocks(rows, begin, end))  # several times faster
     return np.asarray(sum((np.sum(np.square(each), axis=1) for each in columns), np.zeros(rows[:1].shape[1])))
 
 

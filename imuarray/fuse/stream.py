@@ -1,21 +1,21 @@
 """Fusion of rows as they arrive, sensor by sensor, in pieces of any length.
 
-A frame is fused as soon as nothing that arrives later can change it: it waits for the rows of all sensors up to some
-frames beyond it. A sensor that is silent for longer than a time-out is not waited for; the array is fused without it
-until its rows arrive again.
+A frame is fused as soon as no later row can change it: it waits for the rows of all sensors up to some frames after it.
+A sensor that is silent for longer than a time-out is ignored; the array is fused without it until its rows arrive
+again.
 
-Direct combination is a short cut for blocks in which every reading was taken at the time of its frame, none is in
+Direct combination is a fast path for blocks in which every reading was taken at the time of its frame, none is in
 doubt, and the technique gives the axes the same weights in every frame. The result is then one matrix times the counts,
 less a constant.
 
-`AxisOffsets` serves frames that lack a reading. Without a calibration, or with an old one, the mean of an array
+`AxisOffsets` handles frames that lack a reading. Without a calibration, or with an old one, the mean of an array
 contains the mean of the biases of its sensors. In a frame without a reading of one of m axes the mean would therefore
-jump by about ``(bias - mean bias) / (m - 1)``, and back in the next frame. That is common where each chip samples by
-an oscillator of its own: a sensor that is slower than the frames has none to give from time to time. For such a frame
-the mean difference of each axis from the array's mean over the last `RECENT` frames is attached (`Frames.offsets`); a
-technique of fixed weights keeps the level of the whole array with it. Only frames before are used, so the result is the
-same live and from a log. A step remains where a sensor is silent for longer than `RECENT` frames, where no recent frame
-has readings of all sensors of the array, and in frames with a clipped reading: they are for the technique `ranges`.
+jump by about ``(bias - mean bias) / (m - 1)``, and back in the next frame. That is common if each chip samples by its
+own oscillator: a sensor that is slower than the frames has no reading from time to time. For such a frame the mean
+difference of each axis from the array's mean over the last `RECENT` frames is attached (`Frames.offsets`), with which a
+technique of fixed weights keeps the level of the whole array. Only earlier frames are used, so the result is the same
+live and from a log. A step remains if a sensor is silent for longer than `RECENT` frames, if no recent frame has
+readings of all sensors of the array, and in frames with a clipped reading, which the technique `ranges` handles.
 """
 
 from __future__ import annotations
@@ -30,7 +30,16 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, AlignedSensor, FrameGrid, RowWindow, align, choose
+from imuarray.fuse.alignment import (
+    FIRST_ROWS,
+    FOREVER_NS,
+    MARGIN,
+    AlignedSensor,
+    FrameGrid,
+    RowWindow,
+    align,
+    choose_grid,
+)
 from imuarray.fuse.element_temperature import TemperatureSources
 from imuarray.fuse.frames import Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import ConstantGain, consensus, frame_gains
@@ -40,17 +49,17 @@ from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 RECENT = MARGIN
-"""Frames over which an offset is averaged: its noise is then below a fifth of one reading's, and of the result's far
-less. `FusionStream` keeps no more of them.
+"""Number of frames over which an offset is averaged: its noise is then below a fifth of one reading's, and adds little
+to that of the result. `FusionStream` keeps as many.
 """
 
 _AT_ONCE = 256
-"""Frames that are computed together: their windows take some megabytes."""
+"""Number of frames that are computed together: their windows take some megabytes."""
 
 
 class AxisOffsets:
-    """Completes frames of one quantity by `Frames.offsets`; fed with consecutive blocks, on whose lengths the result
-    does not depend. `directions` (m, 3) are those of the axes in the box frame.
+    """Adds `Frames.offsets` to consecutive blocks of frames of one quantity; the result does not depend on the lengths
+    of the blocks. `directions` (m, 3) are those of the axes in the box frame.
     """
 
     def __init__(self, directions: Floats) -> None:
@@ -59,12 +68,12 @@ class AxisOffsets:
         self._valid = np.zeros((0, len(directions)), bool)
 
     def observe(self, frames: Frames) -> None:
-        """Take note of the next block, which needs no offsets."""
+        """Store the next block, which needs no offsets."""
         self._values = np.concatenate([self._values, frames.values[-RECENT:]])[-RECENT:]
         self._valid = np.concatenate([self._valid, frames.valid[-RECENT:]])[-RECENT:]
 
     def __call__(self, frames: Frames) -> Frames:
-        """Return the next block, with the offsets of frames that lack a reading if the recent frames tell them."""
+        """Return the next block, with offsets in frames that lack a reading if the recent frames determine them."""
         lacking = np.flatnonzero(~frames.valid.all(axis=1) & ~_clipped(frames))
         if not len(lacking):
             self.observe(frames)
@@ -81,8 +90,8 @@ class AxisOffsets:
         return replace(frames, offsets=offsets) if offsets.any() else frames
 
     def _of(self, values: Floats, valid: Booleans, now: Booleans) -> Floats:
-        """(n, m) offsets of n frames from the windows (n, RECENT, m) before them; `now` (n, m): which axes are valid in
-        the frames themselves.
+        """Return the offsets (n, m) of n frames from the windows (n, RECENT, m) before them; `now` (n, m) are the axes
+        that are valid in the frames themselves.
         """
         recent: Booleans = np.asarray(valid.any(axis=1))
         complete: Booleans = np.asarray((valid | ~recent[:, None]).all(axis=2))
@@ -103,7 +112,7 @@ class AxisOffsets:
 
 
 def _clipped(frames: Frames) -> Booleans:
-    """(n,) whether an axis stands at an end of its range."""
+    """Return (n,) whether an axis is at an end of its range."""
     if frames.clipped is None:
         return np.zeros(len(frames.time), bool)
     return np.asarray(frames.clipped.any(axis=1))
@@ -113,50 +122,50 @@ Counts = npt.NDArray[Any]
 
 
 @runtime_checkable
-class FixedWeighing(Protocol):
-    """A technique that does with every whole frame the same."""
+class FixedGain(Protocol):
+    """A technique with the same gain in every frame whose axes are all valid."""
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
-        """The gain (3, m) that makes a triad of values, and what makes the estimate of frames, all axes valid, of their
-        triads (n, 3).
+        """Return the gain (3, m) from values to a triad, and the function from the triads (n, 3) of frames, all axes
+        valid, to their estimate.
         """
         ...
 
 
 class DirectCombination:
-    """One quantity by a technique that weighs alike in every frame."""
+    """Fusion of one quantity by a technique with a fixed gain."""
 
-    def __init__(self, technique: FixedWeighing, units: Sequence[AlignedSensor]) -> None:
+    def __init__(self, technique: FixedGain, units: Sequence[AlignedSensor]) -> None:
         gain, self._estimate = technique.whole()
         bias = np.concatenate([unit.known.bias_lsb for unit in units])
         scale = np.concatenate([unit.known.lsb_per_si for unit in units])
         self._triads = ConstantGain(gain / scale, bias)
 
     def __call__(self, counts: Sequence[Counts]) -> Estimate:
-        """The estimate of the frames whose counts (n, 3) of each sensor these are."""
+        """Return the estimate of frames from the counts (n, 3) of each sensor."""
         return self._estimate(self._triads(counts))
 
 
 def direct_combinations(
     techniques: Mapping[str, object], units: Mapping[str, Sequence[AlignedSensor]]
 ) -> dict[str, DirectCombination]:
-    """The short way of every quantity; empty if one of them has none."""
+    """Return the direct combination of every quantity; empty if there is none for one of them."""
     result = {
         quantity: DirectCombination(technique, units[quantity])
         for quantity, technique in techniques.items()
-        if isinstance(technique, FixedWeighing) and all(_is_plain(unit) for unit in units[quantity])
+        if isinstance(technique, FixedGain) and all(_is_plain(unit) for unit in units[quantity])
     }
     return result if len(result) == len(techniques) else {}
 
 
 def _is_plain(unit: AlignedSensor) -> bool:
-    """Return whether nothing but its counts says what it feels, and when."""
+    """Return whether the reading of a sensor depends on its counts only, without corrections and delays."""
     known = unit.known
     return unit.element is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
 
 
 def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | None:
-    """The counts (n, 3) of each sensor at the times `grid` (n,), n > 0; None unless all are there and sound."""
+    """Return the counts (n, 3) of each sensor at the times `grid` (n,), n > 0; None unless all exist and are valid."""
     result = []
     for block in blocks:
         if block is None:
@@ -172,33 +181,35 @@ def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | 
 Out = TypeVar("Out")
 
 TIMEOUT_S = 3.0
-"""A recording writes its rows once a second."""
+"""Longest time to wait for a sensor; a recording writes its rows once per second."""
 
 
 @dataclass(frozen=True)
 class SensorGroup:
-    """The sensors of one quantity (numbers of all sensors), and where their axes point (m, 3)."""
+    """The sensors of one quantity, by their numbers among all sensors, and the directions (m, 3) of their axes."""
 
     numbers: tuple[int, ...]
     directions: Floats
 
 
 class FusionStream(Generic[Out]):
-    """Fuses rows as they are pushed; `finish` gives the rest. The result does not depend on how the rows are cut."""
+    """Fuses rows as they are pushed; `finish` returns the rest. The result does not depend on the size of the
+    pieces.
+    """
 
     def __init__(
         self,
         sensors: Mapping[str, Sequence[Described]],
         calibration: Calibration,
-        making: Callable[[float], Pipeline[Out]],
+        factory: Callable[[float], Pipeline[Out]],
         temperatures: TemperatureSources,
         *,
         timeout_s: float = TIMEOUT_S,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """`sensors` by quantity; `making` makes their pipeline, once it is known how many seconds lie from frame to
-        frame; `temperatures` of their elements. `tell` is told which sensor is not waited for any more, and
-        which one is back. CalibrationError if the calibration does not fit.
+        """`sensors` by quantity; `factory` creates their pipeline once the seconds from frame to frame are known;
+        `temperatures` are those of their elements. `tell` is called with a sentence when a sensor times out, and when
+        its rows arrive again. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]
         self._feeds = dict(temperatures.feeds)
@@ -220,12 +231,12 @@ class FusionStream(Generic[Out]):
         self._groups: dict[str, SensorGroup] = {}
         self._offsets: dict[str, AxisOffsets] = {}
         self._combined = 0
-        """How many of the last frames were combined directly: their offsets are still to be observed."""
+        """Number of the last frames that were combined directly, and not yet observed for offsets."""
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
             self._groups[quantity] = SensorGroup(numbers, directions(axes_of(group, calibration)))
             self._offsets[quantity] = AxisOffsets(self._groups[quantity].directions)
-        self._making = making
+        self._factory = factory
         self._pipeline: Pipeline[Out] | None = None
         self._direct: Mapping[str, DirectCombination] = {}
         self._timeout_ns = timeout_s * 1e9
@@ -233,35 +244,35 @@ class FusionStream(Generic[Out]):
         self._silent: set[str] = set()
         self._grid: FrameGrid | None = None
         self._asleep_until_ns = -FOREVER_NS
-        """Nothing can be complete before rows are known up to here."""
+        """Time up to which rows must be known before the next frames can be complete."""
         self._times: Times = np.zeros(0, np.int64)
-        """Times of frames: the last ones that were given out, and those that wait."""
+        """Times of frames: the last ones that were fused, and those that wait."""
         self._given = 0
-        """How many of them were given out."""
+        """Number of these that were fused."""
 
     @property
     def sensors(self) -> Collection[str]:
-        """The sensors whose rows it wants."""
+        """The sensors whose rows are required."""
         return self._rows.keys()
 
     @property
     def thermometers(self) -> Collection[str]:
-        """Return the sensors whose temperature the technique needs."""
+        """The sensors whose temperature is required."""
         return self._feeds.keys()
 
     @property
     def pipeline(self) -> Pipeline[Out] | None:
-        """Return the pipeline that is fed; None before the first frames."""
+        """The pipeline; None before the first frames."""
         return self._pipeline
 
     @property
     def rows_kept(self) -> int:
-        """Rows that wait for those of other sensors, or that frames to come depend on."""
+        """Number of rows that wait for other sensors, or on which later frames depend."""
         return sum(len(rows) for rows in self._rows.values())
 
     def push(self, sensor: str, block: Block) -> Iterator[Out]:
-        """Rows of one sensor, and what is complete with them: nothing, mostly. Sensors that don't matter are ignored;
-        ValueError if the rows don't follow those before.
+        """Push rows of one sensor, and yield the frames that are complete with them, often none. Rows of sensors that
+        are not required are ignored; ValueError unless the rows are later than those before.
         """
         if sensor in self._rows and len(block.time):
             self._rows[sensor].append(block)
@@ -270,13 +281,13 @@ class FusionStream(Generic[Out]):
             yield from self._advance()
 
     def end(self, sensor: str) -> Iterator[Out]:
-        """End a sensor, from which no more rows come; yield what is complete without it."""
+        """End a sensor, which has no more rows; yield the frames that are complete without it."""
         if sensor in self._rows:
             self._rows[sensor].ended = True
             yield from self._advance()
 
     def finish(self) -> Iterator[Out]:
-        """Yield everything that is left; FusionError if there were fewer than three rows of every sensor."""
+        """Yield the remaining frames; FusionError if every sensor had fewer than three rows."""
         for rows in self._rows.values():
             rows.ended = True
         yield from self._advance()
@@ -284,29 +295,29 @@ class FusionStream(Generic[Out]):
             yield from self._pipeline.finish()
 
     def _advance(self) -> Iterator[Out]:
-        """Fuse what is complete."""
+        """Fuse the complete frames."""
         known_ns = self._known_ns()
         if known_ns < self._asleep_until_ns:
             return
         if self._grid is None or self._pipeline is None:
-            self._grid = self._choice(known_ns)
+            self._grid = self._choose_grid(known_ns)
             if self._grid is None:
                 return
-            self._pipeline = self._made(self._making(self._grid.period_ns * 1e-9))
+            self._pipeline = self._with_direct_combination(self._factory(self._grid.period_ns * 1e-9))
         final = known_ns == FOREVER_NS
         self._extend(self._grid, known_ns)
         ready = len(self._times) if final else len(self._times) - MARGIN
-        if ready - self._given < (1 if final else MARGIN):  # fewer at a time would cost as much
+        if ready - self._given < (1 if final else MARGIN):  # fewer frames would take as long
             missing = MARGIN - max(ready - self._given, -MARGIN)
             self._asleep_until_ns = min(known_ns + round(missing * self._grid.period_ns / 2), FOREVER_NS)
             return
-        yield from self._fused(self._pipeline, self._grid, slice(self._given, ready))
+        yield from self._fuse(self._pipeline, self._grid, slice(self._given, ready))
         first = max(0, ready - MARGIN)
         self._times, self._given = self._times[first:], ready - first
         self._forget(int(self._times[0]) - 2 * self._grid.ahead_ns)
 
     def _known_ns(self) -> int:
-        """Up to when every row is there that is waited for."""
+        """Return the time up to which the rows of all sensors that have not timed out are known."""
         newest_ns = max(rows.newest_ns for rows in self._rows.values())
         known_ns = FOREVER_NS
         for name, rows in self._rows.items():
@@ -320,8 +331,8 @@ class FusionStream(Generic[Out]):
                 known_ns = min(known_ns, newest_ns if late else reached_ns)
         return known_ns
 
-    def _choice(self, known_ns: int) -> FrameGrid | None:
-        """The grid, once the first rows of all sensors that are waited for are there."""
+    def _choose_grid(self, known_ns: int) -> FrameGrid | None:
+        """Return the grid once the first rows of all sensors that have not timed out are known; None before."""
         blocks = [self._rows[name].block for name in self._names]
         first = [np.zeros(0, np.int64) if block is None else block.time[:FIRST_ROWS] for block in blocks]
         waiting = any(
@@ -330,27 +341,27 @@ class FusionStream(Generic[Out]):
         )
         if waiting or known_ns < 0:
             return None
-        return choose(first, [group.numbers for group in self._groups.values()], self._where)
+        return choose_grid(first, [group.numbers for group in self._groups.values()], self._where)
 
     def _extend(self, grid: FrameGrid, known_ns: int) -> None:
-        """Frames whose times have become certain."""
+        """Append the frames whose times have become certain."""
         blocks = [self._rows[name].block for name in self._names]
         times = grid.times([np.zeros(0, np.int64) if block is None else block.time for block in blocks])
         after_ns = self._times[-1] if len(self._times) else -FOREVER_NS
         certain_ns = known_ns if known_ns == FOREVER_NS else known_ns - grid.ahead_ns
         self._times = np.concatenate([self._times, times[(times > after_ns) & (times <= certain_ns)]])
 
-    def _made(self, pipeline: Pipeline[Out]) -> Pipeline[Out]:
-        """The pipeline, with the short way through it if there is one."""
+    def _with_direct_combination(self, pipeline: Pipeline[Out]) -> Pipeline[Out]:
+        """Set up direct combination for the pipeline if possible, and return the pipeline."""
         if isinstance(pipeline, ByQuantity):
             units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
             self._direct = direct_combinations(pipeline.techniques, units)
         return pipeline
 
-    def _fused(self, pipeline: Pipeline[Out], grid: FrameGrid, wanted: slice) -> Iterator[Out]:
-        """The frames of the times `wanted`, by the short way if it leads there."""
+    def _fuse(self, pipeline: Pipeline[Out], grid: FrameGrid, frames: slice) -> Iterator[Out]:
+        """Fuse some of the frames, by direct combination if possible."""
         if self._direct and isinstance(pipeline, ByQuantity):
-            time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
+            time, blocks = self._times[frames], [self._rows[name].block for name in self._names]
             counts = plain_counts(blocks, time)
             if counts is not None:
                 result = {
@@ -358,15 +369,15 @@ class FusionStream(Generic[Out]):
                     for quantity, group in self._groups.items()
                 }
                 self._combined += len(time)
-                yield cast(Out, fused_block(time, result, pipeline.axes))  # what `QuantityPipeline` gives
+                yield cast(Out, fused_block(time, result, pipeline.axes))  # the result of `QuantityPipeline`
                 return
-        yield from pipeline(*self._frames(grid, wanted))
+        yield from pipeline(*self._align(grid, frames))
 
-    def _frames(self, grid: FrameGrid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
-        """Frames by quantity, and temperatures by sensor, of the times `wanted`."""
-        first = max(0, wanted.start - MARGIN)
-        around = self._times[first : wanted.stop + MARGIN]
-        inner = slice(wanted.start - first, wanted.stop - first)
+    def _align(self, grid: FrameGrid, selection: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
+        """Return the selected frames by quantity, and their temperatures by sensor."""
+        first = max(0, selection.start - MARGIN)
+        around = self._times[first : selection.stop + MARGIN]
+        inner = slice(selection.start - first, selection.stop - first)
         blocks = [self._rows[name].block for name in self._names]
         frames, combined = {}, {}
         for quantity, group in self._groups.items():
@@ -375,7 +386,7 @@ class FusionStream(Generic[Out]):
             aligned = align(units, rows, around, grid.period_ns, group.directions)
             frames[quantity] = aligned.part(inner)
             combined[quantity] = aligned.part(slice(max(0, inner.start - self._combined), inner.start))
-        self._felt(frames)
+        self._remove_g_sensitivity(frames)
         for quantity, offsets in self._offsets.items():
             offsets.observe(combined[quantity])
             frames[quantity] = offsets(frames[quantity])
@@ -383,20 +394,20 @@ class FusionStream(Generic[Out]):
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
         return frames, {name: element.at(seconds) for name, element in self._elements.items()}
 
-    def _felt(self, frames: dict[str, Frames]) -> None:
-        """Takes out of what gyroscopes read what they feel of the specific force, as far as that was calibrated."""
+    def _remove_g_sensitivity(self, frames: dict[str, Frames]) -> None:
+        """Subtract the effect of the specific force from the readings of gyroscopes, as far as it was calibrated."""
         force, rate = (self._groups.get(quantity) for quantity in INERTIAL)
         if force is None or rate is None or all(response is None for response in self._responses(rate)):
             return
-        feels = frames["specific_force"]
-        force_g = consensus(feels.values, feels.valid, force.directions, "specific_force") / STANDARD_GRAVITY
+        forces = frames["specific_force"]
+        force_g = consensus(forces.values, forces.valid, force.directions, "specific_force") / STANDARD_GRAVITY
         for place, response in enumerate(self._responses(rate)):
             if response is not None:
                 frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T
 
     def _responses(self, group: SensorGroup) -> list[Floats | None]:
-        """Return the reading of each sensor of a group, in SI along its axes, under one g along each box axis; None if
-        unknown.
+        """Return the response (3, 3) of each sensor of a group, in SI along its axes, to one g along each box axis;
+        None if unknown.
         """
         known = [self._units[number].known for number in group.numbers]
         return [

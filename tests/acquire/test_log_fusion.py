@@ -270,7 +270,7 @@ def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
         fusion.observe(header.name, rows(1000))
     fusion.close()
     assert fusion.skipped == 600
-    assert said[0] == "fusion can't keep up: its file skips frames, but the log has them"
+    assert said[0] == "fusion can't keep up: its file lacks frames; the log contains them"
     assert said[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
     assert len(time_ns) == fusion.frames == 1100 - fusion.skipped
@@ -295,7 +295,7 @@ def test_who_fails_is_told_once_and_stands_in_the_file(tmp_path: Path) -> None:
             fusion.observe(header.name, noisy(100 * second, rng, stuck=header.name == "A2" and second >= 3))
     fusion.close()
     (sentence,) = said
-    assert sentence.endswith("A2 is stuck (10 sigma): left out")
+    assert sentence.endswith("A2 is stuck (10 sigma): excluded")
     assert [fault["sentence"] for fault in fusion.report()["faults"]] == said  # type: ignore[attr-defined]
     (event,) = read_fused_events(paths[0])
     assert (event.sensor, event.kind, event.state, event.message) == ("A2", "stuck", "isolated", sentence)
@@ -370,7 +370,7 @@ def test_a_log_without_rows_leaves_no_fused_file(tmp_path: Path) -> None:
 def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
     fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
     magnetometer = SensorHeader("M", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
-    with pytest.raises(FusionError, match="the array: no inertial sensor in it"):
+    with pytest.raises(FusionError, match="the array: no inertial sensor"):
         fusion.begin(EPOCH, [magnetometer])
     fusion.close()
 

@@ -124,7 +124,7 @@ def test_characterise_tells_how_well_sensors_are_aligned(tmp_path: Path) -> None
     with open_log(path) as log:
         text = render_text(characterise_log(log))
     head, _, _, first, second = text[text.index("alignment in time") :].splitlines()[:5]
-    assert head == "alignment in time, against A; delays against A, by the rotation from 0 s on"
+    assert head == "alignment in time, relative to A; delays relative to A, by the rotation from 0 s on"
     assert first.split() == ["A", "200.000", "0", "0.0", "0.0", "-", "-", "0.0"]
     name, rate, ppm, *_ = second.split()
     assert (name, rate, ppm) == ("B", "202.000", "10000")

@@ -60,11 +60,11 @@ def test_mains_are_named_aliased_or_not(characterised: Characterise) -> None:
     hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 50.02})
     other = ("tone", {"amplitude": (0.05, 0.0, 0.0), "frequency_hz": 21.0})
     texts = [text for text in findings(characterised(NOISE, hum, other, rate_hz=76.93)) if " line at " in text]
-    assert [text.endswith(", as aliased 50 Hz mains would be") for text in texts] == [False, True]
+    assert [text.endswith(", possibly aliased 50 Hz mains") for text in texts] == [False, True]
     assert "26.91 Hz" in texts[1]
     hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 60.0})
     (text,) = (text for text in findings(characterised(NOISE, hum)) if " line at " in text)
-    assert text.endswith(", as 60 Hz mains would be")
+    assert text.endswith(", possibly 60 Hz mains")
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
     assert bool(told) == bool(hold_s)
     if hold_s:
         assert re.search(
-            r"G: stands still at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
+            r"G: its readings freeze at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
         )
 
 
@@ -182,9 +182,9 @@ def test_one_line_of_several_axes_is_one_sentence_and_the_strongest_is_first() -
         "C": [axis_of("x", lines=[line_of(50.03, 2.0)])],
     }
     assert findings(result_of(axes)) == [
-        "B x, y: a line at 50 Hz, amplitude 0.5 to 1 dps, 12 to 50 % of the variance, as 50 Hz mains would be",
+        "B x, y: a line at 50 Hz, amplitude 0.5 to 1 dps, 12 to 50 % of the variance, possibly 50 Hz mains",
         "A x: a line at 31 Hz, amplitude 0.5 +- 0.001 dps, 12 % of the variance",
-        "C x: a line at 50.03 Hz, amplitude 0.2 +- 0.001 dps, 2 % of the variance, as 50 Hz mains would be",
+        "C x: a line at 50.03 Hz, amplitude 0.2 +- 0.001 dps, 2 % of the variance, possibly 50 Hz mains",
     ]
 
 
@@ -208,7 +208,7 @@ def test_clipping_at_a_known_rail_is_one_sentence() -> None:
     (text,) = findings(result_of({"A": [axis_of("x", codes=codes)]}, rails=rails))
     assert text == "A x: clips at 2047; 30 readings of the sensor are flagged as saturated in the log"
     (text,) = findings(result_of({"A": [axis_of("x", codes=codes)]}))
-    assert text == "A x: readings pile up at code 2047: clipped"
+    assert text == "A x: readings accumulate at code 2047: clipped"
 
 
 def test_rows_of_equal_time_are_called_so() -> None:

@@ -57,7 +57,7 @@ def test_many_changes_are_counted(tmp_path: Path) -> None:
     assert [row for row, _ in runs_of(tmp_path / "a.h5", intervals)] == [0, 1000, 2000, 3000, 4000, 5000]
     with open_log(tmp_path / "a.h5") as log:
         sentence = rate_change_sentence(find_rate_changes(log["A"]))
-    assert sentence == "the rate changes 5 times, between 20 and 100 rows a second"
+    assert sentence == "the rate changes 5 times, between 20 and 100 rows per second"
 
 
 def test_a_short_log_has_none(tmp_path: Path) -> None:

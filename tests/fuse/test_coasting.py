@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.fuse.coasting import Coasting, Errors, coasting, propagated
+from imuarray.fuse.coasting import Coasting, Errors, coasting, propagate
 from tests.fuse.conftest import Floats, G
 
 RATE_HZ = 50
@@ -60,7 +60,7 @@ def test_a_constant_force_error() -> None:
 def test_a_level_rate_error_tips_gravity_into_velocity() -> None:
     """g b t^2 / 2, along -y for a turn about x: what points up seems to lean towards -y."""
     b = 1e-5
-    tilt, velocity = propagated(errors(np.array([b, 0, 0])))
+    tilt, velocity = propagate(errors(np.array([b, 0, 0])))
     assert tilt == pytest.approx([60 * b, 0, 0])
     assert velocity == pytest.approx([0, -G * b * 60**2 / 2, 0], abs=1e-9)
 
@@ -101,8 +101,8 @@ def test_errors_turn_with_the_box() -> None:
     after half a turn it is 2 b / w along y.
     """
     omega, b = 2 * np.pi / 60, 1e-4
-    whole = propagated(errors(np.array([b, 0, 0]), rate=np.array([0, 0, omega])))[0]
-    half = propagated(errors(np.array([b, 0, 0]), rate=np.array([0, 0, omega]), seconds=30))[0]
+    whole = propagate(errors(np.array([b, 0, 0]), rate=np.array([0, 0, omega])))[0]
+    half = propagate(errors(np.array([b, 0, 0]), rate=np.array([0, 0, omega]), seconds=30))[0]
     assert whole == pytest.approx([0, 0, 0], abs=1e-8)
     assert half == pytest.approx([0, 2 * b / omega, 0], rel=1e-4, abs=1e-8)
 
@@ -126,7 +126,7 @@ def test_against_two_navigators() -> None:
 
     true, plain = navigated(rate, force)
     found, wrong = navigated(rate + given.rate_error, force + given.force_error)
-    tilt, velocity = propagated(given)
+    tilt, velocity = propagate(given)
     assert tilt == pytest.approx((found * true.inv()).as_rotvec(), rel=0.01, abs=1e-6)
     assert velocity == pytest.approx(wrong - plain, rel=0.01, abs=1e-5)
 

@@ -186,7 +186,7 @@ def test_a_log_that_never_stands_still_can_not_tell_its_noise(
     output = tmp_path / "fused.h5"
     assert main(["fuse", str(path), "--technique", "ranges", "-o", str(output)]) == 2
     error = capsys.readouterr().err
-    assert "no stretch in which the box stood still, to measure noise that the calibration lacks" in error
+    assert "no stretch in which the box stood still, to measure the noise, which the calibration lacks" in error
     assert "run `imuarray calibrate noise` on that log" in error
     assert not output.exists()
 

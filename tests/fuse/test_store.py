@@ -104,7 +104,7 @@ def test_covariances_and_the_sensors_used_come_back(tmp_path: Path) -> None:
 STUCK = FaultEvent(2_100_000_000, "specific_force", "A1", ("x", "y", "z"), "stuck", "isolated", 0.0, 10.0)
 BACK = FaultEvent(5_000_000_000, "angular_rate", "Gyro é", ("x",), "bias", "readmitted", 0.1, 0.0)
 TOLD = [
-    (2_100_000_000, "A1", "stuck", "isolated", "2.10 s: A1 is stuck (10 sigma): left out"),
+    (2_100_000_000, "A1", "stuck", "isolated", "2.10 s: A1 is stuck (10 sigma): excluded"),
     (5_000_000_000, "Gyro é", "bias", "readmitted", "5.00 s: Gyro é x agrees with the others again: back in use"),
 ]
 

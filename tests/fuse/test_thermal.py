@@ -125,6 +125,6 @@ def test_fuse_says_that_a_log_has_no_thermometer(tmp_path: Path, capsys: pytest.
     out, err = capsys.readouterr()
     assert json.loads(out)["thermal"] == []
     assert [line for line in err.splitlines() if "thermometer" in line] == [
-        f"imuarray: {path}: no thermometer for the slopes of A1, A2, G1; biases stay as calibrated"
+        f"imuarray: {path}: no thermometer for the slopes of A1, A2, G1; calibrated biases are used"
     ]
     assert (fused(path, known(), "angular_rate") == fused(path, cold(known()), "angular_rate")).all()

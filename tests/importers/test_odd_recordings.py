@@ -347,19 +347,19 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         changing_rate(0.02, 1200),
         MAP,
         0,
-        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 50 from 12 s on"],
+        ["~ Acc, Gyro: the rate changes: 100 rows per second at first, 50 from 12 s on"],
     ),
     "a rate that changes early": (
         changing_rate(0.03, 300),
         MAP,
         0,
-        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 33.33 from 3 s on"],
+        ["~ Acc, Gyro: the rate changes: 100 rows per second at first, 33.33 from 3 s on"],
     ),
     "a rate that rises": (
         changing_rate(0.004, 1500),
         MAP,
         0,
-        ["~ Acc, Gyro: the rate changes: 100 rows a second at first, 250 from 15"],
+        ["~ Acc, Gyro: the rate changes: 100 rows per second at first, 250 from 15"],
     ),
     "every other row is missing for some time": (
         edited(lambda rows: [row for at, row in enumerate(rows) if at < 400 or at > 1600 or at % 4]),

@@ -82,7 +82,7 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     write_report([fused], page)
     text = page.read_text()
     assert "fused.h5: left out for part of the time because they failed: B&lt;1&gt;." in text
-    assert "1.50 s: B&lt;1&gt; x has 8 times its scale, as if set to a range of 2 g (40 sigma): left out" in text
+    assert "1.50 s: B&lt;1&gt; x has 8 times its scale, as if set to a range of 2 g (40 sigma): excluded" in text
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: back in use" in text
 
 

@@ -46,7 +46,7 @@ def _is_shown(axis: Table) -> bool:
 
 
 def _draw(panel: Axes, kind: SensorPanel) -> None:
-    """One quantity's curves, bands, fits, guide and legend."""
+    """Draw curves, bands, fits, guide and legend of one quantity."""
     from matplotlib.lines import Line2D
 
     for curve in kind.curves():
@@ -62,7 +62,7 @@ def _draw(panel: Axes, kind: SensorPanel) -> None:
 
 
 def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
-    """One curve; its band and its fit if there is room."""
+    """Draw one curve, and its band and its fit if there is room."""
     allan = curve.axis["allan"]
     tau_s, deviation, low, high = (floats(allan[name]) for name in ("tau_s", "deviation", "low", "high"))
     shown = deviation > 0

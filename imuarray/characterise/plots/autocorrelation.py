@@ -53,7 +53,7 @@ def _is_shown(axis: Table) -> bool:
 
 
 def _draw(panel: Axes, kind: SensorPanel, level: float) -> None:
-    """One quantity's curves, the grey ones below, the band and the legend."""
+    """Draw curves of one quantity, the grey ones below, with band and legend."""
     curves = [curve for curve in kind.curves() if _is_shown(curve.axis)]
     half = NORMAL_95 * max(curve.axis["autocorrelation"]["error"][1] for curve in curves)
     panel.axhspan(-half, half, color="0.93", zorder=0.4, linewidth=0)

@@ -51,7 +51,7 @@ _BARS = Margins(0.16, 0.16, 0.22, 0.24)
 
 
 def histogram_figure(result: Table) -> Figure:
-    """Bars of codes, a row of panels per sensor and a column per axis, with what is wrong with them in orange.
+    """Draw bars of codes, one row of panels per sensor and one column per axis, with faults in orange.
 
     MissingExtraError if there is no matplotlib.
     """
@@ -108,7 +108,7 @@ def marks(axis: Table, level: float) -> list[str]:
 
 
 def step_of(axis: Table, level: float) -> int:
-    """The usual step of the codes, 1 if it may be chance: n different codes have it with step^(1 - n)."""
+    """Return the usual step of the codes, 1 if it may be chance: n different codes have it with step^(1 - n)."""
     step: int = axis["codes"]["usual_step"]
     different = len(axis["histogram"]["codes"]) if axis["histogram"] else np.inf
     return step if step > 1 and float(step) ** (1 - different) <= level else 1
@@ -122,7 +122,7 @@ def _steps(codes: Table, step: int) -> list[str]:
 
 
 def _missing(codes: Table, level: float) -> list[Table]:
-    """The gaps that chance wouldn't leave."""
+    """Return the gaps that chance wouldn't leave."""
     return [gap for gap in codes["missing"] if gap["p_value"] <= level]
 
 
@@ -161,7 +161,7 @@ def bars(seen: Table, step: int) -> tuple[Floats, Floats]:
 
 
 def _draw(panel: Axes, axis: Table, level: float) -> None:
-    """One axis: bars, Gaussian, marks."""
+    """Draw bars, Gaussian and marks of one axis."""
     panel.set_yticks([])
     panel.spines[["top", "right", "left"]].set_visible(False)
     panel.tick_params(labelsize=7)
@@ -183,7 +183,7 @@ def _draw(panel: Axes, axis: Table, level: float) -> None:
 
 
 def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Floats) -> None:
-    """The share per possible code of Gaussian noise."""
+    """Draw the share per possible code of Gaussian noise."""
     share = np.exp(-0.5 * ((x - codes["mean"]) / codes["std"]) ** 2) / (codes["std"] * sqrt(2 * pi))
     panel.plot(x, share * step, color="black", linewidth=0.8)
 
@@ -197,7 +197,7 @@ def _write_marks(panel: Axes, mean: float, texts: list[str]) -> None:
 
 
 def _draw_marks(panel: Axes, codes: Table, level: float) -> None:
-    """Triangles below the axis at missing codes and at ends that readings pile up at."""
+    """Draw triangles below the axis at missing codes and at ends where readings accumulate."""
     at = [(gap["first"] + gap["last"]) / 2 for gap in _missing(codes, level)]
     at += [codes[end]["code"] for end in ("low_end", "high_end") if _is_piled(codes[end], level)]
     if at:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Table = Mapping[str, Any]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette (Color Universal Design, 2008) without its yellow, which white paper swallows."""
+"""Okabe and Ito's palette (Color Universal Design, 2008) without its yellow, which is hardly visible on white paper."""
 
 FALSE_ALARM = 0.01
 """Chance, about, that a figure of white Gaussian noise singles out any axis; shared among the axes."""
@@ -67,7 +67,7 @@ class SensorPanel:
         return _TITLES.get(self.quantity, self.quantity)
 
     def curves(self) -> Iterator[AxisCurve]:
-        """Every axis: colour is the sensor, dashes are the axis."""
+        """Yield every axis: colour is the sensor, dashes are the axis."""
         for sensor, colour in zip(self.sensors, self.colours, strict=True):
             for axis, dashes in zip(sensor["axes"], cycle(_DASHES), strict=False):
                 yield AxisCurve(sensor, axis, scale_of(axis, self.unit), colour, dashes)
@@ -88,7 +88,7 @@ def kinds(result: Table, shown: Callable[[Table], bool]) -> list[SensorPanel]:
 
 
 def unit_of(sensor: Table) -> str:
-    """The unit that the sensor's counts are drawn in: g, dps, gauss; counts if the log has no sensitivity."""
+    """Return the unit that the sensor's counts are drawn in: g, dps, gauss; counts if the log has no sensitivity."""
     return str(sensor["unit"]) if sensor["unit_per_count"] is not None else "counts"
 
 
@@ -134,7 +134,7 @@ def panel_figure(
 
 
 def new_figure(result: Table, title: str) -> Figure:
-    """An empty figure that says what it shows; MissingExtraError if there is no matplotlib."""
+    """Return an empty figure that says what it shows; MissingExtraError if there is no matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -191,12 +191,12 @@ def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -
 
 
 def set_height(figure: Figure, height: float, rows: int) -> None:
-    """10 inches wide, and so high that each row of panels has `height` inches."""
+    """Set the size: 10 inches wide, and `height` inches for each row of panels."""
     figure.set_size_inches(10.0, 1.2 + height * max(1, rows))
 
 
 def how_to_read(figure: Figure, reading: str) -> None:
-    """A line or two for newcomers at the foot of a figure."""
+    """Write one or two lines of explanation at the foot of a figure."""
     figure.supxlabel(reading, fontsize=8.5, color="0.3")
 
 
@@ -211,7 +211,7 @@ def floats(values: Sequence[float | None]) -> Floats:
 
 
 def plot(panel: Axes, x: Floats, y: Floats, curve: AxisCurve, **style: Any) -> None:
-    """The line of one axis in its colour and dashes."""
+    """Plot the line of one axis in its colour and dashes."""
     line = panel.plot(x, y, color=curve.colour, **style)[0]
     if curve.dashes:
         line.set_dashes(curve.dashes)
@@ -261,7 +261,7 @@ def legend(panel: Axes, kind: SensorPanel, more: Sequence[Artist], notes: Mappin
 
 
 def label(sensor: Table) -> str:
-    """A sensor's name and range."""
+    """Return a sensor's name and range."""
     return f"{sensor['name']} ±{sensor['range']:g} {sensor['unit']}" if sensor["range"] else str(sensor["name"])
 
 

@@ -106,7 +106,7 @@ def _is_shown(axis: Table) -> bool:
 
 
 def _draw(panel: Axes, kind: SensorPanel) -> None:
-    """One quantity's curves, bands, lines and legend."""
+    """Draw curves, bands, lines and legend of one quantity."""
     from matplotlib.lines import Line2D
 
     drawn = [curve for curve in kind.curves() if _is_shown(curve.axis)]
@@ -125,7 +125,7 @@ def _draw(panel: Axes, kind: SensorPanel) -> None:
 
 
 def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
-    """One curve, its band if there is room, and its lines, each from the curve up to its peak."""
+    """Draw one curve, its band if there is room, and its lines, each from the curve up to its peak."""
     common = curve.sensor["spectrum"]
     frequency_hz, density = floats(common["frequency_hz"]), floats(curve.axis["density"])
     peaks = [_bin(line, common) for line in curve.axis["lines"]]
@@ -147,7 +147,7 @@ def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
 
 
 def _bin(line: Table, common: Table) -> int:
-    """The bin of a line's peak, inside the spectrum."""
+    """Return the bin of a line's peak, inside the spectrum."""
     nearest: int = round(line["frequency_hz"] / common["resolution_hz"])
     return min(nearest, len(common["frequency_hz"]) - 1)
 
@@ -174,7 +174,7 @@ def _label_lines(panel: Axes, drawn: list[AxisCurve]) -> None:
 
 
 def line_label(line: Table) -> str:
-    """A line's frequency, and the mains frequency that would come out there if it isn't that itself."""
+    """Return a line's frequency, and the mains frequency that would come out there if it isn't that itself."""
     for mains_hz in MAINS_HZ:
         if any(abs(alias_hz - mains_hz) <= _MAINS_WITHIN_HZ for alias_hz in line["aliases_hz"]):
             really = "" if abs(line["frequency_hz"] - mains_hz) <= _MAINS_WITHIN_HZ else f"{mains_hz:g} Hz "

@@ -1,9 +1,9 @@
-"""Fault detection and isolation: sensors that fail are detected, reported and left out while the others go on.
+"""Fault detection and isolation: failed sensors are detected, reported and excluded, and the others remain in use.
 
 ::
 
-    frames -> window -> look (parity residuals of those in use, beside the normal model of each axis)
-                     -> hypotheses (one axis? a whole sensor? by likelihood ratio) -> judge -> masked frames, events
+    frames -> decision window -> parity residuals of the sensors in use, less the normal model of each axis
+           -> hypotheses (one axis or a whole sensor, by likelihood ratio) -> isolation -> masked frames, events
 """
 
 from imuarray.fuse.faults.exclusions import FaultEvent

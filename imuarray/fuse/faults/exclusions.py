@@ -1,4 +1,4 @@
-"""Exclusions: the axes that are left out, the conditions for their return, and the events that report both."""
+"""Exclusions: the excluded axes, the conditions for their readmission, and the events that report both."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ _PLURAL: Mapping[str, str] = MappingProxyType(
         "scatters": "scatter",
     }
 )
-"""The verbs of the sentences, of one axis and of two."""
+"""Verbs of the sentences in singular (one axis) and plural."""
 
 State = Literal["isolated", "not isolated", "readmitted", "silent", "back", "no redundancy"]
 
 
 @dataclass(frozen=True)
 class FaultEvent:
-    """One thing that a person should know of a sensor.
+    """A failure or recovery of a sensor.
 
-    `time_ns` of the first frame of the window in which it was found, in the log's time; `sensor` and its `axes` ("x",
-    "y", "z"); `kind` is the name of an effect (`bias`, `scale`, `stuck`, `range_reset`, `glitches`, `white_noise`,
-    `random_walk`: the baseline walked off; `dropped_samples`: nothing valid comes). `state` says what was done:
-    "isolated" leaves the axes out, "not isolated" leaves all in, because others explain it as well. `size_si` in m/s2
-    or rad/s, of `scale` and `range_reset` a factor, of `white_noise` the ratio to the usual noise, of `dropped_samples`
-    seconds. `significance` in standard deviations.
+    `time_ns` is the first frame of the window in which it was detected, in the log's time; `sensor` and its `axes`
+    ("x", "y", "z"); `kind` is the name of an effect (`bias`, `scale`, `stuck`, `range_reset`, `glitches`,
+    `white_noise`, `random_walk`: the baseline has drifted beyond its limit; `dropped_samples`: no valid readings).
+    `state` is the decision: "isolated" excludes the axes, "not isolated" keeps all in use, because a fault of `others`
+    explains the readings as well. `size_si` is in m/s2 or rad/s; of `scale` and `range_reset` a factor, of
+    `white_noise` the ratio to the usual noise, of `dropped_samples` seconds. `significance` is in standard deviations.
     """
 
     time_ns: int
@@ -61,16 +61,16 @@ class FaultEvent:
 
     @property
     def sentence(self) -> str:
-        """The same for a person."""
+        """The event as a sentence."""
         axes = "" if len(self.axes) == 3 else " " + " and ".join(self.axes)
         words = self._words()
-        if len(self.axes) == 2:  # two axes are a plural; a whole sensor is not
+        if len(self.axes) == 2:  # plural for two axes, not for a whole sensor
             verb, rest = words.split(" ", 1)
             words = f"{_PLURAL[verb]} {rest}"
         return f"{self.time_ns * 1e-9:.2f} s: {self.sensor}{axes} {words}"
 
     def _words(self) -> str:
-        """Return the sentence that names the fault and what is done about it, of one axis."""
+        """Return the fault and the decision in words, in the singular."""
         if self.state == "readmitted":
             return "agrees with the others again: back in use"
         if self.state == "back":
@@ -78,15 +78,15 @@ class FaultEvent:
         if self.state == "silent":
             return f"gave no valid reading for {self.size_si:.1f} s; fused from the others"
         if self.state == "no redundancy":
-            return "is left out; the remaining axes can't check each other: no further fault can be detected"
+            return "is excluded; the remaining axes can't check each other: no further fault can be detected"
         significance = f"{self.significance:.0f} sigma"
         if self.state == "not isolated":
             others = " or ".join(self.others)
-            return f"{self._fault()} ({significance}), or the fault is in {others}: not isolated, all stay in use"
-        return f"{self._fault()} ({significance}): left out"
+            return f"{self._fault()} ({significance}), or the fault is in {others}: not isolated, all remain in use"
+        return f"{self._fault()} ({significance}): excluded"
 
     def _fault(self) -> str:
-        """Return the words that name the fault, of one axis."""
+        """Return the fault in words, in the singular."""
         factor, unit = READABLE_SI[self.quantity]
         size = f"{factor * self.size_si:.3g} {unit}"
         span = f"{self.range or 0:g} {UNIT[self.quantity]}"
@@ -103,7 +103,7 @@ class FaultEvent:
         return words[self.kind]
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the event for JSON."""
         return {
             "time_s": self.time_ns * 1e-9,
             "quantity": self.quantity,
@@ -119,20 +119,20 @@ class FaultEvent:
 
 
 AGREES_S = 3.0
-"""For so long a sensor that was left out has to agree with the others before it is used again; twice as long after
-each further time."""
+"""Time for which an excluded sensor must agree with the others before it is readmitted; it doubles after each further
+exclusion."""
 
 _LONGEST_S = 600.0
 
 AGREES = AXIS_GAIN / 3
-"""Gain below which the mean of an axis agrees: well under what leaves it out (hysteresis)."""
+"""Gain below which the mean of an axis agrees: well below the gain at which it is excluded (hysteresis)."""
 
 
 @dataclass
 class Exclusion:
-    """Axes (indices) of one sensor (number) that are left out since `since_ns`, how long they have agreed again and how
-    long they have to, in windows. `first` is what it looked like when it was found, `kind` what it is: `named` a window
-    later. `drifted_si` for a walk-off.
+    """Axes (indices) of one sensor (number) that are excluded since `since_ns`; the number of windows for which they
+    have agreed again, and the number they need. `first` is the kind of fault in the window of detection, `kind` the
+    final one, determined one window later (`named`). `drifted_si` is the size of a drift beyond its limit.
     """
 
     sensor: int
@@ -146,19 +146,19 @@ class Exclusion:
     first: FaultKind | None = None
     kind: FaultKind | None = None
 
-    def hears(self, agrees: Booleans) -> bool:
-        """Counts one more window in which its axes agreed, or not; whether they may come back."""
+    def update(self, agrees: Booleans) -> bool:
+        """Count a window in which axes (m,) agree or not; return whether the axes are readmitted."""
         self.agreed = self.agreed + 1 if agrees[list(self.axes)].all() else 0
         return self.named and self.agreed >= self.needs
 
 
 def needs(offences: int, window_s: float) -> int:
-    """Windows for which a sensor has to agree after it was left out for the `offences`-th time."""
+    """Return the number of windows for which a sensor must agree after its `offences`-th exclusion."""
     return max(1, round(min(AGREES_S * 2.0 ** (offences - 1), _LONGEST_S) / window_s))
 
 
 def agreeing(seen: WindowResiduals, normal: NormalModel, present: Booleans) -> Booleans:
-    """(m,) the axes whose readings, included or not, are what the included ones and the normal model say."""
+    """Return (m,) the axes, included or not, whose readings agree with the included ones and the normal model."""
     mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
     others = ((seen.rows @ seen.white.spread) * seen.rows).sum(axis=1)
@@ -180,11 +180,11 @@ class FaultReport:
     def __init__(self, names: Sequence[str], quantity: str) -> None:
         self.events: list[FaultEvent] = []
         self.disagreements = 0
-        """Windows in which all sensors disagree, so that none is suspected."""
+        """Number of windows in which all sensors disagree, so that none is suspected."""
         self._names, self._quantity = names, quantity
 
     def isolated(self, exclusion: Exclusion, kind: FaultKind | None) -> None:
-        """Axes are left out: known from the window after it, told with the time when it was found."""
+        """Report excluded axes, with the time of detection; this is called one window later."""
         exclusion.named = True
         self._add(
             exclusion.sensor,
@@ -196,14 +196,14 @@ class FaultReport:
         )
 
     def readmitted(self, exclusion: Exclusion, time_ns: int) -> None:
-        """Note that they are used again."""
+        """Report axes that are used again."""
         kind = exclusion.kind or _UNKNOWN
         self._add(exclusion.sensor, exclusion.axes, time_ns, kind, "readmitted")
 
     def doubted(
         self, axes: Sequence[int], rivals: Sequence[int], time_ns: int, kind: FaultKind | None, gain: float
     ) -> None:
-        """A fault that may be of one sensor as well as of others."""
+        """Report a fault of one sensor that other sensors may explain as well."""
         others = tuple(self._names[rival] for rival in rivals)
         self._add(
             axes[0] // 3,
@@ -220,19 +220,19 @@ class FaultReport:
         self.disagreements += 1
 
     def silent(self, sensor: int, seconds: float, time_ns: int) -> None:
-        """A sensor has had nothing valid to say for some time."""
+        """Report a sensor without valid readings for some time."""
         self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", seconds), "silent")
 
     def back(self, sensor: int, time_ns: int) -> None:
-        """Note that it gives readings again."""
+        """Report a sensor that gives valid readings again."""
         self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", 0.0), "back")
 
     def blind(self, sensor: int, time_ns: int) -> None:
-        """Return true if the sensors left besides this one can't be checked any more."""
+        """Report that without this sensor the others can't be checked any more."""
         self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", 0.0), "no redundancy")
 
     def _add(self, sensor: int, axes: Sequence[int], time_ns: int, kind: FaultKind, state: State, **more: Any) -> None:
-        """Appends an event; `more` are further fields of `FaultEvent`."""
+        """Append an event; `more` are further fields of `FaultEvent`."""
         labels = tuple("xyz"[axis % 3] for axis in axes)
         fields = {"significance": 0.0, "range": kind.range, **more}
         name = self._names[sensor]

@@ -1,15 +1,15 @@
 """A fast path through decision windows without faults, which are nearly all of them.
 
-It applies where every reading is present. Quantities that do not depend on what is learnt from window to window are
+It applies if every reading is present. Quantities that do not depend on the estimates from window to window are
 computed for many windows at once: parity is linear, and a residual is that of the readings less that of the normal
-model's contribution from seven time courses (a constant, the triad and its slope). What remains per window are the
-states of the normal model and four bounds, each cheaper than the quantity that it bounds: no error of an axis or a
-sensor gains more than the whole sum of squares of the mean residuals; no energy exceeds that sum over the noise alone;
-no limit of an energy is below that of white noise; and an excluded sensor does not agree if one of its axes is off.
-Where the bounds do not settle a window, it is judged in full, and the fast path has changed nothing.
+model's contribution from seven time courses (a constant, the triad and its slope). For each window the states of the
+normal model and four bounds remain, each cheaper than the quantity that it bounds: the gain of an error of an axis or a
+sensor is at most the whole sum of squares of the mean residuals; an energy is at most that sum over the noise alone;
+the limit of an energy is at least that of white noise; and an excluded sensor does not agree if one of its axes
+disagrees. A window that the bounds do not decide is processed in full, with the state unchanged by the fast path.
 
-Consecutive windows are processed by compiled code (`_windows.c`) where it was built. It computes the same in a small
-part of the time: a call to NumPy costs more than the few numbers of a window.
+Consecutive windows are processed by compiled code (`_windows.c`) if it was built. It computes the same much faster,
+because a call to NumPy costs more than the few numbers of a window.
 """
 
 from __future__ import annotations
@@ -31,22 +31,23 @@ try:
 except ImportError:  # installed without a C compiler
 
     def advance(arrays: tuple[Floats, ...], sizes: tuple[int, ...], limits: tuple[float, ...]) -> int:
-        """No window."""
+        """Process no window."""
         return 0
 
 
 QUIETEST = 0.2
-"""A window with less than this share of the usual changes may hold the begin or the end of a standstill: nothing is
-learnt of noise from it."""
+"""Least share of the usual changes in a window from which noise is estimated: with less, a standstill may begin or end
+in it."""
 
 _UNEVEN = 1e-6
-"""Least determinant of a normal matrix over the cube of its trace that goes without saying: `spans` asks for 1e-9."""
+"""Determinant of a normal matrix over the cube of its trace above which `spans`, with the limit 1e-9, is not computed.
+"""
 
 
 class WindowStatistics(NamedTuple):
     """A window without a fault: `residual` (n, m) and its `means` (m,), the `aged` covariances (m, 5, 5) of the normal
     model's states, the `moments` (m, 5, 5) of its regressors, their products (m, 5) with the residuals and their
-    `usual` values (m, 5), and which axes are `sound` (m,) enough to be learnt from.
+    `usual` values (m, 5), and the axes `sound` (m,) from which the normal model is updated.
     """
 
     residual: Floats
@@ -59,9 +60,10 @@ class WindowStatistics(NamedTuple):
 
 
 class WindowSeries:
-    """k consecutive windows of n frames of m axes, whose noise is known by now: `variance` (m,) of single readings.
+    """k consecutive windows of n frames of m axes with known noise: `variance` (m,) of single readings.
 
-    `time` (k, n) ns, `values` (k, n, m) in SI; `out` (m,) are left out, `white` is the parity space of the others.
+    `time` (k, n) ns, `values` (k, n, m) in SI; the axes `out` (m,) are excluded, `white` is the parity space of the
+    others.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class WindowSeries:
         values = np.ascontiguousarray(values, float)
         self.out, self.included, self._all = out, ~out, not out.any()
         self.observable = white.observable
-        self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains
+        self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # removes the contribution of the triad
         self._own = values @ self._blind
         triad = values @ white.gain.T
         slope = slopes(time, triad)
@@ -85,7 +87,7 @@ class WindowSeries:
         self._jitter = NormalModel.jitter_of((along**2).mean(axis=1))
         self._moments = _moments(triad, along)
         self.changes = (np.diff(values, axis=1) ** 2).sum(axis=1) / (self._frames - 1)
-        # No triad is left in the residuals, so that the deleted ones are these by weight over A's diagonal.
+        # The residuals contain no triad, so that the deleted residuals are these by weight over A's diagonal.
         own = np.where(white.observable, white.matrix.diagonal(), np.inf)
         self._precision = 1 / (own * variance**2)
         self.share = np.asarray(white.matrix.diagonal() * variance)
@@ -95,8 +97,8 @@ class WindowSeries:
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 
     def advance(self, windows: range, normal: NormalModel, waiting: Sequence[Sequence[int]]) -> int:
-        """Judge consecutive windows and let `normal` learn from them, up to the first one of which `seen` is to tell;
-        return how many were passed. No sensor stood still before them, and nothing else is asked of them.
+        """Process consecutive windows and update `normal`, up to the first one that needs `seen`; return their number.
+        The caller ensures that no sensor stood still before them.
         """
         groups = np.full(len(self._rows), -1.0)
         for group, axes in enumerate(waiting):
@@ -120,14 +122,14 @@ class WindowSeries:
         return passed
 
     def usual(self, index: int, normal: NormalModel) -> Floats:
-        """(m, 5) the mean regressors of a window, in which the triad is without what the biases make of it."""
+        """Return the mean regressors (m, 5) of a window, with the effect of the biases on the triad removed."""
         result: Floats = self._usual[index].copy()
         result[:, 1:4] -= self._gain @ normal.state[:, 0]
         return result
 
     def seen(self, index: int, normal: NormalModel, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
-        """Return what a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting`
-        to be used again may agree with the others, or where this way does not tell.
+        """Return the statistics of a window; None if it may show a fault, if one of the excluded groups of axes
+        (`waiting`) may agree with the others, or if the bounds do not decide.
         """
         frames, rows, state = self._frames, self._rows, normal.state
         offset = self._gain @ state[:, 0]
@@ -161,13 +163,13 @@ class WindowSeries:
         return WindowStatistics(residual, means, aged, moments, with_residual, usual, sound)
 
     def _sound(self, doubt: Floats, means: Floats, waiting: Sequence[Sequence[int]]) -> Booleans | None:
-        """(m,) the axes that nothing speaks against; None where something may speak for a fault, or for somebody who
-        is waiting.
+        """Return (m,) the axes without evidence of a fault; None if there may be a fault, or if one of the excluded
+        groups of axes may agree.
         """
         weights = 1 / doubt if self._all else np.where(self.included, 1 / doubt, 0.0)
         least = weights.min() if self._all else weights[self.included].min()
         even = self._even * float(least / weights.max()) ** 3 > _UNEVEN
-        most = float((weights * means) @ means)  # of the sum of squares, before the triad is fitted to it
+        most = float((weights * means) @ means)  # upper bound of the sum of squares, before the triad is fitted
         if most < AXIS_GAIN / 2 and even and not waiting:
             return self.included
         weighted = self._rows * weights[:, None]
@@ -180,7 +182,7 @@ class WindowSeries:
             if not (means[off] ** 2 >= AGREES * (doubt[off] + others)).any():
                 return None
         shown = weights * means - weighted @ (spread @ (weighted.T @ means))
-        whole = float(shown @ means)  # the sum of squares, of which every gain is a part
+        whole = float(shown @ means)  # the sum of squares, an upper bound of every gain
         if not whole < AXIS_GAIN:
             return None
         if whole < AXIS_GAIN / 2:
@@ -192,8 +194,8 @@ class WindowSeries:
 
 
 def _inverse(normal: Floats) -> Floats | None:
-    """(3, 3) of a symmetric matrix by its cofactors, several times faster than a general one; None where the axes with
-    this normal matrix don't tell all of a triad (as `imuarray.fuse.least_squares.spans`).
+    """Return the inverse (3, 3) of a symmetric matrix by its cofactors, several times faster than a general inverse;
+    None if axes with this normal matrix do not determine a triad (as `imuarray.fuse.least_squares.spans`).
     """
     (a, b, c), (_, d, e), (_, _, f) = normal.tolist()
     first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
@@ -206,8 +208,8 @@ def _inverse(normal: Floats) -> Floats | None:
 
 
 def _moments(triad: Floats, along: Floats) -> Floats:
-    """(k, m, 5, 5) sums over the frames of the products of (1, triad, slope along the axis), of triads (k, n, 3) and
-    slopes (k, n, m).
+    """Return sums (k, m, 5, 5) over the frames of the products of (1, triad, slope along the axis), from triads (k, n,
+    3) and slopes (k, n, m).
     """
     windows, frames, axes = along.shape
     result = np.empty((windows, axes, STATES, STATES))

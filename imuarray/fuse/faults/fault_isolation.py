@@ -1,9 +1,9 @@
-"""Fault isolation for one quantity: which sensors are left out in each decision window, why, and when they return.
+"""Fault isolation for one quantity: which sensors are excluded in each decision window, why, and when they are
+readmitted.
 
-The decisions rest on the hypotheses of `imuarray.fuse.faults.hypotheses` and on two kinds of evidence from single
-sensors. `Silence` counts the windows in which a sensor is missing or ruled out by the log's own flags, until it has
-lasted long enough to be reported. `Stillness` detects triads whose readings do not change: stuck, or so coarse that
-their noise has vanished.
+The decisions use the hypotheses of `imuarray.fuse.faults.hypotheses` and two kinds of evidence from single sensors.
+`Silence` counts the windows in which a sensor is missing or excluded by the log's flags, until they are reported.
+`Stillness` detects triads whose readings do not change: stuck, or so coarse that their noise has vanished.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ class Silence:
         self._reported = np.zeros(sensors, bool)
 
     @property
-    def anybody(self) -> bool:
-        """Return whether anybody is silent."""
+    def any(self) -> bool:
+        """True if any sensor is reported as silent."""
         return bool(self._reported.any())
 
-    def all_heard(self, windows: int = 1) -> None:
-        """Counts windows in which every sensor has enough readings, none being silent."""
+    def all_present(self, windows: int = 1) -> None:
+        """Count windows in which every sensor has enough readings, if none is silent."""
         self._absent[:] = 0
         self._heard += windows
 
     def __call__(self, present: Booleans, time_ns: int, report: FaultReport) -> None:
-        """Takes the axes (m,) that have enough readings in the next window."""
+        """Process the next window, with the axes (m,) that have enough readings in it."""
         there = present.reshape(-1, 3).any(axis=1)
         self._absent = np.where(there, 0, self._absent + 1)
         self._heard = np.where(there, self._heard + 1, 0)
@@ -61,29 +61,29 @@ class Silence:
 
 
 _KNOWN_WINDOWS = 20
-"""The number of windows from which a sensor's normal scatter is estimated."""
+"""Fewest windows before a standstill can be detected."""
 
 _RARE = 1e-3
-"""A sensor is judged by its changes only if no more than this share of its windows was quiet by itself: where noise is
-less than a count, windows without a change are normal; so are stale ones where a chip is slower than the frames."""
+"""Largest share of windows without changes in normal operation of a sensor whose standstill is detected: if the noise
+is less than a count, windows without a change are normal; so are stale ones if a chip is slower than the frames."""
 
 _SHORT = 3
-"""Runs of no more windows may be what a sensor does by itself."""
+"""Longest run of windows without changes in normal operation."""
 
 
 class Stillness:
-    """The sensors that stand still, by two windows in a row; what is normal is learnt of the windows before."""
+    """Sensors that stand still in two consecutive windows; their normal behaviour is estimated from earlier windows."""
 
     def __init__(self, sensors: int) -> None:
         self._quiet, self._stale = _Runs(sensors), _Runs(sensors)
 
     @property
     def standing(self) -> Booleans:
-        """(s,) the sensors that show no change in the last window."""
+        """The sensors (s,) without a change in the last window."""
         return np.asarray((self._quiet.length > 0) | (self._stale.length > 0))
 
     def __call__(self, window: DecisionWindow, normal: NormalModel) -> Booleans:
-        """(s,) the sensors that stood still in this window and in the one before."""
+        """Process a window and return (s,) the sensors that stood still in it and in the one before."""
         usual = np.minimum(normal.change, 2 * normal.variance)  # after a shake `change` is too large for a rest
         share = (window.changes / usual).reshape(-1, 3).mean(axis=1)
         whole: Booleans = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
@@ -93,27 +93,27 @@ class Stillness:
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
 
     @property
-    def anybody(self) -> bool:
-        """Return whether any sensor stood still in the window before."""
+    def any(self) -> bool:
+        """True if any sensor stood still in the window before."""
         return self._quiet.any or self._stale.any
 
     def moves(self, changes: Floats, normal: NormalModel) -> bool:
-        """Return true if no sensor stood still in the window before nor does in this one, of which every reading is
-        there and none is stale: its mean squares of `changes` (m,).
+        """Return whether no sensor stands still in the window before and in this one, from its mean squares of
+        `changes` (m,); every reading must be present and none stale.
         """
-        if self.anybody:
+        if self.any:
             return False
         share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
         return bool(share.min() >= 3 * QUIET)
 
-    def moved(self, windows: int = 1) -> None:
-        """Counts such windows."""
-        self._quiet.pass_by(windows)
-        self._stale.pass_by(windows)
+    def count_moving(self, windows: int = 1) -> None:
+        """Count windows for which `moves` is true."""
+        self._quiet.count(windows)
+        self._stale.count(windows)
 
 
 class _Runs:
-    """Runs of windows that show something unusual, by sensor; and how usual it is."""
+    """Runs of windows with an unusual property, by sensor, and the share of windows in which it is normal."""
 
     def __init__(self, sensors: int) -> None:
         self.length = np.zeros(sensors, int)
@@ -121,12 +121,14 @@ class _Runs:
         self._windows = np.zeros(sensors)
         self._by_itself = np.zeros(sensors)
 
-    def pass_by(self, windows: int) -> None:
-        """Counts windows that show it of no sensor, after one that did not either."""
+    def count(self, windows: int) -> None:
+        """Count windows in which no sensor has the property; nor did any in the window before."""
         self._windows += windows
 
     def __call__(self, shows: Booleans, judged: Booleans) -> Booleans:
-        """(s,) the sensors for which this window and the one before show it, though that is unusual."""
+        """Process a window and return (s,) the sensors that show the property in it and in the one before, if that is
+        unusual for them.
+        """
         usual = self._by_itself > _RARE * self._windows
         ended = ~shows & judged
         self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
@@ -137,23 +139,23 @@ class _Runs:
 
 
 _MOST = 4
-"""Faults that are looked for in one window."""
+"""Largest number of faults in one window."""
 
 _DOUBTFUL_WINDOWS = 3
-"""For so many windows a fault has to show before it is said that nobody can tell whose it is."""
+"""Number of windows with a fault after which it is reported as not isolated."""
 
 _BASELINE_WINDOWS = 10
-"""How often it is asked whether somebody has walked off."""
+"""Interval of the tests for drift beyond its limit, in windows."""
 
 _FORGOTTEN_WINDOWS = 50
-"""The number of windows without a fault after which an ambiguous fault is reported again."""
+"""Number of windows without a fault after which an ambiguous fault is reported again."""
 
 _STUCK_GAIN = 100.0
-"""Ten standard deviations: what two windows without a change stand for, at the least."""
+"""Gain of a standstill: ten standard deviations, a lower limit for two windows without a change."""
 
 
 class FaultIsolation:
-    """The state of one quantity: the normal model, who is out, what was said."""
+    """Fault isolation of one quantity: the normal model, the exclusions, and the events."""
 
     def __init__(
         self, axes: Sequence[Axis], rows: Floats, quantity: str, window: int, period_s: float, ranges: Ranges
@@ -176,20 +178,20 @@ class FaultIsolation:
 
     @property
     def disagreement_s(self) -> float:
-        """Time in which all sensors disagree, so that none is suspected."""
+        """Total time in which all sensors disagree, so that none is suspected."""
         return self.report.disagreements * self._window_s
 
     @property
     def out(self) -> Booleans:
-        """(m,) the axes that are left out."""
+        """The excluded axes (m,)."""
         mask = np.zeros(len(self._axes), bool)
         for exclusion in self._out:
             mask[list(exclusion.axes)] = True
         return mask
 
     def stretch(self, time: Times, values: Floats) -> WindowSeries | None:
-        """The short way through windows, time (k, n) ns and values (k, n, m), in which every reading is there and none
-        is stale; None where there is none now.
+        """Return the fast path for windows, time (k, n) ns and values (k, n, m), in which every reading is present and
+        none is stale; None if it does not apply now.
         """
         out = self.out
         if not self._normal.settled:
@@ -198,16 +200,16 @@ class FaultIsolation:
         if white is None:
             return None
         observable = white.observable[~out]
-        nobody_checks = not observable.any() and (self._blind or not self._out)  # which the long way says once
-        if not (observable.all() or nobody_checks):
+        no_redundancy = not observable.any() and (self._blind or not self._out)  # reported once, by the full path
+        if not (observable.all() or no_redundancy):
             return None
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
     def advance(self, stretch: WindowSeries, windows: range) -> int:
-        """Judges the next windows, which have these numbers in `stretch`, up to the first one that is anything but
-        usual, in one go; returns how many were judged: none, if the first is not usual.
+        """Process the next windows, which have these numbers in `stretch`, up to the first unusual one, and return
+        their number: 0 if the first is unusual.
         """
-        if self._silence.anybody or self._still.anybody or not all(exclusion.named for exclusion in self._out):
+        if self._silence.any or self._still.any or not all(exclusion.named for exclusion in self._out):
             return 0
         before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS
         if before_baseline == 0:
@@ -220,8 +222,8 @@ class FaultIsolation:
             if before_baseline == 0:
                 self._baseline.stayed(stretch.included)
             self._count += passed
-            self._silence.all_heard(passed)
-            self._still.moved(passed)
+            self._silence.all_present(passed)
+            self._still.count_moving(passed)
             for exclusion in self._out:
                 exclusion.agreed = 0
         return passed
@@ -229,11 +231,11 @@ class FaultIsolation:
     def undisturbed(
         self, stretch: WindowSeries, index: int, window: Callable[[], DecisionWindow], masks: Sequence[Booleans]
     ) -> bool:
-        """Judges the next window, number `index` of `stretch`, by the short way; False, with nothing done, where that
-        does not lead to the end.
+        """Process the next window, number `index` of `stretch`, by the fast path; False, without any change, if that
+        does not decide.
         """
         normal, changes = self._normal, stretch.changes[index]
-        if self._silence.anybody or not self._still.moves(changes, normal):
+        if self._silence.any or not self._still.moves(changes, normal):
             return False
         if not all(exclusion.named for exclusion in self._out):
             return False
@@ -241,9 +243,9 @@ class FaultIsolation:
         if seen is None:
             return False
         self._count += 1
-        self._silence.all_heard()
+        self._silence.all_present()
         normal.covariance = seen.aged
-        self._still.moved()
+        self._still.count_moving()
         if self._count % _BASELINE_WINDOWS == 0:
             suspect, drifted = self._baseline.departed(stretch.included, seen.usual, normal)
             if suspect is not None:
@@ -259,8 +261,8 @@ class FaultIsolation:
         return True
 
     def __call__(self, window: DecisionWindow, masks: Sequence[Booleans]) -> None:
-        """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
-        be left out.
+        """Process the next window; `masks` (m,) of it (the last one) and of the one before are set to True for excluded
+        axes.
         """
         if not self._normal.begun:
             self._normal.begin(window.changes)
@@ -279,15 +281,15 @@ class FaultIsolation:
         before: Booleans,
         departed: tuple[Suspect, float] | None = None,
     ) -> None:
-        """Exclude further sensors than those `before`, and readmit others; `departed` is the sensor that has drifted
-        away, where that was tested already.
+        """Exclude sensors in addition to those `before`, and readmit others; `departed` is a sensor whose drift exceeds
+        its limit, if that was tested already.
         """
         time_ns = int(window.time[0])
         waiting = [e for e in self._out if not e.named and before[list(e.axes)].any()]
         seen, doubted = self._search(window, time_ns, departed)
         if seen is not None:
             for exclusion in waiting:
-                if any(exclusion is each for each in self._out):  # else it is part of another by now
+                if any(exclusion is each for each in self._out):  # else it has become part of another one
                     self._name(exclusion, seen, window)
             self._learn(seen, window, doubted)
         new = self.out & ~before
@@ -298,7 +300,7 @@ class FaultIsolation:
         masks[-1][self.out] = True
 
     def close(self) -> None:
-        """Names what had no time to show."""
+        """Report the exclusions of the last window."""
         for exclusion in self._out:
             if not exclusion.named:
                 self.report.isolated(exclusion, exclusion.first)
@@ -306,34 +308,34 @@ class FaultIsolation:
     def _search(
         self, window: DecisionWindow, time_ns: int, departed: tuple[Suspect, float] | None = None
     ) -> tuple[WindowResiduals | None, Booleans]:
-        """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
-        little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
+        """Exclude one suspect after the other until the others agree. Return the residuals of the window by these
+        (None: they are too few), and the axes (m,) of sensors with a fault that is not isolated.
         """
-        nobody = np.zeros(len(self._axes), bool)
+        none = np.zeros(len(self._axes), bool)
         for _ in range(_MOST):
-            seen = self._look(window)
+            seen = self._residuals(window)
             if seen is None:
-                return None, nobody
+                return None, none
             suspect, drifted = strongest(seen, self._normal), 0.0
             if suspect is not None and (shared := disagreement(seen, self._normal)) > 0:
                 suspect = strongest(seen, self._normal, shared)
                 if suspect is None:
                     self.report.count_disagreement()
-                    return seen, ~nobody
+                    return seen, ~none
             if suspect is None and departed is not None:
                 (suspect, drifted), departed = departed, None
             elif suspect is None and self._count % _BASELINE_WINDOWS == 0:
                 suspect, drifted = self._baseline.departed(seen.included, seen.usual, self._normal)
             if suspect is None:
-                return seen, nobody
+                return seen, none
             if suspect.rivals:
                 suspect = separate_rivals(suspect, window, seen, self._normal, self._reset) or suspect
             if suspect.rivals or not self._exclude(suspect, time_ns, drifted, window):
                 return seen, self._doubt(suspect, seen, window, drifted)
-        return self._look(window), nobody
+        return self._residuals(window), none
 
-    def _look(self, window: DecisionWindow) -> WindowResiduals | None:
-        """The window as those see it who are in; says so once if they can't check each other."""
+    def _residuals(self, window: DecisionWindow) -> WindowResiduals | None:
+        """Return the residuals of the window by the axes in use; report once if these can't check each other."""
         seen = self._seen_by(~self.out, window)
         if (
             self._out
@@ -346,13 +348,13 @@ class FaultIsolation:
         return seen
 
     def _seen_by(self, included: Booleans, window: DecisionWindow) -> WindowResiduals | None:
-        """The window as the axes `included` see it."""
+        """Return the residuals of the window by the axes `included`."""
         return window_residuals(window, self._normal, self._rows, window.present & included, self._spaces)
 
     def _exclude(
         self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: DecisionWindow | None = None
     ) -> bool:
-        """Leaves axes out; False where the others would no longer tell all of a triad."""
+        """Exclude axes; False if the others would not determine a triad."""
         out = self.out
         axes = [axis for axis in suspect.axes if not out[axis]]
         out[axes] = True
@@ -360,13 +362,13 @@ class FaultIsolation:
             return False
         self._offences[axes] += 1
         wait = needs(int(self._offences[axes].max()), self._window_s)
-        made = Exclusion(axes[0] // 3, tuple(axes), time_ns, suspect.gain, wait, drifted_si=drifted)
-        self._out.append(made)
+        exclusion = Exclusion(axes[0] // 3, tuple(axes), time_ns, suspect.gain, wait, drifted_si=drifted)
+        self._out.append(exclusion)
         for axis in axes if drifted else ():
-            self._baseline.send_back(axis, self._normal)
+            self._baseline.reset(axis, self._normal)
         seen = None if window is None else self._seen_by(~out, window)
         if window is not None and seen is not None:
-            made.first = self._kind(made.sensor, made.axes, drifted, seen, window)
+            exclusion.first = self._kind(exclusion.sensor, exclusion.axes, drifted, seen, window)
         return True
 
     def _kind(
@@ -379,16 +381,16 @@ class FaultIsolation:
         return None if view is None else fault_kind(view, [axis % 3 for axis in axes], self._reset(view, sensor))
 
     def _reset(self, view: TriadComparison, sensor: int) -> tuple[float, float] | None:
-        """The range that explains a view of a sensor."""
+        """Return the range that explains the comparison of a sensor with the others."""
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
     def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: DecisionWindow) -> None:
-        """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures
-        in another range is left out as a whole.
+        """Determine and report the kind of a fault one window after its detection, when it fills a window. A sensor
+        that is stuck or measures in another range is excluded as a whole.
         """
         agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
-        over = agrees and not self._still.standing[exclusion.sensor]
-        now = None if over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)
+        is_over = agrees and not self._still.standing[exclusion.sensor]
+        now = None if is_over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)
         exclusion.kind = now or exclusion.first
         if exclusion.kind is not None and exclusion.kind.whole:
             out = self.out
@@ -400,7 +402,9 @@ class FaultIsolation:
         self.report.isolated(exclusion, exclusion.kind)
 
     def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
-        """Counts the windows in which a fault shows that is nobody's, and says so when it lasts."""
+        """Count the windows with a fault that is not isolated, and report it if it lasts. Return the axes (m,) of the
+        sensors that may have it.
+        """
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
         count, last = self._doubts.get(among[0], (0, -_FORGOTTEN_WINDOWS))
@@ -409,15 +413,15 @@ class FaultIsolation:
         if count == _DOUBTFUL_WINDOWS:
             others = ~self.out
             others[list(suspect.axes)] = False
-            beside_it = self._seen_by(others, window) or seen
-            kind = self._kind(sensor, suspect.axes, drifted, beside_it, window)
+            by_others = self._seen_by(others, window) or seen
+            kind = self._kind(sensor, suspect.axes, drifted, by_others, window)
             self.report.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
         doubted = np.zeros(len(self._axes), bool)
         doubted.reshape(-1, 3)[among] = True
         return doubted
 
     def _learn(self, seen: WindowResiduals, window: DecisionWindow, doubted: Booleans) -> None:
-        """Learn what is normal from the readings of sound axes."""
+        """Update the normal model from the readings of axes without a fault."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
         self._normal.learn(seen.regressors, seen.residual, sound)
@@ -427,15 +431,15 @@ class FaultIsolation:
         self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
 
     def _readmit(self, seen: WindowResiduals, present: Booleans, time_ns: int) -> None:
-        """Takes back those that have agreed for long enough."""
+        """Readmit axes that have agreed for long enough."""
         agrees = agreeing(seen, self._normal, present) & ~np.repeat(self._still.standing, 3)
         for exclusion in list(self._out):
-            if exclusion.hears(agrees):
+            if exclusion.update(agrees):
                 self._out.remove(exclusion)
                 self._blind = False
                 self.report.readmitted(exclusion, time_ns)
 
 
 def _members(sensor: int) -> tuple[int, int, int]:
-    """The axes of a sensor."""
+    """Return the axes of a sensor."""
     return 3 * sensor, 3 * sensor + 1, 3 * sensor + 2

@@ -1,14 +1,14 @@
-"""Hypotheses of which axis, or which whole sensor, explains a window best: generalised likelihood ratios.
+"""Fault hypotheses, an axis or a whole sensor for each, compared by generalised likelihood ratios.
 
-Two tests, for every axis and for every sensor as a whole:
+There are two tests, for every axis and for every sensor as a whole:
 
-- mean: the window's mean is off by a constant;
-- energy: single readings scatter about their mean by more than their noise, whatever the waveform (spikes, noise, a
-  fault that begins within the window, another scale).
+- mean: the window's mean has a constant error;
+- energy: single readings scatter about their mean by more than their noise, with any waveform (glitches, noise, a fault
+  that begins within the window, another scale).
 
-The hypothesis with the largest gain wins; it is isolated if no other sensor gains nearly as much. Sensors that parity
-cannot separate are separated by symptoms that a faulty sensor shows on its own (`separate_rivals`). `Baseline` measures
-how far each axis has slowly departed from its starting point: a drift stays within its limit, a walk-off exceeds it.
+The hypothesis with the largest gain is selected; it is isolated if no other sensor gains nearly as much. Sensors that
+parity cannot separate are separated by symptoms of the single sensor (`separate_rivals`). `Baseline` measures the slow
+drift of each axis since its start and detects a drift beyond its limit.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals,
 from imuarray.units import STANDARD_GRAVITY
 
 AXIS_GAIN = 50.0
-"""Gain (7 standard deviations) from which the mean of an axis is off: 2e-12 per test for normal noise. The reserve is
-for what is not normal."""
+"""Least gain of an error in the mean of an axis, 7 standard deviations: a probability of 2e-12 per test for normal
+noise, with a margin for noise that is not normal."""
 
 SENSOR_GAIN = 57.0
-"""The same probability with three degrees of freedom."""
+"""Least gain of an error in a whole sensor: the same probability with three degrees of freedom."""
 
 _MORE_AXES = 24.0
-"""The gain over a single axis from which the whole sensor is blamed."""
+"""Least additional gain of the whole sensor over its best axis."""
 
 _ENERGY_NATS = 25.0
-"""A sum of squares that white noise exceeds with a probability of e^-25 (bound of Laurent and Massart, Annals of
-Statistics 28, 2000, lemma 1)."""
+"""Negative logarithm of the probability that white noise exceeds the limit of a sum of squares (bound of Laurent and
+Massart, Annals of Statistics 28, 2000, lemma 1)."""
 
 _MARGIN = 12.0
 _MARGIN_SHARE = 0.3
@@ -48,8 +48,8 @@ _MARGIN_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Suspect:
-    """The best explanation: which axes (indices), its gain over no fault, by which test, and the sensors (numbers) that
-    explain it nearly as well (none: it is isolated).
+    """The best hypothesis: its axes (indices), its gain over no fault, the test, and the sensors (numbers) that explain
+    the window nearly as well (empty: it is isolated).
     """
 
     axes: tuple[int, ...]
@@ -59,10 +59,10 @@ class Suspect:
 
 
 def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
-    """The most likely fault of a window, None if it shows none.
+    """Return the most likely fault of a window, None if it shows none.
 
-    `disagreement` is the variance of single readings (SI) by which the sensors of this window differ from each other
-    beyond noise, 0 for none.
+    `disagreement` is the variance of single readings (SI) by which the sensors differ from each other beyond noise in
+    this window.
     """
     if _is_quiet(seen):
         return None
@@ -83,9 +83,8 @@ def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 
 
 
 def _is_quiet(seen: WindowResiduals) -> bool:
-    """Return whether a window shows no fault by bounds alone, which take a part of the time of the gains: no error of
-    an axis or a sensor gains more than the whole sum of squares of the means, and no energy exceeds that over the noise
-    alone.
+    """Return whether bounds, which are faster than the gains, show that a window has no fault: the gain of an error of
+    an axis or a sensor is at most the sum of squares of the means, and an energy is at most that over the noise alone.
     """
     if not float(seen.means @ seen.slow.matrix @ seen.means) < _CERTAINLY * AXIS_GAIN:
         return False
@@ -98,28 +97,28 @@ _CERTAINLY = 1 - 1e-6
 """Share of a limit below which rounding does not matter."""
 
 _FEWEST_SENSORS = 4
-"""The number of sensors from which a common change can be distinguished from a change of a single sensor."""
+"""Fewest sensors by which a common change can be distinguished from a change of a single sensor."""
 
 _FEWEST_READINGS = 3
 
 _UNEVEN = 9.0
-"""Sensors take part in a disagreement as differently as this, in variance: those at the ends of a board more than those
-in its middle."""
+"""Ratio of the largest to the median variance of a disagreement over the sensors: those at the ends of a board are
+affected more than those in its middle."""
 
 _USUAL_SCATTER = 3.0
-"""Mean square of a few normal readings, over their variance, that is not unusual."""
+"""Largest usual mean square of a few normal readings, over their variance."""
 
 _USUAL_READING = 9.0
-"""Square of a single normal reading, over its variance, that is not unusual: three standard deviations."""
+"""Largest usual square of a single normal reading, over its variance: three standard deviations."""
 
 
 def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
-    """Variance (SI) of single readings by which at least half of the sensors differ from the others in this window,
-    beyond noise, on average or in one frame; 0 where fewer do, infinite where too few have three complete readings, as
-    when most clip.
+    """Return the variance (SI) of single readings by which at least half of the sensors differ from the others in this
+    window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three complete readings,
+    for example if most clip.
 
-    A knock, or motion that is too fast for the rate of the rows, is felt at other moments by every chip, so that all of
-    them disagree at once; a knock may be over within one frame. One faulty sensor of four or more has no part in it:
+    Chips sample a knock, or motion that is too fast for the rate of the rows, at different times, so that all of them
+    disagree at once; a knock may end within one frame. One faulty sensor of four or more does not contribute, because
     each is compared with the median.
     """
     shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
@@ -144,8 +143,9 @@ def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
 
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
-    """(m,) the energy that noise of this `colour` (m,) doesn't exceed; what is doubt about calibration in it may be the
-    same for all readings of the window, 7 standard deviations at most.
+    """Return the limit (m,) of the energy of noise of this `colour` (m,). The share `lasting` (m,) of the variance, the
+    uncertainty of the calibration, may be the same error in all readings of the window, of at most 7 standard
+    deviations.
     """
     nats = _ENERGY_NATS * colour
     by_noise = frames + 2 * np.sqrt(frames * nats) + 2 * nats
@@ -154,7 +154,7 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
 
 @lru_cache(maxsize=64)
 def least_energy_limit(frames: int) -> float:
-    """Return the lower bound of `energy_limit`: that of white noise, or of doubt alone if that is less."""
+    """Return the lower bound of `energy_limit`: that of white noise, or of a lasting error if that is less."""
     return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))
 
 
@@ -183,7 +183,7 @@ def _by_energy(energy: Floats, limit: Floats) -> Suspect:
 
 
 def _rivals(gains: Floats, best: int, gain: float) -> tuple[int, ...]:
-    """The sensors whose gain comes too near that of the best one."""
+    """Return the sensors whose gain is too near that of the best one."""
     near = gains > gain - max(_MARGIN, _MARGIN_SHARE * gain)
     near[best] = False
     return tuple(int(sensor) for sensor in np.flatnonzero(near))
@@ -192,17 +192,17 @@ def _rivals(gains: Floats, best: int, gain: float) -> tuple[int, ...]:
 DRIFT_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.1 * STANDARD_GRAVITY, "angular_rate": np.radians(3.0)}
 )
-"""How far an axis may drift in a run: twice what the worst axis of the paper's Table 8 does over its 28 degC
-(1.4 mg and 0.05 dps per degC)."""
+"""Limit of the drift of an axis in a run: twice that of the worst axis of the paper's Table 8 over its 28 degC (1.4 mg
+and 0.05 dps per degC)."""
 
 _SETTLED = 3
 _SIGMAS = 4.0
 _CLEARLY = 0.7
-"""Another sensor that departs by more than this share of the worst one's departure might be the one as well."""
+"""Share of the largest drift above which another sensor may be the faulty one as well."""
 
 
 class Baseline:
-    """The starting point of each axis, and its distance from there."""
+    """The initial state of each axis, and its drift since then."""
 
     def __init__(self, rows: Floats, quantity: str) -> None:
         self._spaces = Spaces(rows)
@@ -212,10 +212,10 @@ class Baseline:
         self._covariance: Floats | None = None
 
     def departed(self, included: Booleans, usual: Floats, normal: NormalModel) -> tuple[Suspect | None, float]:
-        """Return, of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off
-        farthest, beyond what drift allows, and how far in SI; None if none has.
+        """Return, among the axes `included` (m,) with the mean regressors `usual` (m, 5), the one whose drift exceeds
+        the limit most, and the drift in SI; None if there is none.
 
-        To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
+        Call it at equal intervals: an axis is settled after `_SETTLED` of them.
         """
         self._settle(included, normal)
         shares = self._shares(included & (self._seen >= _SETTLED), usual, normal)
@@ -231,9 +231,7 @@ class Baseline:
         return Suspect((worst,), gain, "mean", tuple(np.flatnonzero(sensors).tolist())), float(departure[worst])
 
     def stays(self, included: Booleans, usual: Floats, normal: NormalModel) -> bool:
-        """Return whether `departed` would only count the axes, all of which are where they may be: nobody has walked
-        off, and nobody settles.
-        """
+        """Return whether `departed` would only count the axes: no drift exceeds the limit, and no axis settles."""
         seen = self._seen + included
         if self._state is None or (included & (seen == _SETTLED)).any():
             return False
@@ -241,12 +239,12 @@ class Baseline:
         return shares is None or bool(shares[0].max() < 1)
 
     def stayed(self, included: Booleans) -> None:
-        """Count the axes, as `departed` does, where they stay."""
+        """Count the axes, as `departed` does."""
         self._seen += included
 
     def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
-        """(m,) how far each axis has departed over what is allowed, how far that is, and what is allowed; None where
-        those that have `begun` do not tell.
+        """Return the drift of each axis over its limit, the drift, and the limit, all (m,); None if the axes that have
+        `begun` do not determine a triad.
         """
         space = self._spaces(begun.astype(float))
         if space is None or self._state is None or self._covariance is None:
@@ -258,13 +256,15 @@ class Baseline:
         allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
         return np.where(space.observable, np.abs(departure) / allowed, 0.0), departure, allowed
 
-    def send_back(self, axis: int, normal: NormalModel) -> None:
-        """Forgets what `normal` learnt of an axis since it began: its walk is no calibration."""
+    def reset(self, axis: int, normal: NormalModel) -> None:
+        """Reset the state of an axis in `normal` to its initial one: a drift beyond its limit is not a calibration
+        error.
+        """
         if self._state is not None and self._covariance is not None:
             normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
 
     def _settle(self, included: Booleans, normal: NormalModel) -> None:
-        """Notes the state of each axis when it has been in use for long enough."""
+        """Store the state of each axis when it has been in use for long enough."""
         self._seen += included
         if self._state is None or self._covariance is None:
             self._state, self._covariance = normal.state.copy(), normal.covariance.copy()
@@ -273,20 +273,20 @@ class Baseline:
 
 
 Resets = Callable[[TriadComparison, int], tuple[float, float] | None]
-"""The range (and factor) that explains how a sensor (number) reads beside the others."""
+"""Returns the range (and factor) that explains the comparison of a sensor (number) with the others."""
 
 _WILD = 6.0
-"""A sensor whose changes from reading to reading have so many times their usual mean square is noisy, ..."""
+"""Least ratio of the mean square of changes from reading to reading to the usual one for a noisy sensor."""
 
 _CALM = 2.0
-"""... if those of all others have less than this: the box is at rest."""
+"""Largest such ratio of all other sensors, which shows that the box is at rest."""
 
 
 def separate_rivals(
     suspect: Suspect, window: DecisionWindow, seen: WindowResiduals, normal: NormalModel, resets: Resets
 ) -> Suspect | None:
-    """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of
-    its chip, or is noisy while all others are as ever; None if that is true of none or of several.
+    """Return the suspect or one of its rivals, as a whole sensor, if it is the only one that stands still, that reads
+    as in another range of its chip, or that is noisy while all others are as usual; None if there is none or several.
     """
     views = {}
     for sensor in (suspect.axes[0] // 3, *suspect.rivals):
@@ -312,5 +312,5 @@ def separate_rivals(
 
 
 def _wild(own: float, others: list[float]) -> bool:
-    """Noisy while the others are calm."""
+    """Return whether a sensor is noisy while the others are calm."""
     return own > _WILD and max(others) < _CALM

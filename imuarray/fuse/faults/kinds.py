@@ -1,4 +1,4 @@
-"""Kinds of faults, and how each looks: another range, stuck, off, walked off, noisy, spikes."""
+"""Kinds of faults and their characteristics: another range, stuck, biased, drifting, noisy, with glitches."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ from imuarray.fuse.faults.window import DecisionWindow, WindowResiduals
 from imuarray.fuse.frames import Axis
 
 Ranges = Mapping[str, Mapping[float, float]]
-"""Keyed by name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+"""Counts per unit at each measuring range, keyed by chip, as in `imuarray.chips.CHIPS`."""
 
 QUIET = 0.1
-"""A triad whose changes from reading to reading have less than this share of their usual mean square is stuck, or
-measures in a wider range: chi-square with some 20 degrees of freedom never does that."""
+"""Share of the usual mean square of changes from reading to reading below which a triad is stuck, or measures in a
+wider range: chi-squared with some 20 degrees of freedom is never so small."""
 
-_SCALE_ALIKE = 0.15
-"""A range explains a ratio of readings within this share: each range has an offset of its own (BMA-79)."""
+_SCALE_TOLERANCE = 0.15
+"""Relative tolerance of a ratio of readings by another range: each range has an offset of its own (BMA-79)."""
 
-_NOISE_ALIKE = 0.35
-"""Ratio of noise, too, within which they are alike."""
+_NOISE_TOLERANCE = 0.35
+"""Relative tolerance of a ratio of noise by another range."""
 
-_TOLD = 8.0
-"""The signal is so many standard deviations of a reading at least, if a ratio is to be told from it."""
+_LEAST_SIGNAL = 8.0
+"""Least signal, in standard deviations of a reading, from which a ratio of readings is determined."""
 
 _LOW, _LOW_SIGMAS = 0.4, 0.524
 """Four of ten readings are within 0.524 standard deviations of normal noise."""
 
-_AS_EVER = 3.0
-"""Spikes leave those as they were: they scatter by less than so many times the usual."""
+_USUAL = 3.0
+"""Largest scatter of these four of ten readings, relative to the usual scatter, in a window with glitches."""
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """An effect's name, its size (see `FaultEvent.size_si`), whether all of the sensor is concerned, and the range."""
+    """A kind of fault: the name of its effect, its size (see `FaultEvent.size_si`), whether it affects the whole
+    sensor, and the range of a `range_reset`.
+    """
 
     name: str
     size: float
@@ -47,8 +49,8 @@ class FaultKind:
 
 @dataclass(frozen=True)
 class TriadComparison:
-    """One triad compared with the other sensors: its `own` readings less its normal errors, and the readings `expected`
-    (n, 3) along its axes, valid readings only; `noise` (3,) of a single reading.
+    """One triad compared with the other sensors, for its valid readings: its `own` readings less its normal errors, and
+    the `expected` readings (n, 3) along its axes; `noise` (3,) of a single reading; whether all are `stale`.
     """
 
     own: Floats
@@ -60,22 +62,22 @@ class TriadComparison:
 
     @property
     def ratio(self) -> float:
-        """Return the multiple of the other axes that an axis reads; NaN where there is too little to tell it from."""
+        """Ratio of the triad's readings to the expected ones; NaN if the signal is too small."""
         power = float((self.expected**2).mean(axis=0).sum())
-        if not power > _TOLD**2 * float((self.noise**2).sum()) / len(self.expected):
+        if not power > _LEAST_SIGNAL**2 * float((self.noise**2).sum()) / len(self.expected):
             return np.nan
         return float((self.own * self.expected).sum() / (self.expected**2).sum())
 
     @property
     def noise_ratios(self) -> Floats:
-        """(3,) by how much more than usual each axis scatters about what the others tell."""
+        """Scatter (3,) of each axis about the expected readings, relative to the usual scatter."""
         return np.asarray((self.own - self.expected).std(axis=0) / self.noise)
 
 
 def compare_triad(
     seen: WindowResiduals, window: DecisionWindow, normal: NormalModel, axes: Sequence[int]
 ) -> TriadComparison | None:
-    """A triad (its three `axes`) beside the axes included in `seen`; None where it has too few valid readings."""
+    """Compare a triad (its three `axes`) with the axes included in `seen`; None if it has too few valid readings."""
     members = list(axes)
     rows = window.valid[:, members].all(axis=1)
     if rows.sum() < 3:
@@ -89,19 +91,19 @@ def compare_triad(
 
 
 def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
-    """The range of its chip that explains how many times too much a triad reads (or, where there is nothing to read,
-    scatters), and that factor; None if none does.
+    """Return the range of the chip that explains the ratio of a triad's readings (or, without a signal, of its
+    scatter), and the factor of that range; None if there is none.
     """
     table = ranges.get(axis.chip, {})
     configured = min(table, key=lambda span: abs(span * unit_si - axis.range_si), default=0.0)
     factors = {span: table[span] / table[configured] for span in table if table[span] != table[configured]}
     if not factors:
         return None
-    ratio, tolerance = view.ratio, _SCALE_ALIKE
+    ratio, tolerance = view.ratio, _SCALE_TOLERANCE
     if not np.isfinite(ratio):
         quiet = view.quiet < QUIET
         each = np.full(3, np.sqrt(view.quiet)) if quiet else view.noise_ratios
-        ratio, tolerance = float(np.exp(np.log(np.maximum(each, 1e-9)).mean())), _NOISE_ALIKE
+        ratio, tolerance = float(np.exp(np.log(np.maximum(each, 1e-9)).mean())), _NOISE_TOLERANCE
         if each.max() > 2.5 * each.min() or 0.5 < ratio < 1.8:
             return None
     best = min(factors, key=lambda span: abs(np.log(factors[span] / max(ratio, 1e-9))))
@@ -126,10 +128,10 @@ def fault_kind(view: TriadComparison, which: Sequence[int], reset: tuple[float, 
 
 
 def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> FaultKind | None:
-    """Another scale, where that explains a window far better than another bias."""
+    """Return a fault of scale if it explains a window much better than a bias; else None."""
     expected, own = view.expected[:, chosen], view.own[:, chosen]
     power = (expected**2).sum(axis=0)
-    if not power.min() > _TOLD**2 * float((view.noise[chosen] ** 2).max()):
+    if not power.min() > _LEAST_SIGNAL**2 * float((view.noise[chosen] ** 2).max()):
         return None
     factor = (own * expected).sum(axis=0) / power
     remaining = ((own - factor * expected) ** 2).sum()
@@ -139,8 +141,8 @@ def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Fa
 
 
 def _scattered(off: Floats, noise: Floats, scatter: float) -> FaultKind:
-    """Spikes or noise: most readings are as ever, or all of them wilder."""
+    """Distinguish glitches, which leave most readings as usual, from noise."""
     about = np.abs(off - np.median(off, axis=0))
-    if (np.quantile(about, _LOW, axis=0) < _AS_EVER * _LOW_SIGMAS * noise).all():
+    if (np.quantile(about, _LOW, axis=0) < _USUAL * _LOW_SIGMAS * noise).all():
         return FaultKind("glitches", float(about.max()))
     return FaultKind("white_noise", scatter)

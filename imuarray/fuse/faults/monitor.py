@@ -1,11 +1,11 @@
-"""Fault monitors: a stage between alignment and technique that leaves out the axes of one quantity that have failed.
+"""Fault monitors: a stage between alignment and technique that excludes failed axes of one quantity.
 
-Frames are judged in decision windows of a tenth of a second, counted from the first frame, so that the cuts between
-blocks have no effect. Frames are returned one window late: a faulty axis is thus already missing in the window in which
-the fault is detected and in the one before, in which it may have begun.
+Frames are processed in decision windows of a tenth of a second, counted from the first frame, so that the limits of
+blocks have no effect. Frames are returned one window late, so that a faulty axis is excluded from the window in which
+the fault is detected and from the one before, in which it may have begun.
 
-`MonitoredPipeline` puts monitors before another pipeline. `MaskedPipeline` gives a pipeline the frames of a log a
-second time, without the axes that were left out the first time.
+`MonitoredPipeline` puts monitors before another pipeline. `MaskedPipeline` passes the frames of a log to a pipeline a
+second time, without the axes that were excluded the first time.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
 
 LEAST_FRAMES = 4
-"""Least number of frames of a window: a slow log is judged more slowly."""
+"""Fewest frames of a window: in a slow log, windows are longer."""
 
 _AT_FIRST, _AT_ONCE = 8, 256
-"""Windows that are prepared together, after somebody was left out or taken back and at most: some megabytes."""
+"""Number of windows that are prepared together: after an exclusion or readmission, and at most (some megabytes)."""
 
 NO_RANGES: Ranges = MappingProxyType({})
 
 
 class ExclusionMasks:
-    """The axes that a monitor left out of each frame: what does not change for long takes no room."""
+    """The axes that a monitor excluded from each frame; only changes are stored."""
 
     def __init__(self, window: int, axes: int) -> None:
         self._window, self._windows = window, 0
@@ -57,7 +57,7 @@ class ExclusionMasks:
             self._windows += 1
 
     def of(self, frames: Frames, first: int) -> Frames:
-        """The frames, the `first` of which has this number, without those axes."""
+        """Return the frames, whose first one has the number `first`, without the excluded axes."""
         numbers = np.arange(first, first + len(frames.time))
         which = np.searchsorted(self._begins, numbers, "right") - 1
         used, where = np.unique(which, return_inverse=True)
@@ -68,18 +68,18 @@ class ExclusionMasks:
 
 
 class FaultMonitor:
-    """Takes consecutive blocks of frames of one quantity, of any length; gives the same frames, in which `valid` is
-    False for axes that were found faulty. `events` grows as they are found.
+    """Processes consecutive blocks of frames of one quantity, of any length, and returns the same frames, with `valid`
+    False for faulty axes. `events` are the events so far.
 
-    At most two decision windows are held back (0.2 s, or 8 frames where those are longer); `finish` gives them. A
-    fault is found in any geometry of two triads or more, and isolated where the axes tell which one it is: of two
-    triads only one that is stuck, changed its range or its noise can be told.
+    At most two decision windows are delayed (0.2 s, or 8 frames if those are longer); `finish` returns them. A fault is
+    detected in any geometry of two or more triads, and isolated if the axes determine the faulty one; with two triads,
+    only a triad that is stuck, or whose range or noise changed, can be isolated.
     """
 
     def __init__(self, axes: Sequence[Axis], quantity: str, *, period_s: float, ranges: Ranges = NO_RANGES) -> None:
-        """`axes` in threes, a triad each, as `axes_of` gives them, of `quantity` ("specific_force" or "angular_rate");
-        `period_s` from frame to frame; `ranges` the sensitivities of the chips by name, for a sensor that has fallen
-        back to another range. FusionError for axes that are no triads, and for a period that is not above 0.
+        """`axes` are triads, as returned by `axes_of`, of `quantity` ("specific_force" or "angular_rate"); `period_s`
+        from frame to frame; `ranges` the sensitivities of the chips by name, to identify a sensor that returned to
+        another range. FusionError for axes that are not triads, and for a period that is not above 0.
         """
         _check(axes, period_s)
         self.window = max(LEAST_FRAMES, round(WINDOW_S / period_s))
@@ -99,14 +99,14 @@ class FaultMonitor:
 
     @property
     def disagreement_s(self) -> float:
-        """Time in which all sensors disagree (`disagreement`), so that none is suspected."""
+        """Total time in which all sensors disagree (`disagreement`), so that none is suspected."""
         return self._isolation.disagreement_s
 
     def __call__(self, frames: Frames, rate_box: Floats | None = None) -> Frames:
-        """The frames that are done with, in order: none at all while the first window fills.
+        """Process the next frames and return the frames that are complete, in order.
 
-        `rate_box` (n, 3) is the box's angular rate in rad/s at these frames. For accelerometers that sit apart it takes
-        out what they feel of turns by that (`Axis.position_m`); without it a fast turn may look like a fault.
+        `rate_box` (n, 3) is the box's angular rate in rad/s at these frames. For accelerometers at different positions
+        (`Axis.position_m`) it is used to remove the effect of turns; without it a fast turn may look like a fault.
         """
         if rate_box is None:
             rate_box = np.zeros((len(frames.time), 3))
@@ -141,8 +141,8 @@ class FaultMonitor:
         return self._release(held, max(0, len(self._masks) - 1))
 
     def finish(self) -> Frames | None:
-        """The frames that were still held back; None where there are none. What is too short to be judged is without
-        the axes that are left out at the end.
+        """Return the remaining frames; None if there are none. Frames after the last whole window are without the axes
+        that are excluded at the end.
         """
         if self._held is None or not len(self._held.time):
             return None
@@ -151,7 +151,7 @@ class FaultMonitor:
         return self._release(self._held, len(self._masks))
 
     def _stretch(self, held: Frames, starts: range) -> WindowSeries | None:
-        """The short way through the windows that begin at these rows, if there is one now."""
+        """Return the fast path for the windows that begin at these rows; None if it does not apply."""
         rows = slice(starts[0], starts[-1] + self.window)
         shape = (len(starts), self.window)
         time, values = held.time[rows].reshape(shape), held.values[rows].reshape(*shape, -1)
@@ -163,7 +163,7 @@ class FaultMonitor:
         return self._isolation.stretch(time, values)
 
     def _window_at(self, held: Frames, start: int) -> DecisionWindow:
-        """The decision window that begins at a row."""
+        """Return the decision window that begins at a row."""
         rows = slice(start, start + self.window)
         values = held.values[rows]
         if self._spread_out:
@@ -172,7 +172,7 @@ class FaultMonitor:
         return DecisionWindow(held.time[rows], values, held.valid[rows], stale)
 
     def _release(self, held: Frames, windows: int) -> Frames:
-        """The frames of the first `windows` windows, masked; the others stay."""
+        """Return the frames of the first `windows` windows, masked, and keep the others."""
         stop = min(windows * self.window, len(held.time))
         self._held, self._rates = held.part(slice(stop, None)), self._rates[stop:]
         done = held.part(slice(stop))
@@ -185,8 +185,8 @@ class FaultMonitor:
 
 
 def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:
-    """(k,) the windows of `length` frames, from the row `first` on, in which every reading is there and no triad is
-    stale all the time.
+    """Return (k,) the windows of `length` frames, from the row `first` on, in which every reading is present and no
+    triad is always stale.
     """
     rows = slice(first, first + windows * length)
     sound: Booleans = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
@@ -197,15 +197,15 @@ def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:
 
 
 def _check(axes: Sequence[Axis], period_s: float) -> None:
-    """FusionError unless these are triads and time goes on."""
+    """Raise FusionError unless the axes are triads and the period is positive."""
     triads = [axes[start : start + 3] for start in range(0, len(axes), 3)]
     if not axes or any([axis.index for axis in triad] != [0, 1, 2] for triad in triads):
-        raise FusionError(f"{len(axes)} axes: whole triads, x, y and z of one sensor after the other, are required")
+        raise FusionError(f"{len(axes)} axes: triads in the order x, y, z, sensor by sensor, are required")
     for triad in triads:
         if len({axis.sensor for axis in triad}) > 1:
             raise FusionError(f"sensor {triad[0].sensor}: a whole triad is required, but {triad[1].label} follows")
     if not period_s > 0:
-        raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
+        raise FusionError(f"period_s: {period_s}; it must be above 0")
 
 
 Out = TypeVar("Out")
@@ -214,8 +214,8 @@ _RATE = "angular_rate"
 
 
 class MonitoredPipeline(Generic[Out]):
-    """A fault monitor of each quantity before another pipeline; both monitors judge in the same windows, so that they
-    give back the same frames. `report` is called with each event as it is found.
+    """A fault monitor of each quantity before another pipeline; both monitors use the same windows, so that they return
+    the same frames. `report` is called with each event when it is detected.
     """
 
     def __init__(
@@ -228,29 +228,32 @@ class MonitoredPipeline(Generic[Out]):
     ) -> None:
         self._inner = inner
         self._monitors = {
-            quantity: FaultMonitor(its, quantity, period_s=period_s, ranges=ranges) for quantity, its in axes.items()
+            quantity: FaultMonitor(triads, quantity, period_s=period_s, ranges=ranges)
+            for quantity, triads in axes.items()
         }
         self._report, self._reported = report, dict.fromkeys(axes, 0)
         self._gyroscopes = directions(axes.get(_RATE, []))
-        self._apart = any(axis.position_m != its[0].position_m for its in axes.values() for axis in its)
+        self._apart = any(axis.position_m != triads[0].position_m for triads in axes.values() for axis in triads)
         self._degc: dict[str, Floats] = {}
-        """Temperatures of the frames that the monitors hold back."""
+        """Temperatures of the frames that the monitors have not returned yet."""
 
     @property
     def left_out(self) -> dict[str, ExclusionMasks]:
-        """Return the axes excluded from the frames so far, by quantity."""
+        """The axes excluded from the frames so far, by quantity."""
         return {quantity: monitor.left_out for quantity, monitor in self._monitors.items()}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
         """See `Pipeline`."""
         rate_box = self._rate_box(frames)
         done = {quantity: self._monitors[quantity](part, rate_box) for quantity, part in frames.items()}
-        self._tell()
+        self._report_events()
         self._degc = {name: np.concatenate([self._degc.get(name, values[:0]), values]) for name, values in degc.items()}
         yield from self._passed(done)
 
     def _rate_box(self, frames: Mapping[str, Frames]) -> Floats | None:
-        """(n, 3) how fast the box turns, which sensors that sit apart feel; None where nobody tells."""
+        """Return the angular rate (n, 3) of the box, which affects sensors at different positions; None if not known or
+        not required.
+        """
         if _RATE not in frames or not self._apart:
             return None
         part = frames[_RATE]
@@ -259,12 +262,12 @@ class MonitoredPipeline(Generic[Out]):
     def finish(self) -> Iterator[Out]:
         """See `Pipeline`."""
         last = {quantity: monitor.finish() for quantity, monitor in self._monitors.items()}
-        self._tell()
+        self._report_events()
         yield from self._passed({quantity: part for quantity, part in last.items() if part is not None})
         yield from self._inner.finish()
 
     def notes(self) -> FusionNotes:
-        """Return the notes of the inner pipeline, and how long sensors could not be told apart."""
+        """Return the notes of the inner pipeline, with the remarks of the monitors."""
         notes = notes_of(self._inner)
         return replace(notes, remarks=(*notes.remarks, *self.remarks()))
 
@@ -272,20 +275,20 @@ class MonitoredPipeline(Generic[Out]):
         """Return a sentence for each quantity whose sensors all disagreed at times."""
         return [
             f"{quantity}: for {monitor.disagreement_s:.1f} s all sensors disagree (knocks, clipping, or motion that is "
-            "too fast for the rate of the rows); no sensor is suspected there"
+            "too fast for the rate of the rows); no sensor is suspected in that time"
             for quantity, monitor in self._monitors.items()
             if monitor.disagreement_s > 0
         ]
 
     def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
-        """Frames that are done with, and their temperatures."""
+        """Pass complete frames and their temperatures to the inner pipeline."""
         count = max((len(part.time) for part in frames.values()), default=0)
         if count:
             now = {name: values[:count] for name, values in self._degc.items()}
             self._degc = {name: values[count:] for name, values in self._degc.items()}
             yield from self._inner(frames, now)
 
-    def _tell(self) -> None:
+    def _report_events(self) -> None:
         for quantity, monitor in self._monitors.items():
             for event in monitor.events[self._reported[quantity] :]:
                 self._report(event)
@@ -293,7 +296,7 @@ class MonitoredPipeline(Generic[Out]):
 
 
 class MaskedPipeline(Generic[Out]):
-    """A pipeline that is given the frames of a log again, without the axes that were left out the first time."""
+    """A pipeline that processes the frames of a log again, without the axes that were excluded the first time."""
 
     def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, ExclusionMasks]) -> None:
         self._inner, self._left_out, self._first = inner, left_out, 0

@@ -1,14 +1,14 @@
 """Decision windows of an array: their readings, their parity residuals, and the size effect.
 
 The parity space of an array is the part of its readings that no motion of the box can explain. Readings of one instant
-are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis that is left out), ``A = W
-- W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` depends on the errors only. The
-generalised likelihood ratio of "these axes F have an error, of any size" against "none has" is ``d_F' A_FF^-1 d_F``,
-chi-square with as many degrees of freedom as axes (Daly, Gai and Harrison, Journal of Guidance and Control 2, 1979;
-Sturza, Navigation 35, 1988).
+are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an excluded axis), ``A = W - W rows
+(rows' W rows)^-1 rows' W`` removes the truth, and ``d = A @ values`` depends on the errors only. The generalised
+likelihood ratio of "these axes F have an error, of any size" against "none has" is ``d_F' A_FF^-1 d_F``, chi-square
+with as many degrees of freedom as axes (Daly, Gai and Harrison, Journal of Guidance and Control 2, 1979; Sturza,
+Navigation 35, 1988).
 
-The size effect (`lever_arms`) is the additional specific force at sensors away from the origin of a box that turns.
-`WindowResiduals` is one window as the axes that are believed see it.
+The size effect (`lever_arms`) is the additional specific force at sensors away from the origin while the box turns.
+`WindowResiduals` are the residuals of one window with respect to the included axes.
 """
 
 from __future__ import annotations
@@ -24,17 +24,12 @@ from imuarray.fuse.least_squares import frame_gains, spans
 
 
 def slope(time: Times, triad: Floats) -> Floats:
-    """(n, 3) change per second of triads (n, 3): central differences, one-sided at the ends."""
-    seconds = (time - time[0]) * 1e-9
-    result = np.empty_like(triad)
-    result[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
-    result[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
-    result[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
-    return result
+    """Return the change per second (n, 3) of triads (n, 3): central differences, one-sided at the ends."""
+    return np.asarray(slopes(time[None], triad[None])[0])
 
 
 def slopes(time: Times, triads: Floats) -> Floats:
-    """(k, n, 3) the same of k windows at times (k, n)."""
+    """Return the change per second (k, n, 3) of triads (k, n, 3) of k windows at times (k, n)."""
     seconds = (time - time[:, :1]) * 1e-9
     result = np.empty_like(triads)
     result[:, 1:-1] = (triads[:, 2:] - triads[:, :-2]) / (seconds[:, 2:] - seconds[:, :-2])[:, :, None]
@@ -44,20 +39,21 @@ def slopes(time: Times, triads: Floats) -> Floats:
 
 
 def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
-    """(n, m) specific force along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in m/s2, of a box
-    that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates (NaN) count as 0.
+    """Return the specific force (n, m) along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in
+    m/s2, of a box that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates
+    (NaN) count as 0.
     """
     rate = np.nan_to_num(rate_box)
     turning = slope(time, rate)[:, None, :]
     spinning = rate[:, None, :]
-    felt = np.cross(turning, positions_m) + np.cross(spinning, np.cross(spinning, positions_m))
-    return np.asarray((felt * rows).sum(axis=2))
+    force = np.cross(turning, positions_m) + np.cross(spinning, np.cross(spinning, positions_m))
+    return np.asarray((force * rows).sum(axis=2))
 
 
 @dataclass(frozen=True)
 class Parity:
-    """One choice of weights: `gain` (3, m) gives the triad, `matrix` (m, m) is A, `spread` (3, 3) the triad's
-    covariance, `observable` (m,) whether an error of this axis shows at all.
+    """The parity space for one set of weights: `gain` (3, m) from readings to the triad, `matrix` (m, m) A, `spread`
+    (3, 3) the triad's covariance, `observable` (m,) whether an error of the axis is visible.
     """
 
     gain: Floats
@@ -67,21 +63,23 @@ class Parity:
 
     @cached_property
     def deleted(self) -> Floats:
-        """(m, m) gives the deleted residuals: each axis against what all the others say of it; 0 for an axis whose
-        error does not show.
+        """Matrix (m, m) of the deleted residuals: each axis less its prediction from all others; 0 for an axis whose
+        error is not visible.
         """
         size = np.where(self.observable, self.matrix.diagonal(), 1.0)
         return np.asarray(np.where(self.observable[:, None], self.matrix / size[:, None], 0.0))
 
     def axis_gains(self, errors: Floats) -> Floats:
-        """(m,) twice the log-likelihood ratio of an error in one axis, for `errors` (m,): one degree of freedom."""
+        """Return twice the log-likelihood ratio (m,) of an error in one axis, for `errors` (m,): one degree of
+        freedom.
+        """
         shown = self.matrix @ errors
         return np.asarray(
             np.where(self.observable, shown**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
         )
 
     def sensor_gains(self, errors: Floats) -> Floats:
-        """(m / 3,) the same of an error in all axes of one triad: three degrees of freedom."""
+        """Return the same (m / 3,) for an error in all axes of one triad: three degrees of freedom."""
         sensors = len(errors) // 3
         blocks = np.einsum("sisj->sij", self.matrix.reshape(sensors, 3, sensors, 3))
         shown = (self.matrix @ errors).reshape(sensors, 3, 1)
@@ -92,7 +90,9 @@ class Parity:
 
 
 def parity(rows: Floats, weights: Floats) -> Parity | None:
-    """The parity space of axes `rows` (m, 3) with `weights` (m,); None where the weighted axes don't span space."""
+    """Return the parity space of axes `rows` (m, 3) with `weights` (m,); None if the weighted axes do not span
+    space.
+    """
     weighted = rows * weights[:, None]
     normal = weighted.T @ rows
     if not spans(normal):
@@ -105,13 +105,13 @@ def parity(rows: Floats, weights: Floats) -> Parity | None:
 
 
 _KEPT = 1024
-"""Sets of valid axes of which the gains are kept."""
+"""Largest number of sets of valid axes whose gains are cached."""
 
 
 class Spaces:
     """Parity spaces of one set of axes, and the gains of frames that lack readings. The results for the last weights
-    are kept: weights change only when a sensor is left out, and sensors of different rates leave the same gaps in every
-    window.
+    are cached: weights change only when a sensor is excluded, and sensors of different rates leave the same gaps in
+    every window.
     """
 
     def __init__(self, rows: Floats) -> None:
@@ -121,7 +121,7 @@ class Spaces:
         self._gains: dict[bytes, tuple[Floats, bool]] = {}
 
     def __call__(self, weights: Floats) -> Parity | None:
-        """Return `parity` of the rows with these weights; the last result is kept."""
+        """Return `parity` of the rows with these weights; the last result is cached."""
         if (key := weights.tobytes()) != self._key:
             self._key, self._last, self._gains = key, parity(self._rows, weights), {}
         return self._last
@@ -153,12 +153,12 @@ class DecisionWindow:
 
     @cached_property
     def present(self) -> Booleans:
-        """(m,) the axes that have enough readings to be judged: two."""
+        """The axes (m,) with at least two valid readings."""
         return np.asarray(self.valid.sum(axis=0) >= 2)
 
     @cached_property
     def changes(self) -> Floats:
-        """(m,) mean square of the change from reading to reading, NaN where no two valid ones follow each other."""
+        """Mean square (m,) of the change from reading to reading, NaN without two consecutive valid ones."""
         both = self.valid[1:] & self.valid[:-1]
         squares = np.where(both, np.diff(self.values, axis=0), 0.0) ** 2
         counts = both.sum(axis=0)
@@ -167,12 +167,12 @@ class DecisionWindow:
 
 @dataclass(frozen=True)
 class WindowResiduals:
-    """A window as the axes `included` (m,) see it.
+    """Residuals of a window with respect to the axes `included` (m,).
 
-    `triad` (n, 3) is their estimate; `residual` (n, m) is what each axis (also one that is not included) reads beside
-    that and its model of what is normal, 0 where it has no valid reading; `means` (m,) of it over the `counts` (m,)
-    valid readings, with variances `doubt` (m,) of each axis alone. `white` is the parity space of single readings,
-    `slow` that of the means. `regressors` (m, n, 5) are those of the normal model, 0 for invalid readings.
+    `triad` (n, 3) is the estimate of these; `residual` (n, m) is the reading of each axis, included or not, less that
+    estimate and its normal model, 0 without a valid reading; `means` (m,) are its means over the `counts` (m,) valid
+    readings, with variances `doubt` (m,) of each single axis. `white` is the parity space of single readings, `slow`
+    that of the means. `regressors` (m, n, 5) are those of the normal model, 0 for invalid readings.
     """
 
     included: Booleans
@@ -188,25 +188,25 @@ class WindowResiduals:
 
     @property
     def usual(self) -> Floats:
-        """(m, 5) the mean regressors."""
+        """Mean regressors (m, 5)."""
         return np.asarray(self.regressors.sum(axis=1) / self.counts[:, None])
 
     @property
     def spread(self) -> Floats:
-        """(m,) variance of the mean residual of an axis that is not included."""
+        """Variance (m,) of the mean residual of an axis that is not included."""
         others = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
         return np.asarray(self.doubt + others)
 
     @cached_property
     def deleted_squares(self) -> Floats:
-        """(m,) the sum of squares of each axis' deleted residual about its mean."""
+        """Sum of squares (m,) of each axis's deleted residual about its mean."""
         centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
         squares: Floats = (centred @ self.white.deleted.T) ** 2
         return np.asarray(squares.sum(axis=0))
 
     def energies(self, normal: NormalModel) -> tuple[Floats, Floats]:
-        """(m,) the sum of squares, in variances, of each included axis' deleted residual about its mean; and the share
-        of that variance that is no noise but doubt about calibration, and so the same from reading to reading.
+        """Return the sum of squares (m,) of each included axis's deleted residual about its mean, over its variance;
+        and the share (m,) of that variance that is uncertainty of the calibration and thus equal in all readings.
         """
         deleted = self.white.deleted
         noise = np.where(
@@ -221,7 +221,7 @@ class WindowResiduals:
 def window_residuals(
     window: DecisionWindow, normal: NormalModel, rows: Floats, included: Booleans, spaces: Spaces
 ) -> WindowResiduals | None:
-    """The window as the axes `included` see it; None where these don't tell all of a triad."""
+    """Return the residuals of a window by the axes `included`; None if these do not determine a triad."""
     weights = np.where(included, 1 / normal.variance, 0.0)
     white = spaces(weights)
     if white is None:
@@ -251,8 +251,8 @@ def window_residuals(
 
 @dataclass(frozen=True)
 class _FrameSolution:
-    """Least-squares solution of the frames of a window: `gains` (n, 3, m), or (3, m) where all frames have the same,
-    and whether each frame's readings determine a triad, `observable` (n,).
+    """Least-squares solution of the frames of a window: `gains` (n, 3, m), or (3, m) if all frames have the same, and
+    whether the readings of each frame determine a triad, `observable` (n,).
     """
 
     gains: Floats
@@ -266,8 +266,8 @@ class _FrameSolution:
         return cls(*spaces.gains(valid, weights))
 
     def __call__(self, values: Floats) -> Floats:
-        """Return the triads (n, 3) of values (n, m), which are 0 where not valid; a frame without a triad has that of
-        the frame before.
+        """Return the triads (n, 3) of values (n, m), which are 0 if not valid; a frame without a triad gets that of the
+        frame before.
         """
         if self.gains.ndim == 2:
             return np.asarray(values @ self.gains.T)

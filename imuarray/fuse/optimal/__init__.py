@@ -1,4 +1,4 @@
-"""The estimator of the whole array: one error model, its slow errors followed by a Kalman filter and smoother."""
+"""The estimator of the whole array: one error model, whose slow errors a Kalman filter and smoother estimate."""
 
 from __future__ import annotations
 

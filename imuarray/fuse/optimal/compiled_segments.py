@@ -1,7 +1,7 @@
 """The compiled part of `optimal` (`_segments.c`): frames of a segment in which the same rows are in use.
 
-It computes the same as the NumPy code of `SegmentView`, `solve`, `Dynamics` and `SegmentEvidence`, to rounding, where
-no axis is clipped and the usual gain serves. Where the package was installed without a C compiler it serves nowhere.
+It computes the same as the NumPy code of `SegmentView`, `solve`, `Dynamics` and `SegmentEvidence`, to rounding, if no
+axis is clipped and the usual gain applies. It is not available if the package was installed without a C compiler.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ except ImportError:  # installed without a C compiler
     def begin(
         arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, ...], final: bool, change: float, tolerance: float
     ) -> float:
-        """No segment."""
+        """Process no segment."""
         return -1.0
 
     def frames(
@@ -30,5 +30,5 @@ except ImportError:  # installed without a C compiler
         worst: float,
         fair: float,
     ) -> tuple[int, float]:
-        """No frames."""
+        """Process no frames."""
         return 0, 0.0

@@ -1,17 +1,17 @@
-"""Prior error model of an array, by which `Optimal` weighs its readings: standard deviations of every error.
+"""Prior error model of an array, by which `Optimal` weights its readings: standard deviations of every error.
 
 A reading of axis i of a sensor, along that axis, in SI::
 
     y = (s + d) . u + bias + drift + c + (slope + common slope) (T - T_bias) + noise
 
-u is the specific force or angular rate at the sensor's place, s the axis's calibrated direction and d the error of it:
-scale along s, misalignment across it. c and the common slope belong to a design: all its sensors share them along the
-same own axis, whichever way that points in the box (paper, section 2.1).
+u is the specific force or angular rate at the sensor's position, s the axis's calibrated direction and d its error:
+scale along s, misalignment perpendicular to it. c and the common slope belong to a design: all its sensors share them
+along the same own axis, whatever its direction in the box (paper, section 2.1).
 
-`error_model` takes the standard deviations from a calibration, and where the calibration has none, those that are usual
-for such sensors. The usual figures are those of the paper's array, consumer sensors of 2013: standard deviations over
-its units, as `configs/models/martin2013.toml` derives them from the paper's tables. A figure that grows with a unit's
-noise (which is larger where the measuring range is) is given as a share of the noise of its readings.
+`error_model` takes the standard deviations from a calibration, or, where the calibration has none, typical ones. The
+typical figures are those of the paper's array, consumer sensors of 2013: standard deviations over its units, as
+`configs/models/martin2013.toml` derives them from the paper's tables. A figure that grows with a unit's noise (which is
+larger for a larger measuring range) is given relative to the noise of its readings.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from imuarray.units import STANDARD_GRAVITY
 class AxisErrors:
     """Standard deviations of one axis's errors, in m/s2 or rad/s.
 
-    `noise` of a single reading and its `correlation` with the next one; `bias`: what a calibration left and what
-    changed since, constant; `drift`: a first-order Gauss-Markov process of `drift_time_constant_s` (infinite: a
-    constant); `slope_per_degc` away from `bias_degc`, the temperature at which the bias holds (None: the first that is
-    told); `response`: of each component of d, a share; `timing_s` of the time at which a reading holds.
-    `shares_wander`, `shares_slope`: whether it has what its design has in common (`DesignErrors`).
+    `noise` of a single reading and its `correlation` with the next one; `bias`: the constant error after calibration,
+    including changes since; `drift`: a first-order Gauss-Markov process of `drift_time_constant_s` (infinite: a
+    constant); `slope_per_degc` with respect to `bias_degc`, the temperature at which the bias is valid (None: the first
+    known temperature); `response`: of each component of d, relative; `timing_s` of the time of a reading.
+    `shares_wander`, `shares_slope`: whether it has the common errors of its design (`DesignErrors`).
     """
 
     noise: float
@@ -56,7 +56,7 @@ class AxisErrors:
     shares_slope: bool = True
 
     def __post_init__(self) -> None:
-        """FusionError for what no axis can have."""
+        """FusionError for impossible values."""
         spreads = (self.bias, self.drift, self.slope_per_degc, self.response, self.timing_s)
         if not (0 < self.noise < np.inf and all(0 <= spread < np.inf for spread in spreads)):
             raise FusionError(f"error model: noise {self.noise:g}, spreads {spreads}: positive and finite are required")
@@ -68,15 +68,15 @@ class AxisErrors:
 
     @property
     def noise_of_means(self) -> float:
-        """Standard deviation that white noise would need for means over many readings to scatter as these do:
-        first-order correlation r widens their variance by (1 + r) / (1 - r).
+        """Standard deviation of white noise with the same variance of means over many readings: first-order correlation
+        r increases that variance by (1 + r) / (1 - r).
         """
         return float(self.noise * np.sqrt((1 + self.correlation) / (1 - self.correlation)))
 
 
 @dataclass(frozen=True)
 class DesignErrors:
-    """Standard deviations of what the sensors of one design share along one of their own axes.
+    """Standard deviations of the errors that the sensors of one design share along one of their own axes.
 
     `common`: a Gauss-Markov process of `common_time_constant_s` (infinite: a constant); `slope_per_degc`.
     """
@@ -86,7 +86,7 @@ class DesignErrors:
     slope_per_degc: float = 0.0
 
     def __post_init__(self) -> None:
-        """FusionError for what no design can have."""
+        """FusionError for impossible values."""
         if not (0 <= self.common < np.inf and 0 <= self.slope_per_degc < np.inf and self.common_time_constant_s > 0):
             raise FusionError(f"error model: {self}: spreads of at least 0 and a positive time constant are required")
 
@@ -95,8 +95,8 @@ class DesignErrors:
 class ErrorModel:
     """The errors of every axis, by sensor and index of the axis, and of every design, by chip and index.
 
-    `bias_covariances` (3, 3), by sensor, come on top of the axes' own `bias`: what a calibration left of the three
-    axes together. `response_covariances` (9, 9), by sensor, row by row, come in place of the axes' own `response`.
+    `bias_covariances` (3, 3), by sensor, are added to the axes' own `bias`: the joint covariance of the three axes
+    after calibration. `response_covariances` (9, 9), by sensor, row by row, replace the axes' own `response`.
     """
 
     axes: Mapping[tuple[str, int], AxisErrors]
@@ -105,7 +105,7 @@ class ErrorModel:
     response_covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
 
     def of(self, axes: Sequence[Axis]) -> list[AxisErrors]:
-        """The errors of these axes, in their order; FusionError for one that is not in the model."""
+        """Return the errors of these axes, in order; FusionError for an axis that is not in the model."""
         for axis in axes:
             if (axis.sensor, axis.index) not in self.axes:
                 raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: it is not in the error model")
@@ -117,8 +117,9 @@ _DPS = np.pi / 180
 
 @dataclass(frozen=True)
 class DesignDefaults:
-    """Standard deviations in SI, and shares of the noise of a reading; `common_share` of a slope's variance that a
-    design's like axes have in common; `felt`: what 1 g does to a gyroscope.
+    """Typical standard deviations in SI, or relative to the noise of a reading (`turn_on_share`, `drift_share`);
+    `common_share` is the share of a slope's variance that the same axes of a design have in common; `g_sensitivity` is
+    the effect of 1 g on a gyroscope.
     """
 
     bias: float
@@ -127,7 +128,7 @@ class DesignDefaults:
     drift_share: float
     response: float
     common_share: float
-    felt: float = 0.0
+    g_sensitivity: float = 0.0
 
 
 USUAL: Mapping[str, DesignDefaults] = MappingProxyType(
@@ -139,13 +140,13 @@ USUAL: Mapping[str, DesignDefaults] = MappingProxyType(
     }
 )
 """Keyed by quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales;
-of gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0
-along y, 0.6 along x, and nothing along z. What the best weights leave of the paper's array is least where all is taken
-to be common; 0.8 leaves 2 % more, the mean of the three, 0.5, leaves 8 % more.
+of gyroscopes L3G-72, and as much of misalignment. G-sensitivity: Table 4. Common shares: in Table 8 that of the
+gyroscopes is 1.0 along y, 0.6 along x, and 0 along z. The error of the paper's array with the best weights is least if
+the slopes are assumed common; with 0.8 it is 2 % larger, with 0.5, the mean of the three axes, 8 % larger.
 """
 
 STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
-"""Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
+"""Slopes per degC of axes, by chip and index, that differ from the typical ones: ADX-62, and Table 8."""
 
 DRIFT_TIME_CONSTANT_S = 600.0
 """Time constant of drift if it was not measured; the paper's tables give it within a factor of ten only."""
@@ -154,12 +155,12 @@ TIMING_S = 0.5e-3
 """Standard deviation of the times of readings of a chip whose rate is unknown."""
 
 _AGE = 1 / np.sqrt(12)
-"""Standard deviation, in periods of a chip's own rate, of the age of a reading that is asked for at any time; its mean
-was taken out.
+"""Standard deviation, in periods of a chip's own rate, of the age of a reading at an arbitrary time; its mean is
+corrected.
 """
 
 UNWATCHED_DEGC = 3.0
-"""Standard deviation, within `UNWATCHED_S`, of a temperature that no thermometer tells."""
+"""Standard deviation, within `UNWATCHED_S`, of a temperature without a thermometer."""
 
 UNWATCHED_S = 1000.0
 
@@ -167,24 +168,25 @@ UNWATCHED_S = 1000.0
 def error_model(
     sensors: Sequence[Described], calibration: Calibration, *, watched: Container[str] | None = None
 ) -> ErrorModel:
-    """The errors of the inertial `sensors` of a log as `calibration` leaves them.
+    """Return the errors of the inertial `sensors` of a log after `calibration`.
 
-    `watched` names the sensors whose temperature will be told (None: every one); what slopes do to others becomes
-    drift. FusionError for a sensor whose noise is not known.
+    `watched` are the sensors with a known temperature (None: all); for others, the effect of slopes becomes drift.
+    FusionError for a sensor whose noise is not known.
     """
     axes: dict[tuple[str, int], AxisErrors] = {}
     designs: dict[tuple[str, int], DesignErrors] = {}
     covariances: dict[str, Floats] = {}
     responses: dict[str, Floats] = {}
     for sensor in sensors:
-        known, reported = calibration.or_nominal(sensor), watched is None or sensor.name in watched
+        known, has_temperature = calibration.or_nominal(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
-        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - usual.common_share), reported)):
+        own_slopes = slopes * np.sqrt(1 - usual.common_share)
+        for index, errors in enumerate(_of_sensor(known, usual, own_slopes, has_temperature)):
             wander = 0.0 if known.drift is not None else usual.drift_share * errors.noise
             slope = 0.0 if known.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
-            shared = _of_design(wander, slope, reported)
+            shared = _of_design(wander, slope, has_temperature)
             axes[sensor.name, index] = replace(
                 errors,
                 timing_s=timing_s,
@@ -203,29 +205,29 @@ def error_model(
     )
 
 
-def _of_design(wander: float, slope: float, is_known: bool) -> DesignErrors:
-    """Return the common errors of a design, which nobody measured: it is taken to wander in common as far as its units
-    do singly. What was measured of a unit includes them, and nothing is added.
+def _of_design(wander: float, slope: float, has_temperature: bool) -> DesignErrors:
+    """Return the common errors of a design, which are not measured: the common wander is assumed as large as that of a
+    single unit. Measured errors of a unit include the common ones, and nothing is added.
     """
-    if is_known:
+    if has_temperature:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
 
 
 def _of_both(first: DesignErrors, second: DesignErrors) -> DesignErrors:
-    """Return what two units share: the wander of the one that wanders less, if it does, and the steeper slope."""
+    """Return the common errors of two units: the smaller wander above zero, and the steeper slope."""
     wandering = [design for design in (first, second) if design.common > 0] or [first]
     slope = max(first.slope_per_degc, second.slope_per_degc)
     return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
 
 
 def _of_sensor(
-    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, is_known: bool
+    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, has_temperature: bool
 ) -> list[AxisErrors]:
-    """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
+    """Return the errors of the three axes of one sensor; `slopes_per_degc` are their own if none were measured."""
     if known.noise_lsb is None:
         raise FusionError(
-            f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and give the file"
+            f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and pass the file"
         )
     noise = known.noise_lsb / known.lsb_per_si
     for index in np.flatnonzero(~(noise > 0)):
@@ -233,7 +235,7 @@ def _of_sensor(
     drift, time_constant_s = _drift(known, usual, noise)
     bias, response = _bias(known, usual, noise, drift), _response(known, usual)
     slope, bias_degc = _slope(known, slopes_per_degc)
-    if not is_known:  # nor does the bias follow the slopes that are known
+    if not has_temperature:  # the bias does not follow measured slopes either
         slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
     correlation = known.noise_correlation
@@ -253,13 +255,13 @@ def _of_sensor(
 
 
 _COLOURED = 0.99
-"""Correlation of neighbouring readings beyond which they are no noise any more."""
+"""Largest correlation of neighbouring readings."""
 
 
 def _bias(known: SensorCalibration, usual: DesignDefaults, noise: Floats, drift: Floats) -> Floats:
-    """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, now and
-    when it was calibrated, how far it had wandered then, and what gravity does to a gyroscope, which hardly changes
-    while the box stands.
+    """Return the standard deviations (3,) of independent errors of a bias: that of the calibration if it has no
+    covariance, the turn-on change, both now and at the calibration, the drift at the calibration, and the effect of
+    gravity on a gyroscope, which is nearly constant at rest.
     """
     if known.bias_sem_lsb is None:
         return np.full(3, usual.bias)
@@ -268,23 +270,23 @@ def _bias(known: SensorCalibration, usual: DesignDefaults, noise: Floats, drift:
     if known.turn_on is not None:
         turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
         states = _between_states(known.turn_on) / known.lsb_per_si**2
-    felt = np.full(3, usual.felt)
+    gravity = np.full(3, usual.g_sensitivity)
     if known.g_sensitivity_sem_lsb_per_g is not None:
-        felt = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
-    then = (turn_on**2 + drift**2) * _of_calibration(known)
-    return np.asarray(np.sqrt(measured**2 + turn_on**2 + then + states + felt**2))
+        gravity = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
+    at_calibration = (turn_on**2 + drift**2) * _of_calibration(known)
+    return np.asarray(np.sqrt(measured**2 + turn_on**2 + at_calibration + states + gravity**2))
 
 
 def _of_calibration(known: SensorCalibration) -> float:
-    """Share of the variance between switch-ons that a bias has in it: it was calibrated in so many logs, each begun by
-    one. A bias that no log measured has none.
+    """Return the share of the variance between switch-ons in a calibrated bias: 1 over the number of logs, each of
+    which began with a switch-on; 0 for a bias that was not measured in logs.
     """
     origin = known.provenance.get("bias")
     return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 
 
 def _between_states(turn_on: TurnOn) -> Floats:
-    """(3,) variance in counts of the change from the state of one run to that of another, drawn alike."""
+    """Return the variance (3,) in counts of the change of state between two random runs."""
     if len(turn_on.states) < 2:
         return np.zeros(3)
     biases, shares = (np.array([getattr(state, name) for state in turn_on.states]) for name in ("bias_lsb", "share"))
@@ -293,7 +295,7 @@ def _between_states(turn_on: TurnOn) -> Floats:
 
 
 def _drift(known: SensorCalibration, usual: DesignDefaults, noise: Floats) -> tuple[Floats, float]:
-    """(3,) rms, and the time constant."""
+    """Return the rms (3,) and the time constant of the drift."""
     drift = known.drift
     if drift is None:
         return usual.drift_share * noise, DRIFT_TIME_CONSTANT_S
@@ -301,23 +303,23 @@ def _drift(known: SensorCalibration, usual: DesignDefaults, noise: Floats) -> tu
 
 
 def _response(known: SensorCalibration, usual: DesignDefaults) -> Floats:
-    """(3,) shares."""
+    """Return the relative standard errors (3,) of the response."""
     if known.response_sem_lsb_per_unit is None:
         return np.full(3, usual.response)
     return np.asarray(known.response_sem_lsb_per_unit / known.scale_lsb_per_unit)
 
 
 def _slope(known: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:
-    """(3,) what is not known of the slopes, in SI per degC, and the temperature at which the bias holds.
+    """Return the standard deviation (3,) of the slopes in SI per degC, and the temperature at which the bias is valid.
 
-    A slope that may be one of scale is not applied to the bias: all of it is in doubt.
+    A slope that may be one of scale is not applied to the bias, so its full size is uncertainty.
     """
     thermal = known.thermal
     if thermal is None:
         return usual_per_degc, known.temperature_degc if known.bias_sem_lsb is not None else None
-    unsure = np.array([meaning != BIAS for meaning in thermal.meaning])
-    doubt = np.where(unsure, np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc), 0.0)
-    spread = np.where(unsure, doubt, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si
+    is_ambiguous = np.array([meaning != BIAS for meaning in thermal.meaning])
+    whole = np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
+    spread = np.where(is_ambiguous, whole, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si
     if thermal.thermometer == "relative":
         return spread, thermal.reference_degc
     return spread, thermal.reference_degc if known.temperature_degc is None else known.temperature_degc

@@ -1,22 +1,22 @@
 """Kalman filter of the slow errors of an array, segment by segment, from the parities of the frames.
 
-The stimulus of every frame is unknown, so only the parities of a frame, the combinations of its readings that no
-stimulus changes, carry information about errors. Slow errors are constant during a segment, so sums over its frames
-(`SegmentEvidence`) hold all that the frames say.
+The stimulus of every frame is unknown, so only the parities of a frame, the combinations of its readings that do not
+depend on the stimulus, contain information about errors. Slow errors are constant during a segment, so sums over its
+frames (`SegmentEvidence`) are sufficient statistics.
 
 Segments are counted from the first frame and have 1, 1, 2, 4, 8, ... frames, up to the full length. The frames of a
-segment are solved with the estimate from the segments before it. The cuts between blocks have no effect.
+segment are solved with the estimate from the segments before it. The limits of blocks have no effect.
 
-One part of the slow errors acts on the change of the stimulus instead of the stimulus, because no reading's time is
-known exactly: a reading that is late by t is off by t times the stimulus's change per second. While a box is moved to
-and fro, that error comes and goes as noise does. Where the change is fast, frames therefore teach less about slow
+One part of the slow errors acts on the change of the stimulus instead of the stimulus, because the time of a reading is
+not known exactly: the error of a reading that is late by t is t times the stimulus's change per second. While a box is
+moved to and fro, that error varies like noise. Where the change is fast, frames therefore have less weight for slow
 errors, the covariances of the frames are larger, and gains are those of a noise that is increased by the mean square of
 the change over the segment before.
 
-The smoother of a log is a backward pass over the steps of the filter, with its data on the disk. The filter puts its
-steps on a spool (`Spool`, a stack of arrays in a temporary file), with the estimate at every `_STRIDE`th. On the way
-back the estimates between are recomputed from there, so that memory holds those of one stride. The results are put on a
-second spool, the first segment on top.
+The smoother of a log is a backward pass over the steps of the filter, with its data on disk. The filter stores its
+steps on a spool (`Spool`, a stack of arrays in a temporary file), with the estimate at every `_STRIDE`th step. The
+backward pass recomputes the estimates in between from these, so that those of one stride are in memory. The results are
+stored on a second spool, with the first segment on top.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from tempfile import TemporaryFile
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
 from imuarray.fuse.optimal import compiled_segments
@@ -46,7 +45,7 @@ from imuarray.fuse.optimal.states import (
 )
 
 OVER_S = 0.05
-"""Time over which a change is evaluated: noise of a frame is little beside it, and shaking by hand is slower."""
+"""Time over which a change is evaluated: the noise of a frame is small in comparison, and shaking by hand is slower."""
 
 
 class Dynamics:
@@ -60,7 +59,7 @@ class Dynamics:
         self._worst = float((geometry.timing / geometry.noise).max(initial=0.0))
 
     def recent(self) -> float:
-        """Mean square of the change per second since this was asked before; then begins anew."""
+        """Return the mean square of the change per second since the last call, and start a new mean."""
         if self._frames:
             self._mean = self._sum / self._frames
         self._sum, self._frames = 0.0, 0
@@ -74,8 +73,8 @@ class Dynamics:
         frames: slice,
         evidence: SegmentEvidence | None = None,
     ) -> None:
-        """The triads of `readings`, which are `frames` of the solution, their covariances widened by the change;
-        `evidence` gathers what they teach.
+        """Solve the triads of `readings`, which are `frames` of the solution, increase their covariances by the effect
+        of the change, and add them to the `evidence`.
         """
         packed = view.packed
         if packed is None or not self._solve_alike(view, packed, readings, solution.part(frames), evidence):
@@ -92,7 +91,7 @@ class Dynamics:
         into: FrameSolution,
         evidence: SegmentEvidence | None,
     ) -> bool:
-        """The same by compiled code, and whether it could."""
+        """Do the same by compiled code; return whether that is possible."""
         count, back = len(readings.time), self._back if self._worst > 0 else 0
         if not readings.alike or readings.bounds is not None or (back and len(self._time) < back):
             return False
@@ -130,7 +129,9 @@ class Dynamics:
     def __call__(
         self, view: SegmentView, readings: FrameReadings, solution: FrameSolution, frames: slice
     ) -> Floats | None:
-        """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
+        """Increase the covariances of frames by the effect of the change. Return the weights (n,) of the frames for
+        slow errors; None if all are 1.
+        """
         if not self._worst or not len(readings.time):
             return None
         changes = self._changes(readings.time, solution.unknowns[frames, :3])
@@ -142,11 +143,11 @@ class Dynamics:
         return np.asarray(1 / (1 + self._worst**2 * changes))
 
     def _changes(self, time: Times, triad: Floats) -> Floats:
-        """(n,) squares of the change per second; 0 where nothing is known yet."""
+        """Return the squares (n,) of the change per second; 0 if not yet known."""
         times, triads = np.concatenate([self._time, time]), hold_last(np.concatenate([self._triad, triad]))
         now: slice | Indices = slice(len(self._time), len(times))
         then: slice | Indices = slice(len(times) - self._back)
-        if len(self._time) < self._back:  # of the first frames none is so far back
+        if len(self._time) < self._back:  # the first frames have no frame so far back
             now = np.arange(len(self._time), len(times))
             then = np.maximum(now - self._back, 0)
         self._time, self._triad = times[-self._back :], triads[-self._back :]
@@ -155,15 +156,15 @@ class Dynamics:
 
 
 _DOUBT = 3.0
-"""Standard deviations of a sum of squares of noise within which it is taken for noise."""
+"""Least sum of squares, in standard deviations of that of noise, that counts as signal."""
 
 _KEPT = 1024
-"""Parities that are kept for the next segments."""
+"""Number of parities that are cached for the next segments."""
 
 
 class _Sums:
-    """Over the frames in which the same rows were in use: of the products of (1, stimulus) with itself, with the
-    readings, and of the stimulus's covariances, which are in the first.
+    """Sums over the frames with the same rows in use: of the products of (1, stimulus) with itself (`squares`) and with
+    the readings (`products`), and of the stimulus's covariances, which the squares include (`blur`).
     """
 
     def __init__(self, terms: int, rows: int) -> None:
@@ -173,7 +174,7 @@ class _Sums:
 
 
 class SegmentEvidence:
-    """The sums of the segment that is being gathered, and the `parity` of every set of rows there was."""
+    """The sums over the current segment, and the cached `parity` of every set of rows."""
 
     def __init__(self, geometry: Geometry, terms: int) -> None:
         self._geometry, self._terms = geometry, terms
@@ -183,7 +184,7 @@ class SegmentEvidence:
     def add(
         self, readings: FrameReadings, solution: FrameSolution, frames: slice, weights: Floats | None = None
     ) -> None:
-        """Take in the readings of `frames` of the solution, by `weights` (n,) up to 1."""
+        """Add the readings of `frames` of the solution with `weights` (n,) up to 1 (None: all 1)."""
         triad, covariance = solution.unknowns[frames, :3], solution.covariance[frames, :3, :3]
         fair = self._fair(readings.valid, triad, solution.used[frames])
         for valid, which in readings.patterns() if fair is readings.valid else patterns(fair):
@@ -196,14 +197,14 @@ class SegmentEvidence:
                 sums.squares += weight.sum()
                 sums.products += weight @ values
                 continue
-            felt = np.concatenate([np.ones((len(values), 1)), triad[which]], axis=1)
-            weighted = (felt * weight[:, None]).T
-            sums.squares += weighted @ felt
+            terms = np.concatenate([np.ones((len(values), 1)), triad[which]], axis=1)
+            weighted = (terms * weight[:, None]).T
+            sums.squares += weighted @ terms
             sums.products += weighted @ values
             sums.blur += np.tensordot(weight, covariance[which], axes=1)
 
     def sums_of(self, valid: Booleans) -> _Sums:
-        """The sums over the frames in which these rows were in use."""
+        """Return the sums over the frames with these rows in use."""
         key = valid.tobytes()
         if key not in self._parities:
             self._parities[key] = self._geometry.parity(valid)
@@ -212,12 +213,12 @@ class SegmentEvidence:
         return self._sums[key]
 
     def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
-        """(p, n) and (p,): ``values = measurements @ states + errors`` of unit variance, from `rows` (terms, r, n) of
-        what the readings feel of the states; then begins anew.
+        """Return the measurements (p, n) and values (p,) of the segment, ``values = measurements @ states + errors`` of
+        unit variance, from the response `rows` (terms, r, n) of the readings to the states; then start a new segment.
         """
         parts = []
         for key, sums in self._sums.items():
-            if not sums.squares[0, 0]:  # no frame was taken in
+            if not sums.squares[0, 0]:  # no frame was added
                 continue
             parity = self._parities[key]
             sizes, weights = _components(sums)
@@ -235,7 +236,9 @@ class SegmentEvidence:
         return both[:, :-1], both[:, -1]
 
     def _fair(self, valid: Booleans, triad: Floats, used: Booleans) -> Booleans:
-        """The readings to learn from: of frames that have a triad, and of axes that are not near their ends."""
+        """Return the readings (n, r) to use: of frames with a triad, and of axes that are not near the ends of their
+        range.
+        """
         solved = np.asarray(used.any(axis=1))
         if not solved.all():
             valid = valid & solved[:, None]
@@ -261,8 +264,8 @@ def _components(sums: _Sums) -> tuple[Floats, Floats]:
 
 
 class Step(NamedTuple):
-    """One segment as the filter took it: the states `before` its transition, the shares of them that are `remaining`
-    and the variance that is `added` by it, how much warmer than their biases the rows were, and the measurements.
+    """One segment of the filter: the states `before` its transition, the `remaining` shares of them and the `added`
+    variance, the temperature of the rows above that of their biases, and the measurements.
     """
 
     before: Gaussian
@@ -283,7 +286,9 @@ class SegmentEnds:
         self.starts = True
 
     def parts(self, frames: int) -> Iterator[tuple[slice, bool, bool]]:
-        """The pieces of the next `frames`: where, whether a segment starts with it, whether it ends."""
+        """Yield the pieces of the next `frames` within one segment: the frames, whether a segment starts with them, and
+        whether it ends with them.
+        """
         at = 0
         while at < frames:
             size = min(self._left, frames - at)
@@ -297,10 +302,8 @@ class SegmentEnds:
 
 
 class ArrayFilter:
-    """The slow errors of the rows of one quantity, and the triads of consecutive blocks of frames.
-
-    `warmer` gives (r,), how much warmer than their biases the rows are, at a frame of the block; `record` is given
-    every segment's step.
+    """Estimates the slow errors of the rows of one quantity and the triads of consecutive blocks of frames; `record` is
+    called with the step of every segment.
     """
 
     def __init__(
@@ -323,33 +326,35 @@ class ArrayFilter:
         self._step = (self.belief, np.ones(len(states.names)), np.zeros(len(states.names)))
 
     def __call__(self, readings: FrameReadings, warmer: Callable[[int], Floats]) -> FrameSolution:
-        """The triads of the next frames."""
+        """Solve the next frames; `warmer` returns the temperatures (r,) of the rows above those of their biases at a
+        frame of the block.
+        """
         solution = FrameSolution.empty(len(readings.time), self.geometry)
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
-            view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view
+            view = self._begin(part, warmer(frames.start)) if starts or self._view is None else self._view
             self._dynamics.solve(view, part, solution, frames, self._evidence)
             if ends:
                 self.end()
         return solution
 
-    def _begun(self, part: FrameReadings, warmer_degc: Floats) -> SegmentView:
-        """Return the state that is believed as a segment begins."""
+    def _begin(self, part: FrameReadings, warmer_degc: Floats) -> SegmentView:
+        """Predict the state at the start of a segment, and return its view."""
         since = int(part.time[0]) if self._since is None else self._since
         decay, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
         self._step = (self.belief, decay, added)
         self.belief = predicted(self.belief, decay, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
-        self._view = segment_view(self.states.felt(warmer_degc), self.geometry, self.belief)
+        self._view = segment_view(self.states.response_at(warmer_degc), self.geometry, self.belief)
         self._view.begin(part, self._stimulus, self._dynamics.recent())
         self._stimulus = self._view.stimulus
         return self._view
 
     def end(self) -> None:
-        """Learn from the frames of a segment, whole or not, that has begun."""
+        """End the current segment, complete or not, and update the states by its frames."""
         if self._view is None:
             return
-        rows, values = self._evidence.measurements(self.states.felt(self.warmer_degc).dense)
+        rows, values = self._evidence.measurements(self.states.response_at(self.warmer_degc).dense)
         if self._record is not None:
             self._record(Step(*self._step, self.warmer_degc, rows, values))
         if len(rows):
@@ -358,11 +363,11 @@ class ArrayFilter:
 
 
 _LENGTH = struct.Struct("<q")
-"""Begin of a group: the length of its head, the shapes."""
+"""Start of a group: the length of its head, which contains the shapes."""
 
 
 class Spool:
-    """Groups of arrays, last in, first out, in a temporary file that nobody else sees and that ends with the object."""
+    """A stack of groups of arrays in a temporary file, which is deleted with the object."""
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
@@ -372,17 +377,17 @@ class Spool:
         """The begin of a group by the shapes of its arrays, of which there are few."""
 
     def __bool__(self) -> bool:
-        """Return whether there is anything on it."""
+        """Return whether the stack has any group."""
         return self._end > 0
 
     def push(self, arrays: Sequence[Floats]) -> None:
-        """Put a group on top."""
+        """Push a group."""
         shapes = tuple([rows.shape for rows in arrays])
         head = self._heads.get(shapes)
         if head is None:
             numbers = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
             head = self._heads[shapes] = _LENGTH.pack(len(numbers)) + numbers
-        if self._place != self._end:  # to seek empties the file's buffer
+        if self._place != self._end:  # an unnecessary seek would empty the file's buffer
             self._file.seek(self._end)
         self._starts.append(self._end)
         self._file.write(head)
@@ -393,9 +398,9 @@ class Spool:
         self._place = self._end
 
     def pop(self) -> list[Floats]:
-        """Take the topmost group; IndexError if there is none."""
+        """Pop the last group; IndexError if there is none."""
         if not self:
-            raise IndexError("nothing is on the spool")
+            raise IndexError("the spool is empty")
         start = self._starts.pop()
         self._file.seek(start)
         content = self._file.read(self._end - start)
@@ -411,7 +416,7 @@ class Spool:
         return arrays
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
 
@@ -419,7 +424,7 @@ _STRIDE = 32
 
 
 class SegmentSmoother:
-    """Takes the steps of an `ArrayFilter`, then gives the smoothed views of the segments in their order."""
+    """Records the steps of an `ArrayFilter`, then returns the smoothed views of the segments in order."""
 
     def __init__(self, geometry: Geometry, states: ErrorStates) -> None:
         self._geometry, self._states = geometry, states
@@ -427,13 +432,13 @@ class SegmentSmoother:
         self._count = 0
 
     def __call__(self, step: Step) -> None:
-        """Keep a step."""
+        """Record a step."""
         belief = step.before if self._count % _STRIDE == 0 else ()
         self._steps.push([*step[1:], *belief])
         self._count += 1
 
     def smooth(self) -> None:
-        """Go back over the steps."""
+        """Run the backward pass over the steps."""
         size = len(self._states.names)
         adjoint = Adjoint(np.zeros(size), np.zeros((size, size)))
         stride: list[list[Floats]] = []
@@ -444,26 +449,26 @@ class SegmentSmoother:
                 stride = []
 
     def view(self) -> SegmentView:
-        """The next segment's."""
+        """Return the smoothed view of the next segment."""
         offset, response, errors = self._views.pop()
         return SegmentView(self._geometry, offset, response, errors, final=True)
 
     def close(self) -> None:
-        """Give the room back."""
+        """Delete the temporary files."""
         self._steps.close()
         self._views.close()
 
     def _back(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
-        """One stride, in order of time, of which the first begins with a known belief."""
+        """Smooth one stride, in order of time, whose first step has the recorded state."""
         belief = Gaussian(*stride[0][-2:])
-        taken: list[tuple[Gaussian, Innovation]] = []
+        steps: list[tuple[Gaussian, Innovation]] = []
         for decay, added, _, rows, values, *_ in stride:
             at = predicted(belief, decay, added)
             belief, innovation = corrected(at, rows, values)
-            taken.append((at, innovation))
-        for (at, innovation), (decay, _, warmer_degc, *_) in zip(taken[::-1], stride[::-1], strict=True):
+            steps.append((at, innovation))
+        for (at, innovation), (decay, _, warmer_degc, *_) in zip(steps[::-1], stride[::-1], strict=True):
             adjoint = backwards(adjoint, at, innovation)
-            view = segment_view(self._states.felt(warmer_degc), self._geometry, at, adjoint)
+            view = segment_view(self._states.response_at(warmer_degc), self._geometry, at, adjoint)
             self._views.push([view.offset, view.response, view.errors])
             adjoint = Adjoint(decay * adjoint.vector, adjoint.matrix * np.outer(decay, decay))
         return adjoint

@@ -1,13 +1,13 @@
 """Solution of frames: triads by generalised least squares, given the estimated slow errors of the current segment.
 
-The covariance of the readings follows the signal. `SegmentView` holds the slow errors as the rows of one segment feel
-them, `NominalGain` the gain that most of its frames share.
+The covariance of the readings depends on the signal. `SegmentView` contains the effect of the slow errors on the rows
+of one segment, `NominalGain` the gain of most of its frames.
 
-A clipped axis is a bound: its reading would have been beyond the end of the range. The unknowns and the reading that is
-missing are jointly normal before that is used. Given that the reading lies beyond a bound it is a truncated normal, and
-the unknowns follow it by linear regression. Mean and covariance are then exact for one clipped axis; several are
-treated one after the other, each time with a normal of the same mean and covariance (assumed density filtering;
-Maybeck, "Stochastic models, estimation and control", volume 2, 1982, section 12.7).
+A clipped axis is a bound: its reading would have been beyond the end of the range. Without the bound, the unknowns and
+the missing reading are jointly normal. Given the bound, the reading is a truncated normal, and the unknowns follow by
+linear regression. Mean and covariance are then exact for one clipped axis; several are processed in sequence, each time
+with a normal of the same mean and covariance (assumed density filtering; Maybeck, "Stochastic models, estimation and
+control", volume 2, 1982, section 12.7).
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.fuse.optimal import compiled_segments
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patterns
-from imuarray.fuse.optimal.states import Adjoint, FeltStates, Gaussian
+from imuarray.fuse.optimal.states import Adjoint, Gaussian, StateResponse
 
 _TOLERATED = 0.1
-"""Share by which the stimulus may change the variance of a row before a frame gets a gain of its own; what a gain that
-is so little off costs is of second order.
+"""Largest relative change of the variance of a row by the stimulus in a frame with the nominal gain; the loss by a
+slightly wrong gain is of second order.
 """
 
 
 class NominalGain(NamedTuple):
-    """The gain of most frames of a segment, which have the same rows in use: `gain` (k, r), 0 for the others, what it
-    makes of the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), of the slow errors'
-    terms, (terms^2, k, k), and, for a unit of change in a second, of times, (k, k).
+    """The gain of most frames of a segment, which have the same rows in use: `gain` (k, r), 0 for other rows; its
+    product with the expected slow errors (k,); and the covariances of the unknowns by noise (k, k), by the slow errors'
+    terms (terms^2, k, k), and, per unit of change in a second, by errors of timing (k, k).
     """
 
     gain: Floats
@@ -43,9 +43,9 @@ class NominalGain(NamedTuple):
 
 
 class SegmentView:
-    """During one segment: `offset` (r,) the expected sum of the slow errors of the r rows of a geometry, `response` (r,
-    3) the expected error of each row's direction, `errors` (terms, terms, r, r) the covariances of the errors' terms,
-    which (1, stimulus) goes with. `final`: the frames themselves are in them already (a smoother's).
+    """Slow errors during one segment: `offset` (r,) is the expected sum of the slow errors of the r rows of a geometry,
+    `response` (r, 3) the expected error of each row's direction, `errors` (terms, terms, r, r) the covariances of the
+    errors' terms, the factors of (1, stimulus). `final`: they include the information of the frames (a smoother's).
     """
 
     def __init__(self, geometry: Geometry, offset: Floats, response: Floats, errors: Floats, final: bool) -> None:
@@ -55,14 +55,14 @@ class SegmentView:
         self.rows = geometry.rows.copy()
         self.rows[:, :3] += response
         self.packed: Floats | None = None
-        """The usual gain as `_segments.frames` takes it; None where NumPy does all."""
+        """The nominal gain in the form of `_segments.frames`; None if NumPy is used."""
         self.packed_rows = b""
-        """The rows in use that this gain is for, as the bytes of their flags."""
+        """The rows in use of this gain, as the bytes of their flags."""
         self._usual: dict[bytes, NominalGain | None] = {}
 
     def begin(self, readings: FrameReadings, before: Floats, change: float) -> None:
-        """Make the stimulus of the first of the frames the usual one (`before` if that can't be told), and `change`,
-        the mean square of its change per second, what times in doubt are weighed by.
+        """Set the nominal stimulus to that of the first frame (`before` if that is not determined), and the mean square
+        `change` per second by which errors of timing are weighted.
         """
         self._variance = self.geometry.noise**2 + self.geometry.timing**2 * change
         valid, self.stimulus = readings.valid[0], before
@@ -77,11 +77,11 @@ class SegmentView:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Rows, unknowns and terms."""
+        """Numbers of rows, unknowns and terms."""
         return (*self.rows.shape, len(self.errors))
 
     def _pack(self, readings: FrameReadings, change: float) -> None:
-        """Compute stimulus, usual gain and reach by compiled code."""
+        """Compute stimulus, nominal gain and reach by compiled code."""
         rows, unknowns, terms = sizes = self.sizes
         packed = np.empty(rows + 3 + unknowns * (rows + 1) + (2 + terms**2) * unknowns**2)
         known = (self.rows, self.geometry.noise, self.geometry.timing, self.offset, self.errors)
@@ -92,22 +92,22 @@ class SegmentView:
             self._variance, self.stimulus = packed[:rows], packed[rows : rows + 3]
 
     def terms(self, stimulus: Floats) -> Floats:
-        """(n, terms) that go with the terms of an axis's error at (n, 3)."""
+        """Return the factors (n, terms) of the terms of an axis's error at (n, 3)."""
         ones = np.ones((len(stimulus), 1))
         return ones if len(self.errors) == 1 else np.concatenate([ones, stimulus], axis=1)
 
     def slow(self, terms: Floats) -> Floats:
-        """(n, r, r) covariances of the slow errors."""
+        """Return (n, r, r) covariances of the slow errors."""
         flat = self.errors.reshape(-1, self.errors[0, 0].size)
         return np.asarray((_pairs(terms) @ flat).reshape(-1, *self.errors.shape[2:]))
 
     def own(self, terms: Floats) -> Floats:
-        """(n, r) variances of the slow errors."""
+        """Return (n, r) variances of the slow errors."""
         own = np.einsum("jkrr->jkr", self.errors).reshape(-1, len(self.rows))
         return np.asarray(np.maximum(_pairs(terms) @ own, 0.0))
 
     def gains(self, valid: Booleans, terms: Floats) -> Floats:
-        """(n, k, p) best gains of the p rows in use."""
+        """Return the best gains (n, k, p) of the p rows in use."""
         rows, noise = self.rows[valid], self._variance[valid]
         if self.final:
             weighed: Floats = np.broadcast_to(rows / noise[:, None], (len(terms), *rows.shape))
@@ -116,12 +116,12 @@ class SegmentView:
         return np.asarray(np.linalg.solve(rows.T @ weighed, np.swapaxes(weighed, -1, -2)))
 
     def spreads(self, valid: Booleans, gains: Floats, terms: Floats) -> Floats:
-        """(n, k, k) covariances of what `gains` (n, k, p) make of the rows in use."""
+        """Return the covariances (n, k, k) of the unknowns with `gains` (n, k, p) of the rows in use."""
         errors = self.slow(terms)[:, valid][:, :, valid] + np.diag(self.geometry.noise[valid] ** 2)
         return np.asarray(gains @ errors @ np.swapaxes(gains, -1, -2))
 
     def usual(self, valid: Booleans) -> NominalGain | None:
-        """The gain at the usual stimulus; None where the rows in use don't span space."""
+        """Return the gain at the nominal stimulus; None if the rows in use do not span space."""
         key = valid.tobytes()
         if key not in self._usual:
             self._usual[key] = self._nominal_gain(valid) if self.geometry.spans(valid) else None
@@ -137,7 +137,7 @@ class SegmentView:
         return NominalGain(gain, gain @ self.offset, noise, errors, timing)
 
     def usual_spreads(self, usual: NominalGain, stimulus: Floats) -> Floats:
-        """(n, k, k), or (1, k, k) for all, covariances of what the usual gain makes of frames of (n, 3)."""
+        """Return the covariances (n, k, k), or (1, k, k) for all, of frames of (n, 3) with the nominal gain."""
         if len(self.errors) == 1:
             return np.asarray(usual.noise + usual.errors)
         flat = usual.errors.reshape(len(usual.errors), -1)
@@ -145,7 +145,7 @@ class SegmentView:
 
     @cached_property
     def reach(self) -> float:
-        """Return how far the stimulus may be from the usual one for the usual gain to be as good as the best."""
+        """Largest distance of the stimulus from the nominal one at which the nominal gain is used."""
         if len(self.errors) == 1 or self.final:
             return np.inf
         own = np.einsum("jkrr->rjk", self.errors)
@@ -157,27 +157,31 @@ class SegmentView:
         return float((2 * tolerated / (slope + np.sqrt(slope**2 + 4 * curvature * tolerated) + 1e-300)).min())
 
 
-def segment_view(felt: FeltStates, geometry: Geometry, belief: Gaussian, adjoint: Adjoint | None = None) -> SegmentView:
-    """The states as the rows of `geometry` feel them; final with what came after them, the `adjoint`."""
-    mean, covariance = felt.of(belief, adjoint)
+def segment_view(
+    states: StateResponse, geometry: Geometry, belief: Gaussian, adjoint: Adjoint | None = None
+) -> SegmentView:
+    """Return the effect of the states on the rows of `geometry`; it is final if the `adjoint`, the information of later
+    measurements, is given.
+    """
+    mean, covariance = states.of(belief, adjoint)
     response = mean[1:].T if len(mean) > 1 else np.zeros((mean.shape[1], 3))
     errors = np.ascontiguousarray(covariance.transpose(0, 2, 1, 3))
     return SegmentView(geometry, mean[0], response, errors, adjoint is not None)
 
 
 def _pairs(terms: Floats) -> Floats:
-    """(n, terms^2) products of the terms."""
+    """Return (n, terms^2) products of the terms."""
     return np.asarray((terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1))
 
 
 _FAR = 50.0
-"""Standard deviations beyond which the tail's variance is taken from its asymptotic series."""
+"""Distance in standard deviations beyond which the variance of the tail is computed from its asymptotic series."""
 
 
 class ClippedReadings(NamedTuple):
-    """c clipped axes of n frames: `rows` (c, k) of the unknowns; `known` (n, k, c), how the slow errors of the axes in
-    use, as the gain turns them into unknowns, go with those of the clipped ones; `own` (n, c, c) covariance of their
-    slow errors and noise; `bounds` (n, c) less expected slow errors, and `signs` (n, c) of the end they stand at.
+    """c clipped axes of n frames: their `rows` (c, k); `known` (n, k, c), the covariance of the unknowns' slow errors,
+    by the gain of the axes in use, with those of the clipped axes; `own` (n, c, c), the covariance of their slow errors
+    and noise; `bounds` (n, c) less expected slow errors, and `signs` (n, c) of the ends of the range.
     """
 
     rows: Floats
@@ -188,11 +192,11 @@ class ClippedReadings(NamedTuple):
 
 
 def truncated(distance: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of a standard normal that is known to be above `distance`, any sign.
+    """Return mean and variance of a standard normal that is above `distance`, of any sign.
 
     Johnson, Kotz, Balakrishnan, "Continuous univariate distributions", volume 1, 1994, section 13.10.1.
     """
-    from scipy.special import erfcx  # its weight is for those who ask
+    from scipy.special import erfcx  # slow to import
 
     with np.errstate(over="ignore"):
         mean = np.sqrt(2 / np.pi) / erfcx(distance / np.sqrt(2))
@@ -202,7 +206,7 @@ def truncated(distance: Floats) -> tuple[Floats, Floats]:
 
 
 def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> tuple[Floats, Floats]:
-    """`unknowns` (n, k) and their covariance (n, k, k) with what clipped axes say."""
+    """Update `unknowns` (n, k) and their covariance (n, k, k) by the bounds of clipped axes."""
     count = unknowns.shape[1]
     mean = np.concatenate([unknowns, unknowns @ clipped.rows.T], axis=1)
     joint = _joint(covariance, clipped)
@@ -218,7 +222,7 @@ def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> 
 
 
 def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
-    """(n, k + c, k + c) covariance of the unknowns and of the readings that the clipped axes would have given."""
+    """Return the covariance (n, k + c, k + c) of the unknowns and of the missing readings of the clipped axes."""
     rows = clipped.rows
     across = covariance @ rows.T - clipped.known
     shared = rows @ clipped.known
@@ -228,12 +232,14 @@ def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
 
 
 _CERTAIN = 5.0
-"""Standard deviations beyond its bound at which a clipped axis says nothing new: it moves the mean by 1.5e-6 of one."""
+"""Distance of the expectation beyond the bound, in standard deviations, at which a clipped axis contains no
+information: it changes the mean by 1.5e-6 standard deviations.
+"""
 
 
 @dataclass(frozen=True)
 class FrameSolution:
-    """n frames: `unknowns` (n, k), NaN if the axes don't span space, `covariance` (n, k, k), `used` (n, m)."""
+    """n frames: `unknowns` (n, k), NaN if the axes do not span space, `covariance` (n, k, k), `used` (n, m)."""
 
     unknowns: Floats
     covariance: Floats
@@ -241,7 +247,7 @@ class FrameSolution:
 
     @classmethod
     def empty(cls, frames: int, geometry: Geometry) -> FrameSolution:
-        """Frames that are not solved yet."""
+        """Return frames without a solution."""
         unknowns = geometry.rows.shape[1]
         return cls(
             np.full((frames, unknowns), np.nan),
@@ -250,12 +256,12 @@ class FrameSolution:
         )
 
     def part(self, frames: slice) -> FrameSolution:
-        """Some of the frames: the same memory."""
+        """Return some of the frames, sharing memory."""
         return FrameSolution(self.unknowns[frames], self.covariance[frames], self.used[frames])
 
 
 def solve(view: SegmentView, readings: FrameReadings, into: FrameSolution, frames: slice) -> None:
-    """The triads of `readings`, which are `frames` of `into`."""
+    """Solve the triads of `readings`, which are `frames` of `into`."""
     into = into.part(frames)
     every = np.arange(len(readings.time))
     for valid, which in readings.patterns():
@@ -268,12 +274,13 @@ def solve(view: SegmentView, readings: FrameReadings, into: FrameSolution, frame
         odd = np.zeros(len(solved), bool)
         if view.reach < np.inf:
             odd |= np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
-        telling = None
+        informative = None
         if readings.bounds is not None:
-            telling = _telling(view, readings.bounds, which, into)
-            odd |= telling.any(axis=1)
+            informative = _informative(view, readings.bounds, which, into)
+            odd |= informative.any(axis=1)
         if odd.any():
-            _solve_odd(view, readings, valid, every[which][odd], into, None if telling is None else telling[odd])
+            clipped = None if informative is None else informative[odd]
+            _solve_odd(view, readings, valid, every[which][odd], into, clipped)
 
 
 def _solve_odd(
@@ -284,7 +291,7 @@ def _solve_odd(
     into: FrameSolution,
     clipped: Booleans | None,
 ) -> None:
-    """Frames with a gain of their own, and with the bounds of those axes that are `clipped` (n, m)."""
+    """Solve frames with gains of their own and with the bounds of the axes that are `clipped` (n, m)."""
     terms = view.terms(into.unknowns[frames, :3])
     gains = view.gains(valid, terms)
     into.unknowns[frames] = np.einsum("nkp,np->nk", gains, (readings.values[frames] - view.offset)[:, valid])
@@ -299,19 +306,21 @@ def _solve_odd(
             into.unknowns[at], into.covariance[at] = censored(into.unknowns[at], into.covariance[at], beyond)
 
 
-def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
-    """(n, m) the clipped axes of these frames whose bounds say anything: not those that are expected far beyond."""
+def _informative(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
+    """Return (n, m) the clipped axes of these frames whose bounds contain information: those not expected far
+    beyond.
+    """
     ends = bounds.ends[which]
-    telling: Booleans = np.asarray(ends != 0)
-    frames = np.flatnonzero(telling.any(axis=1))
+    informative: Booleans = np.asarray(ends != 0)
+    frames = np.flatnonzero(informative.any(axis=1))
     if len(frames):
         solved, spread = into.unknowns[which][frames], into.covariance[which][frames]
         rows, noise = view.rows[: ends.shape[1]], view.geometry.noise[: ends.shape[1]]
         known = ((rows @ spread) * rows).sum(axis=2)
         variance = 2 * (known + view.own(view.terms(solved[:, :3]))[:, : len(noise)] + noise**2)
         short = ends[frames] * (bounds.at[which][frames] - solved @ rows.T - view.offset[: len(noise)])
-        telling[frames] &= short > -_CERTAIN * np.sqrt(variance)
-    return telling
+        informative[frames] &= short > -_CERTAIN * np.sqrt(variance)
+    return informative
 
 
 def _clipped_readings(

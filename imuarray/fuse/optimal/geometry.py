@@ -1,7 +1,7 @@
 """Geometry and readings of an array: the sensitivity of its rows to the unknowns of a frame, their noise and validity.
 
 `readings_of` prepares frames: it decides which readings are values, which are only bounds (clipped axes), and which are
-left out.
+ignored.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from imuarray.fuse.least_squares import spans
 from imuarray.fuse.optimal.error_model import ErrorModel
 
 AT_END = 0.98
-"""Share of the measuring range from which on a reading is taken as a bound: the truth is there or beyond."""
+"""Share of the measuring range above which a reading is a bound: the truth is there or beyond."""
 
 _NEAR = 3.0
-"""Standard deviations from there within which an axis teaches nothing about slow errors: the readings that are left
-are not a fair choice.
+"""Distance from the bound, in standard deviations, within which readings are not used to estimate slow errors: there,
+the readings that are not clipped are biased.
 """
 
 
 _KEPT = 1024
-"""Sets of axes of which it is remembered whether they span space."""
+"""Number of cached sets of axes."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """r rows, the m axes and then what else is known of the unknowns: `rows` (r, k), the first three unknowns being the
-    triad in the box frame; `noise` (r,) standard deviations, and of means over many frames; `end` (r,) where a reading
-    becomes a bound, infinite for rows that are no axes; `timing` (r,) seconds, of
-    the time at which a reading holds.
+    """r rows: the m axes, and then other information on the k unknowns. `rows` (r, k) are the sensitivities to the
+    unknowns, the first three of which are the triad in the box frame; `noise` (r,) are standard deviations, also of
+    means over many frames; `end` (r,) is the value at which a reading becomes a bound, infinite for rows that are not
+    axes; `timing` (r,) is the standard deviation of the time of a reading, in s.
     """
 
     rows: Floats
@@ -49,16 +49,16 @@ class Geometry:
 
     @property
     def fair(self) -> Floats:
-        """(r,) up to which stimulus along the axis its readings are a fair choice."""
+        """Largest stimulus (r,) along the axis at which its readings are used to estimate slow errors."""
         return self.end - _NEAR * self.noise
 
     @property
     def fair_square(self) -> float:
-        """The square of the stimulus up to which the readings of all axes are a fair choice; 0 if there is none."""
+        """Square of the stimulus up to which the readings of all axes are used to estimate slow errors."""
         return float(max(self.fair.min(), 0.0)) ** 2
 
     def spans(self, valid: Booleans) -> bool:
-        """Return whether these of the axes, (r,), span space."""
+        """Return whether the valid axes (r,) span space."""
         key = valid[: self.axes].tobytes()
         if key not in self._spanning:
             if len(self._spanning) >= _KEPT:
@@ -68,8 +68,8 @@ class Geometry:
         return self._spanning[key]
 
     def parity(self, valid: Booleans) -> Floats:
-        """(p, r) what the rows in use say of their own errors whatever the unknowns are, whitened for means: ``parity @
-        readings`` has unit variance but for the slow errors.
+        """Return the parity matrix (p, r) of the rows in use, which depends on their errors only, whitened for means:
+        ``parity @ readings`` has unit variance without slow errors.
         """
         rows = self.rows[valid] / self.noise_of_means[valid, None]
         remaining, sizes, _ = np.linalg.svd(rows)
@@ -80,7 +80,7 @@ class Geometry:
 
 
 def geometry_of(axes: Sequence[Axis], model: ErrorModel) -> Geometry:
-    """The axes alone: three unknowns."""
+    """Return the geometry of the axes alone, with three unknowns."""
     errors = model.of(axes)
     return Geometry(
         rows=directions(axes),
@@ -103,12 +103,12 @@ class Bounds(NamedTuple):
 
 
 Patterns = list[tuple[Booleans, npt.NDArray[np.intp] | slice]]
-"""Different rows of flags, each with the frames that have it."""
+"""Distinct rows of flags, each with the frames that have it."""
 
 
 class FrameReadings(NamedTuple):
-    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any; whether all
-    frames are `alike`, with the same rows valid.
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds if there are any; `alike` is true if
+    all frames have the same valid rows.
     """
 
     time: Times
@@ -118,17 +118,17 @@ class FrameReadings(NamedTuple):
     alike: bool = False
 
     def part(self, frames: slice) -> FrameReadings:
-        """Some of the frames."""
+        """Return some of the frames."""
         bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
         return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds, self.alike)
 
     def patterns(self) -> Patterns:
-        """The different sets of valid rows."""
+        """Return the distinct sets of valid rows."""
         return [(self.valid[0], slice(None))] if self.alike and len(self.valid) else patterns(self.valid)
 
 
 def patterns(flags: Booleans) -> Patterns:
-    """The different rows of `flags` (n, r), each with the frames that have it."""
+    """Return the distinct rows of `flags` (n, r), each with the frames that have it."""
     if len(flags) == 0:
         return []
     if (flags == flags[0]).all():
@@ -142,14 +142,14 @@ def patterns(flags: Booleans) -> Patterns:
 
 
 def hold_last(triad: Floats) -> Floats:
-    """(n, 3) with the last known one in place of NaN, which is left only where none was known before."""
+    """Replace NaN in triads (n, 3) by the last known triad; NaN remains before the first one."""
     known = np.isfinite(triad).all(axis=1)
     return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]
 
 
 def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
-    """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
-    space.
+    """Return the axes' readings: beyond the end of the range a bound; stale ones are ignored unless the others do not
+    span space.
     """
     valid, bounds = frames.valid, None
     limits = geometry.end[: geometry.axes]
@@ -169,7 +169,7 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:
-    """Return whether any value is, or may be for not being a number."""
+    """Return whether any value is beyond the limits, or NaN."""
     return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
 
 

@@ -1,21 +1,21 @@
-"""`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
+"""`optimal`: fusion of all readings by the error model of the whole array; the other techniques are special cases.
 
-The differences between the axes, which no stimulus explains, reveal their slow errors: a Kalman filter over segments of
-frames follows them (`imuarray.fuse.optimal.filter`, with the states of `imuarray.fuse.optimal.states`). Each frame is
-then solved by generalised least squares with the remaining uncertainty of these errors
+The differences between the axes, which do not depend on the stimulus, contain their slow errors: a Kalman filter over
+segments of frames estimates them (`imuarray.fuse.optimal.filter`, with the states of `imuarray.fuse.optimal.states`).
+Each frame is then solved by generalised least squares with the remaining uncertainty of these errors
 (`imuarray.fuse.optimal.frame_solution`). With equal noise and no other errors the result is the mean; with noise alone
-it weighs by inverse variance, as `planes` and `ranges` do; states that a design shares make it `opposed`.
+the weights are inverse variances, as in `planes` and `ranges`; states that a design shares make it `opposed`.
 
 `Optimal` is causal and solves frames as they arrive; `smoothed` solves each frame of a log with the information of all
 of them. Biases follow the temperature of the axes relative to that at which they were measured (`BiasTemperature`). The
 estimated slow errors are reported as notes.
 
 The size effect is the specific force at accelerometers away from the origin of the box frame while the box turns. A
-sensor at r feels f + alpha x r + omega x (omega x r) (rigid-body kinematics). The last term is removed with the
-angular rate of the gyroscopes, and the angular acceleration alpha adds three unknowns to every frame, along s of a
-sensor alpha . (r x s). The angular rate of three neighbouring frames gives an additional reading of alpha: the slope,
-at the last of them, of the parabola through them, which unlike a plain difference does not lag behind a steady change
-of alpha.
+sensor at r measures f + alpha x r + omega x (omega x r) (rigid-body kinematics). The last term is removed with the
+angular rate of the gyroscopes, and the angular acceleration alpha adds three unknowns to every frame; along an axis s
+of a sensor it contributes alpha . (r x s). The angular rate of three neighbouring frames gives an additional reading of
+alpha: the slope, at the last of them, of the parabola through them, which unlike a plain difference does not lag behind
+a steady change of alpha.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ from imuarray.fuse.optimal.states import states_of
 from imuarray.fuse.pipeline import FusionNotes, LearnedBias, fused_block
 
 FASTEST = 300.0
-"""rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
+"""Prior standard deviation of the angular acceleration in rad/s2: a turn at 1000 dps reversed in 0.1 s has 350."""
 
 ROWS = 6
-"""Rows that stand behind the axes: the three of the slopes, and three that say `FASTEST`."""
+"""Number of rows after those of the axes: three of the slopes, and three of the prior `FASTEST`."""
 
 _PARABOLA = 6.5
-"""Variance of the slope of the parabola through three points at its last one, over theirs, in periods: 1.5^2 + 2^2 +
-0.5^2.
+"""Variance of the slope of the parabola through three points at its last one, relative to theirs, in periods: 1.5^2 +
+2^2 + 0.5^2.
 """
 
 _JITTER = 0.25
-"""Share of the period within which frames are neighbours whose slope has that variance, more or less."""
+"""Largest relative deviation of the time between neighbouring frames, for which that variance is about right."""
 
 
 def placed(axes: Sequence[Axis]) -> bool:
-    """Return whether any sensor is known to sit away from the origin."""
+    """Return whether any sensor has a position other than the origin."""
     return any(any(axis.position_m) for axis in axes)
 
 
 def with_lever(geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> Geometry:
-    """The geometry with angular acceleration as unknowns 3 to 5; `rate_covariance` (3, 3) of a frame's angular rate,
-    noise alone.
+    """Return the geometry with angular acceleration as unknowns 3 to 5; `rate_covariance` (3, 3) is that of a frame's
+    angular rate by noise alone.
     """
     places = np.array([axis.position_m for axis in axes])
     whitening = _whitening(rate_covariance, period_s)
@@ -83,7 +83,7 @@ def with_lever(geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats
 
 @dataclass
 class Lever:
-    """Turns accelerometer readings into those of a geometry `with_lever`, block after block."""
+    """Converts accelerometer readings to those of a geometry `with_lever`, for consecutive blocks."""
 
     axes: Sequence[Axis]
     whitening: Floats
@@ -95,13 +95,13 @@ class Lever:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing is known of the rate before the next frame."""
+        """Restart: the rate before the next frame is unknown."""
         self._time, self._rate = np.zeros(2, np.int64), np.full((2, 3), np.nan)
         self._held = np.zeros(3)
 
     def __call__(self, readings: FrameReadings, rate: Floats) -> FrameReadings:
-        """`readings` at the origin but for the angular acceleration, and that; `rate` (n, 3) rad/s, NaN where unknown:
-        then it is taken to be the last one known, and there is no slope.
+        """Return `readings` with the centripetal term removed, and the readings of the angular acceleration. Where
+        `rate` (n, 3) rad/s is unknown (NaN), the last known one is used, and there is no slope.
         """
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
@@ -121,12 +121,12 @@ class Lever:
         )
 
     def _centripetal(self, rate: Floats) -> Floats:
-        """(n, m) s . (omega x (omega x r)) = (s . omega) (r . omega) - (s . r) |omega|^2."""
+        """Return (n, m) s . (omega x (omega x r)) = (s . omega) (r . omega) - (s . r) |omega|^2."""
         across = (rate @ self._directions.T) * (rate @ self._places.T)
         return np.asarray(across - (rate**2).sum(axis=1)[:, None] * (self._directions * self._places).sum(axis=1))
 
     def _slopes(self, time: Times, rate: Floats) -> Floats:
-        """(n, 3) rad/s2 from n + 2 frames; NaN where they are no neighbours."""
+        """Return the slopes (n, 3) in rad/s2 from n + 2 frames; NaN unless the frames are neighbours."""
         steps_s = np.diff(time) * 1e-9
         steps_s[np.abs(steps_s - self.period_s) > _JITTER * self.period_s] = np.nan
         slopes = np.diff(rate, axis=0) / steps_s[:, None]
@@ -135,22 +135,22 @@ class Lever:
 
 
 def lever_of(axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> Lever:
-    """The lever that goes with the geometry of `with_lever`."""
+    """Return the lever for the geometry of `with_lever`."""
     return Lever(axes, _whitening(rate_covariance, period_s), period_s)
 
 
 def _whitening(rate_covariance: Floats, period_s: float) -> Floats:
-    """(3, 3) that makes the slopes of the angular rate of unit variance."""
+    """Return the matrix (3, 3) that scales the slopes of the angular rate to unit variance."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(_PARABOLA * rate_covariance / period_s**2)))
 
 
-def learned_biases(axes: Sequence[Axis], of: ArrayFilter) -> list[LearnedBias]:
-    """Every axis's, in order."""
-    rows = of.states.felt(of.warmer_degc).dense[0][: len(axes)]
-    biases = rows @ of.belief.mean
+def learned_biases(axes: Sequence[Axis], estimator: ArrayFilter) -> list[LearnedBias]:
+    """Return the estimated bias of every axis, in order."""
+    rows = estimator.states.response_at(estimator.warmer_degc).dense[0][: len(axes)]
+    biases = rows @ estimator.belief.mean
     spreads = [
         np.sqrt(np.maximum(np.einsum("in,nk,ik->i", rows, covariance, rows), 0.0))
-        for covariance in (of.belief.covariance, of.states.prior)
+        for covariance in (estimator.belief.covariance, estimator.states.prior)
     ]
     return [
         LearnedBias(axis.label, float(bias), float(sd), float(sd_before))
@@ -159,19 +159,21 @@ def learned_biases(axes: Sequence[Axis], of: ArrayFilter) -> list[LearnedBias]:
 
 
 class BiasTemperature:
-    """Follows the temperatures of the sensors, block after block; one that is not told stays as it was, and is that of
-    the bias before any was told.
+    """Tracks the temperatures of the sensors over consecutive blocks; an unknown temperature is the last known one, or
+    that of the bias before the first.
     """
 
     def __init__(self, axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> None:
-        """`others` rows follow those of the axes, and are never warmer."""
+        """`others` rows follow those of the axes, and have no temperature."""
         self._sensors = [axis.sensor for axis in axes]
         degc = [error.bias_degc for error in model.of(axes)]
         self._bias_degc = np.array([np.nan if known is None else known for known in degc])
         self._warmer = np.zeros(len(axes) + others)
 
     def of(self, degc: Mapping[str, Floats]) -> Callable[[int], Floats]:
-        """(r,) by the frame of a block whose temperatures are `degc`, (n,) by sensor; frames are asked in order."""
+        """Return the function from a frame of a block, with temperatures `degc` (n,) by sensor, to the temperatures
+        (r,) above those of the biases; it must be called for frames in order.
+        """
         return lambda frame: self._at({sensor: float(column[frame]) for sensor, column in degc.items()})
 
     def _at(self, degc: Mapping[str, float]) -> Floats:
@@ -185,10 +187,10 @@ class BiasTemperature:
 
 
 SEGMENT_S = 1.0
-"""Time over which slow errors count as constant: short beside any of their time constants."""
+"""Time over which slow errors count as constant: short compared with their time constants."""
 
 Temperatures = Mapping[str, Floats]
-"""Keyed by sensor: (n,) degC of its element at the frames, NaN where not known."""
+"""Temperatures (n,) of elements in degC at the frames, NaN if not known, keyed by sensor."""
 
 _NONE: Temperatures = MappingProxyType({})
 
@@ -196,33 +198,33 @@ _RATE, _FORCE = "angular_rate", "specific_force"
 
 
 class Optimal:
-    """The whole array, causal: fed with consecutive blocks of frames, of any length, which make no difference.
+    """Causal estimator of the whole array for consecutive blocks of frames; the result does not depend on their length.
 
-    `axes` by quantity; `segment_s` over which slow errors are taken to be constant; `period_s` between frames.
+    `axes` by quantity; slow errors are constant over `segment_s`; `period_s` is the time between frames.
     """
 
     def __init__(
         self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, *, period_s: float, segment_s: float = SEGMENT_S
     ) -> None:
-        """FusionError for axes that the model does not know, or a period that is none."""
+        """FusionError for axes that are not in the model, and for a period that is not positive."""
         if not 0 < period_s < math.inf:
             raise FusionError(f"frames every {period_s:g} s: a positive time is required")
         self._axes = {quantity: list(axes[quantity]) for quantity in (_RATE, _FORCE) if quantity in axes}
         self._model, self._period_s = model, period_s
         self._segment_frames = max(1, round(segment_s / period_s))
-        self._groups = self._latest = self._made()
+        self._groups = self._latest = self._create_groups()
         self.angular_acceleration: Estimate | None = None
 
     def __call__(self, frames: Mapping[str, Frames], degc: Temperatures | None = None) -> dict[str, Estimate]:
-        """The estimates of the next frames, of both quantities on one grid, with what the frames before them told."""
+        """Estimate the next frames, of both quantities at the same times, with the information of earlier frames."""
         self._latest = self._groups
         solutions = _solved(self._groups, frames, degc or _NONE)
         self.angular_acceleration = _acceleration(solutions)
         return {quantity: _estimate(solutions[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
-        """Return what the array knows of its own slow errors, by quantity: at the last frame it was given, or after
-        `smoothed` at the end of that log.
+        """Return the estimated slow errors, by quantity: at the last frame, or, after `smoothed`, at the end of that
+        log.
         """
         return {
             quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._latest.items()
@@ -231,12 +233,13 @@ class Optimal:
     def smoothed(
         self, blocks: Callable[[], Iterator[tuple[Mapping[str, Frames], Temperatures | None]]]
     ) -> Iterator[tuple[Times, dict[str, Estimate]]]:
-        """Time (n,) and estimates of every block, with what all frames tell: not causal, and independent of what was
-        called before.
+        """Yield time (n,) and estimates of every block, with the information of all frames; independent of earlier
+        calls.
 
-        `blocks` gives the consecutive blocks of a log, frames and temperatures, from its beginning, and is asked twice.
+        `blocks` returns the consecutive blocks of a log, frames and temperatures, from its beginning; it is called
+        twice.
         """
-        groups = self._latest = self._made(recording=True)
+        groups = self._latest = self._create_groups(recording=True)
         with ExitStack() as spools:
             for group in groups.values():
                 spools.callback(group.close)
@@ -250,7 +253,7 @@ class Optimal:
                 time = next(iter(frames.values())).time
                 yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
 
-    def _made(self, *, recording: bool = False) -> dict[str, _Group]:
+    def _create_groups(self, *, recording: bool = False) -> dict[str, _Group]:
         groups: dict[str, _Group] = {}
         for quantity, axes in self._axes.items():
             geometry, lever = geometry_of(axes, self._model), None
@@ -265,14 +268,14 @@ class Optimal:
 
 
 class _Timing(NamedTuple):
-    """Frames of a segment, and seconds from frame to frame."""
+    """Number of frames of a segment, and seconds from frame to frame."""
 
     segment_frames: int
     period_s: float
 
 
 class _Group:
-    """One quantity: its filter, or its smoothed views."""
+    """One quantity: its filter, or its smoothed views in a second pass."""
 
     def __init__(
         self,
@@ -305,7 +308,7 @@ class _Group:
         return self.filter(readings, self._bias_temperature.of(degc))
 
     def noise_covariance(self) -> Floats:
-        """(3, 3) of the triad, by noise alone, with every axis."""
+        """Return the covariance (3, 3) of the triad by noise alone, with every axis."""
         rows, noise = self._geometry.rows, self._geometry.noise
         return np.asarray(np.linalg.inv(rows.T @ (rows / noise[:, None] ** 2)))
 
@@ -323,7 +326,7 @@ class _Group:
         self._again = SegmentEnds(self._segment_frames)
 
     def close(self) -> None:
-        """Give back the room on the disk."""
+        """Delete the temporary files."""
         if self._recorder is not None:
             self._recorder.close()
 
@@ -341,7 +344,7 @@ class _Group:
 
 
 def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures) -> dict[str, FrameSolution]:
-    """Angular rate first: the specific force away from the origin needs it."""
+    """Solve the frames of all groups; angular rate first, because the specific force away from the origin needs it."""
     solutions: dict[str, FrameSolution] = {}
     for quantity, group in groups.items():
         if quantity in frames:
@@ -355,7 +358,7 @@ def _estimate(solution: FrameSolution) -> Estimate:
 
 
 def _acceleration(solutions: Mapping[str, FrameSolution]) -> Estimate | None:
-    """The angular acceleration, where it is an unknown."""
+    """Return the angular acceleration if it is an unknown."""
     solution = solutions.get(_FORCE)
     if solution is None or solution.unknowns.shape[1] == 3:
         return None
@@ -363,14 +366,14 @@ def _acceleration(solutions: Mapping[str, FrameSolution]) -> Estimate | None:
 
 
 FrameBlock = tuple[Mapping[str, Frames], Mapping[str, Floats]]
-"""Frames by quantity, and the temperatures of their elements by sensor."""
+"""Frames by quantity, and the temperatures of elements by sensor."""
 
 
 class CausalPipeline:
-    """A causal `Optimal` as a `Pipeline`: nothing is held back."""
+    """A causal `Optimal` as a `Pipeline`; nothing is held back."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, period_s: float) -> None:
-        """FusionError for axes that the model does not know."""
+        """FusionError for axes that are not in the model."""
         self._axes = axes
         self._optimal = Optimal(axes, model, period_s=period_s)
 
@@ -383,12 +386,12 @@ class CausalPipeline:
         return iter(())
 
     def notes(self) -> FusionNotes:
-        """The slow errors of every axis as they are felt at the last frame."""
+        """Return the slow errors of every axis at the last frame."""
         return FusionNotes(self._optimal.learned())
 
 
 class FramePipeline:
-    """A `Pipeline` that gives its frames as they are, for those who want them all."""
+    """A `Pipeline` that returns its frames unchanged."""
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
         """See `Pipeline`."""
@@ -406,8 +409,8 @@ def smoothed(
     period_s: float,
     notes: Callable[[FusionNotes], None] = lambda notes: None,
 ) -> Iterator[FusedBlock]:
-    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. `notes` hears at
-    the end which slow errors there were. FusionError.
+    """Yield all frames, each estimated with the information of all; `blocks` returns them from the beginning and is
+    called twice. `notes` is called at the end with the estimated slow errors. FusionError.
     """
     optimal = Optimal(axes, model, period_s=period_s)
     for time, estimates in optimal.smoothed(blocks):

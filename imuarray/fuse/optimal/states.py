@@ -1,12 +1,12 @@
 """Slow errors of an array as the states of a Kalman filter, with the steps of the filter and of its smoother.
 
 There is one state for each error whose standard deviation is not zero: bias, drift, slope and response of every axis,
-common wander and slope of every design. Each state decays independently. They are independent beforehand, except for
-biases that were calibrated together.
+common wander and slope of every design. Each state decays independently. A priori they are independent, except for
+biases and responses that were calibrated together.
 
 Measurements are whitened: ``values = rows @ states + errors`` of unit variance. The smoother is that of Bierman ("Fixed
-interval smoothing with discrete measurements", International Journal of Control 18, 1973): it goes back over the
-innovations and inverts no covariance of states, so that states known without doubt do no harm.
+interval smoothing with discrete measurements", International Journal of Control 18, 1973): it processes the innovations
+backwards and inverts no covariance of states, so that states with zero variance are allowed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorMod
 
 
 class Gaussian(NamedTuple):
-    """The belief about n states: mean (n,) and covariance (n, n)."""
+    """Distribution of n states: mean (n,) and covariance (n, n)."""
 
     mean: Floats
     covariance: Floats
@@ -49,14 +49,14 @@ class Adjoint(NamedTuple):
 
 
 def predicted(before: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
-    """The states a while later: the share `remaining` (n,) of each, and the variance `added` (n,)."""
+    """Return the predicted states: the share `remaining` (n,) of each, and the variance `added` (n,)."""
     covariance = before.covariance * (remaining[:, None] * remaining)
     covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
     return Gaussian(before.mean * remaining, covariance)
 
 
 def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
-    """The states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
+    """Return the states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
     seen = rows @ before.covariance
     innovations = seen @ rows.T
     innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
@@ -69,11 +69,11 @@ def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian,
 
 
 def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
-    """Return what these and all later measurements say of the state `at`, as predicted before them.
+    """Return the information of these and all later measurements on the state `at`, as predicted before them.
 
     With ``kept = 1 - covariance rows' inverse rows`` the vector is ``kept' vector - rows' weighted`` and the matrix
-    ``kept' matrix kept + rows' inverse rows``. Measurements are few beside states, so products with `kept` are not
-    formed.
+    ``kept' matrix kept + rows' inverse rows``. There are few measurements compared with states, so products with `kept`
+    are not formed.
     """
     weighed = step.inverse @ step.rows
     seen = at.covariance @ step.rows.T
@@ -84,8 +84,8 @@ def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
 
 
 class _Layer(NamedTuple):
-    """The k-th entries of a sparse matrix: the `rows` that have one, the `columns` of these entries and the entries
-    (p, 1), None where all are one.
+    """The k-th entries of the rows of a sparse matrix: the `rows` with such an entry, their `columns`, and the entries
+    (p, 1), None if all are 1.
     """
 
     rows: Indices | slice
@@ -93,7 +93,7 @@ class _Layer(NamedTuple):
     entries: Floats | None
 
 
-class FeltStates:
+class StateResponse:
     """The response of r rows to n states, as terms that go with (1, stimulus): `dense` (terms, r, n). A row responds to
     two or three states and a term of its response to one, so that products skip the zeros.
     """
@@ -116,34 +116,34 @@ class FeltStates:
             )
 
     def of(self, belief: Gaussian, adjoint: Adjoint | None = None) -> tuple[Floats, Floats]:
-        """(terms, r) and (terms, r, terms, r) mean and covariance of what the rows feel under a belief, with what came
-        after it if `adjoint` is given.
+        """Return mean (terms, r) and covariance (terms, r, terms, r) of the effect of the states on the rows, with the
+        information of later measurements if `adjoint` is given.
         """
         terms, rows, _ = self.dense.shape
-        felt = np.zeros(self._flat.shape)
+        cross = np.zeros(self._flat.shape)  # covariance of the effect with the states
         for places, columns, entries in self._layers:
             part = belief.covariance.take(columns, axis=0)
-            felt[places] += part if entries is None else entries * part
-        covariance = np.zeros((len(felt), len(felt)))
+            cross[places] += part if entries is None else entries * part
+        covariance = np.zeros((len(cross), len(cross)))
         for places, columns, entries in self._layers:
-            part = felt.take(columns, axis=1)
+            part = cross.take(columns, axis=1)
             covariance[:, places] += part if entries is None else entries.T * part
         mean = self._flat @ belief.mean
         if adjoint is not None:
-            mean -= felt @ adjoint.vector
-            covariance -= felt @ adjoint.matrix @ felt.T
+            mean -= cross @ adjoint.vector
+            covariance -= cross @ adjoint.matrix @ cross.T
         return mean.reshape(terms, rows), covariance.reshape(terms, rows, terms, rows)
 
 
 _KEPT = 16
-"""Temperatures of which it is remembered what the axes feel."""
+"""Number of cached responses at different temperatures."""
 
 
 @dataclass(frozen=True)
 class ErrorStates:
-    """n states of m axes: `prior` (n, n), the covariance they begin with, `time_constants_s` (n,), infinite where
-    constant, and what each axis feels of them: `steady` (m, n), `thermal` (m, n) for each degree, `response` (3, m, n)
-    for each unit of the stimulus along a box axis ((0, m, n) without such states).
+    """n states of m axes: the prior covariance `prior` (n, n), `time_constants_s` (n,), infinite for constants, and the
+    effect on each axis: `steady` (m, n), `thermal` (m, n) per degree, `response` (3, m, n) per unit of the stimulus
+    along a box axis ((0, m, n) without such states).
     """
 
     names: tuple[str, ...]
@@ -152,31 +152,31 @@ class ErrorStates:
     steady: Floats
     thermal: Floats
     response: Floats
-    _felt: dict[bytes, FeltStates] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _responses: dict[bytes, StateResponse] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def terms(self) -> int:
-        """1, or 4 where the states include responses: an axis's error is (1, stimulus) times what it feels."""
+        """1, or 4 if the states include responses: an axis's error is its terms times (1, stimulus)."""
         return 1 + len(self.response)
 
-    def felt(self, warmer_degc: Floats) -> FeltStates:
-        """The response to the states of axes that are warmer than their biases by (m,)."""
+    def response_at(self, warmer_degc: Floats) -> StateResponse:
+        """Return the response to the states of axes at temperatures (m,) above those of their biases."""
         key = warmer_degc.tobytes() if self.thermal.any() else b""
-        if key not in self._felt:
-            if len(self._felt) >= _KEPT:
-                self._felt.clear()
+        if key not in self._responses:
+            if len(self._responses) >= _KEPT:
+                self._responses.clear()
             steady = self.steady + warmer_degc[:, None] * self.thermal
-            self._felt[key] = FeltStates(np.concatenate([steady[None], self.response]))
-        return self._felt[key]
+            self._responses[key] = StateResponse(np.concatenate([steady[None], self.response]))
+        return self._responses[key]
 
     def transition(self, seconds: float) -> tuple[Floats, Floats]:
-        """(n,) share of each state that remains after a while, and (n,) the variance that is added."""
+        """Return the share (n,) of each state that remains after a time, and the variance (n,) that is added."""
         remaining = np.exp(-seconds / self.time_constants_s)
         return remaining, self.prior.diagonal() * (1 - remaining**2)
 
 
 class _State(NamedTuple):
-    """One state: `members` are the axes that feel it."""
+    """One state: `members` are the axes that it affects."""
 
     name: str
     spread: float
@@ -186,7 +186,7 @@ class _State(NamedTuple):
 
 
 def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> ErrorStates:
-    """The states of `axes`; `others` more rows follow them, which feel none."""
+    """Return the states of `axes`; `others` further rows follow them, on which they have no effect."""
     errors = model.of(axes)
     result = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
     result += _of_designs(axes, model)
@@ -241,7 +241,9 @@ def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
 
 
 def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) -> Floats:
-    """Diagonal, but for biases and responses of one sensor that were calibrated together."""
+    """Return the prior covariance: diagonal, except for biases and responses of one sensor that were calibrated
+    together.
+    """
     prior = np.diag(np.array([state.spread**2 for state in states]))
     place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
     for item, row in place.items():

@@ -1,8 +1,8 @@
 """Techniques that combine the axes of an array into one triad: the simple average and the paper's three techniques.
 
 All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects the
-values before, `planes` chooses the weights, `ranges` does both; each is applied alone. None of them, the average
-included, uses a reading whose flags say that it is clipped.
+values first, `planes` chooses the weights, `ranges` does both; each is applied separately. None of them, including the
+average, uses a reading that is flagged as clipped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
 )
 
 NEEDS_NOISE = frozenset({"planes", "ranges"})
-"""Techniques that must know how much each axis scatters (`calibrate noise`)."""
+"""Techniques that need the noise of every axis (`calibrate noise`)."""
 
 _CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType(
     {"opposed": _opposed.changes, "planes": _planes.changes, "ranges": _ranges.changes}
@@ -29,7 +29,7 @@ _CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType
 
 
 def changes(technique: str, axes: Sequence[Axis]) -> list[str]:
-    """Describe what a technique treats otherwise than the plain average does; empty if nothing on this array."""
+    """Describe the differences of a technique from the simple average; empty if there are none for this array."""
     return _CHANGES[technique](axes) if technique in _CHANGES else []
 
 

@@ -1,23 +1,23 @@
 """`opposed`: the error that all units of a design share, estimated from anti-parallel axes and removed.
 
 Axes along a box axis read ``truth + c + own error``, axes against it ``-truth + c + own error``, so half the sum C of
-the two means is c whatever the truth is. The same holds for even-order terms, which have no sign (paper, section 2.1);
-odd-order terms do not contribute. c is slow (temperature, supply), so it is low-passed and adds no noise.
+the two means is c, independent of the truth. The same holds for even-order terms, which do not change sign (paper,
+section 2.1); odd-order terms do not contribute. c is slow (temperature, supply), so it is low-passed and adds no noise.
 
-It is used only as far as units that point the same way agree. With `n+` and `n-` axes and a within-way variance s2 of
-the slow errors, C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``: where units share nothing, ``F = C^2 / (s2
-(1/n+ + 1/n-))`` follows Fisher's law with 1 and n+ + n- - 2 degrees of freedom. c is used from the F that chance
-exceeds with twice the probability `significance`, and in full from the F that chance exceeds with that probability; its
-value is C/2 times ``1 - 1/F``, the share of C^2 that is due to the common part. Where units share nothing this costs
-the average's drift less than 1 % (three axes).
+It is used only as far as units with the same direction agree. With `n+` and `n-` axes and a variance s2 of the slow
+errors within a direction, C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``; if units share nothing, ``F = C^2
+/ (s2 (1/n+ + 1/n-))`` has Fisher's distribution with 1 and n+ + n- - 2 degrees of freedom. c is used from the F that is
+exceeded by chance with twice the probability `significance`, and in full from the F that is exceeded with that
+probability; its value is C/2 times ``1 - 1/F``, the share of C^2 that is due to the common part. If units share
+nothing, this increases the average's drift by less than 1 % (three axes).
 
-The level of the errors at the start (the rest of turn-on biases) and their change since then are tested separately,
-because units with different initial biases may well drift alike. For the change, C^2 and s2 are variances over the
+The level of the errors at the start (the remaining turn-on biases) and their change since then are tested separately,
+because units with different initial biases may have the same drift. For the change, C^2 and s2 are variances over the
 whole time since the start.
 
 `capabilities` states for every pair of anti-parallel axes, from a calibration, which errors it can cancel: the mean of
-a pair, one axis counted with the other's sign, keeps half the difference of the two errors, of the slopes with
-temperature and of the biases.
+a pair, with opposite signs, contains half the difference of the two errors, of the slopes with temperature and of the
+biases.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _WITHIN = 1.96
 
 @dataclass(frozen=True)
 class Reduction:
-    """An error of a pair: of one axis (`single`, mean of the two magnitudes) and what their mean in the box frame
-    keeps of it (`remaining`, standard error `remaining_sem`), in SI, slopes per degC.
+    """Reduction of an error by a pair of axes, in SI (slopes per degC): of one axis (`single`, the mean of the two
+    magnitudes) and of their mean in the box frame (`remaining`, standard error `remaining_sem`).
 
-    `reduction` is how many times less that is, from `least` to `most` with 95 % (inf where nothing may remain);
-    `p_value`: probability of such errors if opposing the axes gained nothing.
+    `reduction` is the ratio of the two, with the 95 % interval `least` to `most` (inf if nothing may remain);
+    `p_value` is the probability of such errors if opposition of the axes gains nothing.
     """
 
     single: float
@@ -67,10 +67,10 @@ class Reduction:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two axes ("Gyro1 y") of one `chip`, opposite along `box_axis`, and what they cancel of their drift with
-    temperature and of their bias; None where the calibration doesn't know that of both.
+    """Two axes ("Gyro1 y") of one `chip`, opposite along `box_axis`, with the reduction of their drift with temperature
+    and of their bias; None unless the calibration contains both.
 
-    `is_bias` is False where a slope may be one of scale, which opposing doesn't cancel.
+    `is_bias` is False if a slope may be one of scale, which opposition does not cancel.
     """
 
     first: str
@@ -83,8 +83,8 @@ class Pair:
 
 
 def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Pair]:
-    """Every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated directions;
-    measuring ranges may differ.
+    """Return every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated
+    directions; measuring ranges may differ.
     """
     known = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
     return [
@@ -155,16 +155,17 @@ SMOOTHING_S = 10.0
 """Time constant of the low-pass."""
 
 _JUDGED = 6.0
-"""The change is judged by what is left of it behind a low-pass of so many times that; so noise hardly counts."""
+"""Time constant of the low-pass before the test of the change, as a multiple of `SMOOTHING_S`, which suppresses noise.
+"""
 
 _SIGNIFICANCE = 0.05
 _LOST_OF_THREE = 0.125
-"""The value of `lost` in `significance` for one axis along and two against."""
+"""Value of `lost` in `significance` for one axis along and two against the box axis."""
 
 
 @dataclass(frozen=True)
 class OpposingGroup:
-    """Axes (indices) of one design that point along, and against, one box axis."""
+    """Axes (indices) of one design along and against one box axis."""
 
     along: tuple[int, ...]
     against: tuple[int, ...]
@@ -172,8 +173,8 @@ class OpposingGroup:
 
 
 def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
-    """Every design and box axis that has axes both ways, but not equally many: those balance each other in the
-    average.
+    """Return every design and box axis that has axes in both directions, but not equally many: equal numbers cancel in
+    the average.
     """
     rows = directions(axes)
     main = np.abs(rows).argmax(axis=1)
@@ -190,10 +191,10 @@ def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
 
 @cache
 def significance(along: int, against: int) -> float:
-    """Chance that so many axes each way, which share nothing, are believed to share a drift.
+    """Return the significance level of the test for a common drift with so many axes in each direction.
 
-    5 % of three axes; less the more the average would lose by it: a wrong c adds the variance of C/2 times the square
-    of the imbalance ``(n- - n+) / n`` to an average that has s2/n.
+    It is 5 % for three axes and decreases with the loss by a false detection: a wrong c adds the variance of C/2 times
+    the square of the imbalance ``(n- - n+) / n`` to that of the average, s2/n.
     """
     lost = (1 / along + 1 / against) * (against - along) ** 2 / (4 * (along + against))
     return _SIGNIFICANCE * min(1.0, _LOST_OF_THREE / lost) ** 2 if lost else _SIGNIFICANCE
@@ -201,8 +202,8 @@ def significance(along: int, against: int) -> float:
 
 @cache
 def _limits(along: int, against: int) -> tuple[float, float]:
-    """F from which a common error is used, and used in full."""
-    from scipy.special import fdtri  # the inverse of Fisher's F without the weight of scipy.stats
+    """Return the F from which a common error is used, and that from which it is used in full."""
+    from scipy.special import fdtri  # scipy.stats is slow to import
 
     chance = significance(along, against)
     low, high = fdtri(1, along + against - 2, [1 - 2 * chance, 1 - chance])
@@ -210,7 +211,7 @@ def _limits(along: int, against: int) -> tuple[float, float]:
 
 
 class CommonErrorEstimate:
-    """The running estimate of one group's common error; fed with consecutive blocks."""
+    """The running estimate of one group's common error, over consecutive blocks."""
 
     def __init__(self, group: OpposingGroup, seconds: float = SMOOTHING_S) -> None:
         self.members = [*group.along, *group.against]
@@ -225,10 +226,12 @@ class CommonErrorEstimate:
         self._sums = np.zeros((2, 1 + len(self.members)))
 
     def estimate(self, time: npt.NDArray[np.int64], residual: Floats, valid: npt.NDArray[np.bool_]) -> Floats:
-        """(n,) the common error in the unit of `residual` (n, m): axis values less what the average triad explains."""
+        """Return the common error (n,) in the unit of `residual` (n, m), axis values less the average triad along
+        them.
+        """
         errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
         slow = self._slow(time, errors)
-        begin = self._slow.begin  # the level is what the low-pass held first
+        begin = self._slow.begin  # the level is the low-pass at this row
         if begin < len(slow) and self._seen == 0:
             self._level = slow[begin].copy()
         level = np.concatenate([slow[:begin], np.broadcast_to(self._level, (len(slow) - begin, len(self.members)))])
@@ -241,13 +244,15 @@ class CommonErrorEstimate:
         return np.asarray(common)
 
     def _parts(self, errors: Floats) -> Floats:
-        """(n, 1 + m) the sum of both ways' means, and what each axis differs by from its way's."""
+        """Return (n, 1 + m) the sum of the means of both directions, and the difference of each axis from the mean of
+        its direction.
+        """
         ways = errors[:, : self._along], errors[:, self._along :]
         total = sum((way.mean(axis=1, keepdims=True) for way in ways), np.zeros((len(errors), 1)))
         return np.concatenate([total, *(way - way.mean(axis=1, keepdims=True) for way in ways)], axis=1)
 
     def _variances(self, parts: Floats) -> Floats:
-        """(n, 1 + m) sums of squares about the mean in time, of all rows so far."""
+        """Return the sums of squares (n, 1 + m) about the mean in time, over all rows so far."""
         sums = self._sums[:, None, :] + np.cumsum([parts, parts**2], axis=1)
         number = self._seen + np.arange(1, len(parts) + 1)[:, None]
         if len(parts):
@@ -255,7 +260,7 @@ class CommonErrorEstimate:
         return np.asarray(np.maximum(sums[1] - sums[0] ** 2 / number, 0))
 
     def _trust(self, squares: Floats) -> Floats:
-        """(n,) how far the common part is believed, 0 to 1, by the squares (n, 1 + m) of `_parts`."""
+        """Return the factor (n,) of the common part, 0 to 1, from the squares (n, 1 + m) of `_parts`."""
         own = squares[:, 1:].sum(axis=1) / self._freedom * self._spread
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(squares[:, 0] > 0, squares[:, 0] / own, 0.0)
@@ -265,15 +270,15 @@ class CommonErrorEstimate:
 
 
 class Smoother:
-    """First-order low-pass over consecutive blocks of rows (n, k); at first, the mean of what there is.
+    """First-order low-pass over consecutive blocks of rows (n, k), which begins as a running mean.
 
-    A running mean becomes the exponential one after the time constant: no transient from an arbitrary start. As many
-    rows as came until then are the time constant from then on. NaN keeps the value before it.
+    The running mean becomes an exponential one after the time constant, so that there is no transient from an arbitrary
+    start; from then on the time constant is the number of rows until then. NaN is replaced by the value before it.
     """
 
     def __init__(self, seconds: float, columns: int) -> None:
         self.begin = 0
-        """Row of the last block from which the mean was exponential, its length if none was."""
+        """First row of the last block with an exponential mean; its length if there is none."""
         self._span_ns = seconds * 1e9
         self._first_ns: int | None = None
         self._rows_held = 0
@@ -282,7 +287,7 @@ class Smoother:
         self._last = np.zeros(columns)
 
     def __call__(self, time: npt.NDArray[np.int64], rows: Floats) -> Floats:
-        """Low-passed `rows`, taken at `time` (n,) ns."""
+        """Return the low-passed `rows` at `time` (n,) ns."""
         held = self._hold(rows)
         begin = self.begin = self._begin(time)
         out = np.empty_like(held)
@@ -300,7 +305,7 @@ class Smoother:
         return out
 
     def _begin(self, time: npt.NDArray[np.int64]) -> int:
-        """The first row beyond the running mean."""
+        """Return the first row after the running mean."""
         if self._rows_held or len(time) == 0:
             return 0
         self._first_ns = int(time[0]) if self._first_ns is None else self._first_ns
@@ -309,7 +314,7 @@ class Smoother:
         return begin
 
     def _hold(self, rows: Floats) -> Floats:
-        """`rows` with the last finite value in place of NaN."""
+        """Return `rows` with NaN replaced by the last finite value."""
         known = np.isfinite(rows)
         source = np.maximum.accumulate(np.where(known, np.arange(len(rows))[:, None], -1), axis=0)
         if len(rows) == 0:
@@ -320,11 +325,12 @@ class Smoother:
 
 
 def opposed(axes: Sequence[Axis]) -> Technique:
-    """The error that all units of a design share is seen by anti-parallel axes and taken out (paper, section 2.1).
+    """Return the technique that estimates the error that all units of a design share from anti-parallel axes, and
+    removes it (paper, section 2.1).
 
-    It cancels what is alike in every unit, as far as they are seen to agree: the level at the start, drift with
-    temperature, the mean of even-order terms. Where as many axes of a design point one way as the other the average
-    does it already; where all point the same way nothing can be seen. `pairs.capabilities` says what it can cancel.
+    It cancels errors that are equal in all units, as far as these agree: the level at the start, drift with
+    temperature, the mean of even-order terms. With equal numbers of axes in both directions the average cancels them
+    already; with all axes in one direction they can't be estimated. `capabilities` states what can be cancelled.
     """
     average = mean(axes)
     rows = directions(axes)
@@ -342,5 +348,5 @@ def opposed(axes: Sequence[Axis]) -> Technique:
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """Name what it treats otherwise than the average does: design and box axis."""
+    """Return the designs and box axes that differ from the average."""
     return [f"{axes[group.along[0]].chip} along {group.box_axis}" for group in opposing_groups(axes)]

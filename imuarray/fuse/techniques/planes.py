@@ -1,10 +1,9 @@
-"""`planes`: in-plane and out-of-plane axes, weighed by measured noise and stability; the worse ones serve as a check.
+"""`planes`: in-plane and out-of-plane axes, weighted by measured noise and stability; the worse ones serve as a check.
 
-Noise and slow error require different weights unless their ratios are alike. The weights are those of least error in
-the mean of `AVERAGED` readings: ``noise^2 / AVERAGED + stability^2``, with the stability (from run to run and within a
-run) where the calibration knows it of every axis of a design, else by the noise alone. However alike the slow errors
-are, the weight of the noisier kind is limited so that one axis of each kind together are not noisier than the quieter
-one alone.
+Noise and slow error require different weights unless their ratios are equal. The weights minimise the error in the mean
+of `AVERAGED` readings: ``noise^2 / AVERAGED + stability^2``, with the stability (from run to run and within a run) if
+the calibration contains it for every axis of a design, otherwise by the noise alone. In any case the weight of the
+noisier kind is limited so that one axis of each kind together are not noisier than the quieter one alone.
 """
 
 from __future__ import annotations
@@ -22,10 +21,11 @@ from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Tec
 from imuarray.units import READABLE_SI
 
 AVERAGED = 100
-"""Readings over which the error is weighed: a second at 100 Hz. One would weigh by noise, very many by stability."""
+"""Number of readings in the mean whose error is minimised: a second at 100 Hz. With one reading the weights depend on
+noise, with very many on stability."""
 
 _REMARKABLE_SIGMAS = 3.0
-"""An axis that stands watch is told of if it differs by so much."""
+"""Least difference of a reported axis, in standard errors."""
 
 _MOST_DILUTION = 3.0
 """Largest factor from the noise of one axis to that of the comparison value, from all axes that weigh in full. With
@@ -38,9 +38,9 @@ _KINDS = {True: "x and y", False: "z"}
 
 @dataclass(frozen=True)
 class Monitor:
-    """An axis that weighs less and what it reads otherwise than the axes that weigh in full: mean difference over
-    `frames` frames in SI, its standard error by the scatter between frames, and by how many of those it is not zero
-    (`sigmas`; the slow errors that the calibration knows are allowed for). NaN where nothing could be compared.
+    """An axis of lower weight, compared with the axes of full weight: the mean difference over `frames` frames in SI,
+    its standard error by the scatter between frames, and the difference in standard errors (`sigmas`, which include
+    the slow errors in the calibration). NaN without comparable frames.
     """
 
     label: str
@@ -50,7 +50,7 @@ class Monitor:
     frames: int
 
     def sentence(self, quantity: str) -> str:
-        """ "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"; `quantity` as in the log."""
+        """Return for example "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"; `quantity` as in a log."""
         if not self.frames:
             return f"{self.label} has no axis to compare with"
         factor, unit = READABLE_SI[quantity]
@@ -60,15 +60,15 @@ class Monitor:
 
 
 def planes(axes: Sequence[Axis]) -> Technique:
-    """Weights of in-plane and out-of-plane axes by their noise and stability (paper, section 2.2): a `PlaneBlend`."""
+    """Return a `PlaneBlend`: weights of in-plane and out-of-plane axes by noise and stability (paper, section 2.2)."""
     return PlaneBlend(axes)
 
 
 class PlaneBlend:
-    """Weights by `plane_weights`; axes that weigh less than 1 are compared with what the others give."""
+    """Weights by `plane_weights`; axes with a weight below 1 are compared with the result of the others."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
-        """FusionError where the noise of an axis is not known."""
+        """FusionError if the noise of an axis is not known."""
         self._axes, self._rows = axes, directions(axes)
         weights = plane_weights(axes)
         self._mean = FixedWeights(self._rows, weights, known_noise_of(axes), SlowErrors(axes))
@@ -78,13 +78,13 @@ class PlaneBlend:
         self._sums = np.zeros((3, len(self._watched)))
 
     def __call__(self, frames: Frames) -> Estimate:
-        """The estimate of the next block."""
+        """Estimate the next block."""
         if len(self._watched):
             self._watch(frames)
         return self._mean(frames)
 
     def monitors(self) -> list[Monitor]:
-        """Return the monitors of the axes that weigh less."""
+        """Return the comparisons of the axes of lower weight."""
         watched = zip(self._watched.tolist(), self._sums.T, strict=True)
         return [self._monitor(self._axes[index], *sums) for index, sums in watched]
 
@@ -103,8 +103,8 @@ class PlaneBlend:
         return said
 
     def _watch(self, frames: Frames) -> None:
-        """Add up what the watched axes read otherwise than the others: frames, sum, sum of squares. A reading that was
-        seen before tells nothing new.
+        """Add up the differences of the watched axes from the others: frames, sum, sum of squares. Stale readings are
+        ignored.
         """
         full = np.ones(len(self._axes))
         full[self._watched] = 0.0
@@ -138,7 +138,7 @@ def dilution(watched: Floats, others: Floats) -> Floats:
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """The designs whose axes it weighs otherwise than the average does, how and by what."""
+    """Return the designs whose weights differ from those of the average, with the weights and their reason."""
     weights = plane_weights(axes)
     words = []
     for chip in sorted({axis.chip for axis in axes}):
@@ -151,11 +151,12 @@ def changes(axes: Sequence[Axis]) -> list[str]:
 
 
 def plane_weights(axes: Sequence[Axis]) -> Floats:
-    """(m,) Within a design the better kind of axis weighs 1 and the other the ratio of the mean squared errors.
+    """Return the weights (m,): within a design 1 for the better kind of axis and the ratio of the mean squared errors
+    for the other.
 
-    Kinds that err too much alike for a gain weigh as in the average. The squares are means over the design's units and
-    ranges, each unit's relative to its own three axes, so that only the plane matters here. FusionError where the noise
-    of an axis is not known.
+    Kinds with similar errors have the weight 1, because weights would gain little. The squares are means over the
+    design's units and ranges, each relative to the three axes of its unit, so that only the plane has an effect.
+    FusionError if the noise of an axis is not known.
     """
     noise = known_noise_of(axes)
     weights = np.ones(len(axes))
@@ -170,10 +171,10 @@ def plane_weights(axes: Sequence[Axis]) -> Floats:
 
 
 def _shares(error: dict[bool, float], variance: dict[bool, float]) -> dict[bool, float]:
-    """The weight of each kind by its squared error, bounded by its variance from reading to reading.
+    """Return the weight of each kind by its squared error, limited by its variance from reading to reading.
 
-    A quiet axis (variance 1) and one of variance k that weighs r scatter by ``(1 + r^2 k) / (1 + r)^2``, which is no
-    more than 1 as long as ``r <= 2 / (k - 1)``.
+    The variance of the mean of a quiet axis (variance 1) and one of variance k with weight r is ``(1 + r^2 k) / (1 +
+    r)^2``, which is at most 1 for ``r <= 2 / (k - 1)``.
     """
     best = min(error.values())
     similar = max(error.values()) <= WORTH_WEIGHING * best
@@ -187,7 +188,7 @@ def _shares(error: dict[bool, float], variance: dict[bool, float]) -> dict[bool,
 
 
 def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
-    """(m,) the slow errors of a design's axes (others: zero); None where one of them is not known."""
+    """Return the slow errors (m,) of a design's axes (others: zero); None if one of them is not known."""
     known = [axis.stability_si for axis in axes if axis.chip == chip]
     if None in known:
         return None
@@ -195,10 +196,12 @@ def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
 
 
 def _by_kind(axes: Sequence[Axis], square: Floats, chip: str) -> dict[bool, float]:
-    """Mean squares of the in-plane and the out-of-plane axes of a design, each relative to the mean of its triad."""
+    """Return the mean squares of the in-plane and the out-of-plane axes of a design, relative to the mean of each
+    triad.
+    """
     relative: dict[bool, list[float]] = {}
     for index, axis in enumerate(axes):
         if axis.chip == chip:
-            triad = [square[other] for other, its in enumerate(axes) if its.sensor == axis.sensor]
+            triad = [square[index] for index, other in enumerate(axes) if other.sensor == axis.sensor]
             relative.setdefault(axis.in_plane, []).append(float(square[index] / np.mean(triad)))
     return {kind: float(np.mean(squares)) for kind, squares in relative.items()}

@@ -1,4 +1,4 @@
-"""The interface of a technique, the noise of its axes, and `mean`, the technique that weighs every axis the same."""
+"""The interface of a technique, the noise of its axes, and `mean`, the technique with equal weights."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from imuarray.fuse.frames import Axis, Estimate, Frames, directions
 from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]
-"""Frames of one quantity, block after block in order, to their estimate; the result does not depend on the blocks."""
+"""Maps consecutive blocks of frames of one quantity to their estimates; the result does not depend on the blocks."""
 
 
 @dataclass(frozen=True)
 class FixedWeights:
-    """A technique that gives each axis (m,) the same weight in every frame, as long as its reading is valid; `rows`
-    (m, 3) are the directions of the axes, `noise` (m,) is theirs, `slow` what their calibrations leave unknown.
+    """A technique with the same weight (m,) of an axis in every frame in which its reading is valid; `rows` (m, 3) are
+    the directions of the axes, `noise` (m,) their noise, `slow` the remaining errors of their calibrations.
     """
 
     rows: Floats
@@ -28,8 +28,8 @@ class FixedWeights:
     slow: SlowErrors | None = None
 
     def __call__(self, frames: Frames) -> Estimate:
-        """Weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole array, as
-        far as the frame's offsets are known: they are removed before, and their own weighted mean is added.
+        """Solve weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole
+        array if its offsets are known: they are removed first, and their own weighted mean is added.
         """
         weights = self.weights * frames.valid
         if frames.offsets is None:
@@ -43,7 +43,9 @@ class FixedWeights:
         return estimate
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
-        """The gain (3, m) of frames whose readings are all valid, and what makes their estimate of their triads."""
+        """Return the gain (3, m) of frames whose readings are all valid, and the function from their triads to their
+        estimate.
+        """
         zeros = np.zeros((1, len(self.weights)))
         alone = weighted(zeros, self.weights[None], self.rows, self.noise)
         gain = whole_gain(self.weights, self.rows)
@@ -59,25 +61,23 @@ class FixedWeights:
 
 
 Maker = Callable[[Sequence[Axis]], Technique]
-"""The axes of one quantity to a technique for them; FusionError if they can't feed it."""
+"""Creates a technique for the axes of one quantity; FusionError if they are not sufficient."""
 
 WORTH_WEIGHING = 1.25
-"""Ratio of variances below which inverse-variance weights would gain less than 1 % over equal ones, and are left
-alone.
-"""
+"""Least ratio of variances for inverse-variance weights; below it they would gain less than 1 % over equal weights."""
 
 
 def noise_of(axes: Sequence[Axis]) -> Floats:
-    """(m,) the noise of each axis, NaN where it is not known."""
+    """Return the noise (m,) of each axis, NaN if not known."""
     return np.array([np.nan if axis.noise_si is None else axis.noise_si for axis in axes])
 
 
 def known_noise_of(axes: Sequence[Axis]) -> Floats:
-    """(m,) the noise of each axis; FusionError where it is not known or there is none."""
+    """Return the noise (m,) of each axis; FusionError if it is not known or zero."""
     for axis in axes:
         if axis.noise_si is None:
             raise FusionError(
-                f"sensor {axis.sensor}: its noise is not known; run `imuarray calibrate noise` and give the file"
+                f"sensor {axis.sensor}: its noise is not known; run `imuarray calibrate noise` and pass the file"
             )
         if not axis.noise_si > 0:
             raise FusionError(
@@ -87,5 +87,5 @@ def known_noise_of(axes: Sequence[Axis]) -> Floats:
 
 
 def mean(axes: Sequence[Axis]) -> Technique:
-    """The simple average of the literature (paper, section 2): the yardstick."""
+    """Return the simple average of the literature (paper, section 2), with which the others are compared."""
     return FixedWeights(directions(axes), np.ones(len(axes)), noise_of(axes), SlowErrors(axes))

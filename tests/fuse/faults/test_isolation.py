@@ -220,21 +220,21 @@ def test_the_sentence_says_how_much() -> None:
     assert np.degrees(events[0].size_si) == pytest.approx(5.0, abs=0.3)
     assert events[0].sentence.startswith("16.00 s: Gyro2 z is off by ")
     assert " dps (" in events[0].sentence
-    assert events[0].sentence.endswith(" sigma): left out")
+    assert events[0].sentence.endswith(" sigma): excluded")
 
 
 @pytest.mark.parametrize(
     ("axes", "state", "sentence"),
     [
-        ("y", "isolated", "2.00 s: A y scatters 3 times as much as before (9 sigma): left out"),
-        ("xz", "isolated", "2.00 s: A x and z scatter 3 times as much as before (9 sigma): left out"),
-        ("xyz", "isolated", "2.00 s: A scatters 3 times as much as before (9 sigma): left out"),
+        ("y", "isolated", "2.00 s: A y scatters 3 times as much as before (9 sigma): excluded"),
+        ("xz", "isolated", "2.00 s: A x and z scatter 3 times as much as before (9 sigma): excluded"),
+        ("xyz", "isolated", "2.00 s: A scatters 3 times as much as before (9 sigma): excluded"),
         ("xz", "readmitted", "2.00 s: A x and z agree with the others again: back in use"),
         (
             "xz",
             "not isolated",
             "2.00 s: A x and z scatter 3 times as much as before (9 sigma), or the fault is in B or C: "
-            "not isolated, all stay in use",
+            "not isolated, all remain in use",
         ),
     ],
 )

@@ -120,7 +120,7 @@ def test_of_two_triads_nobody_knows_who_is_off(pair: tuple[str, str]) -> None:
     assert whole.valid.all()
     assert [event.state for event in events] == ["not isolated"]
     assert {events[0].sensor, *events[0].others} == set(pair)
-    assert f"sigma), or the fault is in {events[0].others[0]}: not isolated, all stay in use" in events[0].sentence
+    assert f"sigma), or the fault is in {events[0].others[0]}: not isolated, all remain in use" in events[0].sentence
 
 
 KNOCK_ROWS = (900, 1100, 1400, 1650)
@@ -275,7 +275,7 @@ def test_noise_is_learnt_also_where_a_sensor_comes_late_or_starts_stuck() -> Non
 
 def test_what_can_not_be_watched_is_refused() -> None:
     axes = at_rest().axes
-    with pytest.raises(FusionError, match="whole triads"):
+    with pytest.raises(FusionError, match="triads in the order"):
         FaultMonitor(axes[:4], "specific_force", period_s=0.01)
     with pytest.raises(FusionError, match="ADXL1"):
         FaultMonitor((*axes[:2], axes[5]), "specific_force", period_s=0.01)

@@ -23,6 +23,6 @@ def test_what_goes_in_last_comes_out_first() -> None:
     for got, put in zip(taken, [groups[2], groups[4], groups[3], groups[1], groups[0]], strict=True):
         assert [array.shape for array in got] == [array.shape for array in put]
         assert all((a == b).all() for a, b in zip(got, put, strict=True))
-    with pytest.raises(IndexError, match="nothing is on the spool"):
+    with pytest.raises(IndexError, match="the spool is empty"):
         spool.pop()
     spool.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.fuse.optimal.states import Adjoint, FeltStates, Gaussian, Innovation, backwards, corrected
+from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected
 
 ROWS, STATES = 6, 40
 
@@ -28,7 +28,7 @@ def test_what_rows_feel_is_the_product_with_the_whole_matrix(terms: int) -> None
     dense = _dense(rng, terms)
     flat = dense.reshape(-1, STATES)
     belief = Gaussian(rng.normal(size=STATES), _spread(rng, STATES))
-    mean, covariance = FeltStates(dense).of(belief)
+    mean, covariance = StateResponse(dense).of(belief)
     np.testing.assert_allclose(mean.ravel(), flat @ belief.mean, rtol=1e-12, atol=1e-12)
     expected = flat @ belief.covariance @ flat.T
     np.testing.assert_allclose(covariance.reshape(expected.shape), expected, rtol=1e-12, atol=1e-11)
@@ -41,14 +41,14 @@ def test_what_rows_feel_of_smoothed_states() -> None:
     flat = dense.reshape(-1, STATES)
     belief = Gaussian(rng.normal(size=STATES), _spread(rng, STATES) / STATES)
     adjoint = Adjoint(rng.normal(size=STATES), _spread(rng, STATES) / 1e4)
-    mean, covariance = FeltStates(dense).of(belief, adjoint)
+    mean, covariance = StateResponse(dense).of(belief, adjoint)
     smoothed = belief.covariance - belief.covariance @ adjoint.matrix @ belief.covariance
     np.testing.assert_allclose(mean.ravel(), flat @ (belief.mean - belief.covariance @ adjoint.vector), atol=1e-12)
     np.testing.assert_allclose(covariance.reshape(len(flat), -1), flat @ smoothed @ flat.T, atol=1e-12)
 
 
 def test_states_that_nothing_feels() -> None:
-    mean, covariance = FeltStates(np.zeros((1, 3, 0))).of(Gaussian(np.zeros(0), np.zeros((0, 0))))
+    mean, covariance = StateResponse(np.zeros((1, 3, 0))).of(Gaussian(np.zeros(0), np.zeros((0, 0))))
     assert mean.tolist() == [[0.0, 0.0, 0.0]] and not covariance.any()
 
 

@@ -1,4 +1,4 @@
-"""The blend of measuring ranges: inverse-variance weights, the low range fading out, the rest staying on its level."""
+"""The blend of measuring ranges: inverse-variance weights; the low range fades out, the rest keeps its level."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from imuarray.fuse.techniques.ranges.relative import GAP_S, DifferenceStates, Tr
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 
 FOLLOWED_PERIODS = 3
-"""Two frames further apart than this many periods of the sensors' bandwidth don't tell how the motion changes."""
+"""Longest time between two frames from which the slope of the motion is computed, in periods of the sensors' bandwidth.
+"""
 
 
 def ranges(axes: Sequence[Axis]) -> Technique:
-    """Low and high measuring ranges blended by inverse variance (paper, section 2.3; there of one design, here also of
-    designs that have a range each): a `RangeBlend`.
+    """Return a `RangeBlend`: low and high measuring ranges blended by inverse variance (paper, section 2.3; there of
+    one design, here also of designs with one range each).
     """
     return RangeBlend(axes)
 
 
 class RangeBlend:
-    """Weights by `range_weights`; a low range fades out before its end and comes back settled (`Fading`).
+    """Weights by `range_weights`; a low range fades out before its end and returns when it has settled (`Fading`).
 
-    What the axes read differently (`Tracker`) is taken out of each of them: nobody knows which of them is right, so
-    that the level of the whole blend is kept, and where the low range is out the others are brought to that level. The
-    corrections cancel in the weighted mean of all axes; at the hand-over they leave no step. They stay as long as the
-    low range is out: the last is the best known, though the covariance then holds its growing uncertainty.
+    The differences between the axes (`Tracker`) are removed from each of them. Which axis is right is unknown, so the
+    level of the whole blend is kept, and while the low range is out the others are corrected to that level. The
+    corrections cancel in the weighted mean of all axes, so that the transition has no step. While the low range is out
+    the last corrections are used, and their growing uncertainty is part of the covariance.
     """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
-        """FusionError where the noise of an axis is not known."""
+        """FusionError if the noise of an axis is not known."""
         self._rows, self._noise, self._slow = directions(axes), known_noise_of(axes), SlowErrors(axes)
         self._weights = range_weights(axes)
         self._fading = Fading(axes) if changes(axes) else None
@@ -47,7 +48,7 @@ class RangeBlend:
         self._last_triad = np.zeros((0, 3))
 
     def __call__(self, frames: Frames) -> Estimate:
-        """The estimate of the next block."""
+        """Estimate the next block."""
         if self._fading is None:
             return FixedWeights(self._rows, self._weights, self._noise, self._slow)(frames)
         wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
@@ -73,8 +74,8 @@ class RangeBlend:
         return [relative.sentence(quantity) for relative, low in result if low]
 
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
-        """(n, 3) change per second over the last two frames, so that nothing of the future is needed; zero where that
-        is not known, or where the motion can be another one within two frames: a delay is then left in.
+        """Return the change per second (n, 3) over the last two frames, which is causal; zero if not known, or if the
+        motion may have changed within two frames: delays are then not corrected.
         """
         times, triads = np.concatenate([self._last_time, time]), np.concatenate([self._last_triad, triad])
         slope = np.zeros_like(triads)
@@ -87,8 +88,8 @@ class RangeBlend:
     def _uncertainty(
         self, states: DifferenceStates, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
     ) -> Floats:
-        """(n, 6) covariance of what the corrections may be wrong, where they don't cancel: by how far the gains are
-        from those of the whole blend.
+        """Return the covariance (n, 6) by errors of the corrections where they do not cancel, from the difference of
+        the gains from those of the whole blend.
         """
         extra = np.zeros((len(triad), 6))
         off = np.flatnonzero((share < 1).any(axis=1) & np.isfinite(triad).all(axis=1))
@@ -101,11 +102,11 @@ class RangeBlend:
 
 
 def range_weights(axes: Sequence[Axis]) -> Floats:
-    """(m,) Within a design of several measuring ranges each weighs by its inverse variance, a mean over its units and
-    axes; so do the ranges of the designs that have but one, taken together.
+    """Return the weights (m,): within a design of several measuring ranges, the inverse variance of each range, a mean
+    over its units and axes; likewise for the ranges of all designs with a single range together.
 
-    Ranges that scatter too much alike for a gain weigh as in the average, and no design gains on another of the same
-    range. FusionError where the noise of an axis is not known.
+    Ranges with similar variances have equal weights, because weights would gain little, and designs of the same range
+    have equal weights. FusionError if the noise of an axis is not known.
     """
     noise = known_noise_of(axes)
     weights = np.ones(len(axes))
@@ -119,7 +120,7 @@ def range_weights(axes: Sequence[Axis]) -> Floats:
 
 
 def _families(axes: Sequence[Axis]) -> list[list[int]]:
-    """The axes (indices) of every design of several ranges, and those of all other designs together."""
+    """Return the axes (indices) of every design of several ranges, and those of all other designs together."""
     ranges_of: dict[str, set[float]] = {}
     for axis in axes:
         ranges_of.setdefault(axis.chip, set()).add(axis.range_si)
@@ -130,5 +131,5 @@ def _families(axes: Sequence[Axis]) -> list[list[int]]:
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """Name the sensors whose low range it fades out."""
+    """Return the sensors whose low range fades out."""
     return list(dict.fromkeys(axis.sensor for axis in axes if has_low_range(axis, axes)))

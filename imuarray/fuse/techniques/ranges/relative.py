@@ -1,7 +1,7 @@
 """Tracking of the differences between each axis and the blend of all axes: a bias, a scale and a delay.
 
-`Blends` are the weighted means of any set of an array's axes, with the share of each axis' error that shows against
-them. For an axis along ``r`` the residual against the blend B of all axes is ::
+`Blends` are the weighted means of any set of an array's axes, with the share of each axis's error that is visible with
+respect to them. For an axis along ``r`` the residual with respect to the blend B of all axes is ::
 
     value - r.B = bias + scale (r.B) - delay d(r.B)/dt + noise
 
@@ -12,7 +12,7 @@ and delay; a segment without enough of it determines the bias alone. At the star
 1 %, their delays by 0 +- that of a second-order low-pass of their bandwidth, ``1 / (sqrt(2) pi bandwidth)``.
 
 Weighted by the blend, the residuals add up to zero: only differences between axes are observable, and the blend's own
-level is kept. While a sensor is out nothing is learned; its last estimate is kept, and its uncertainty grows.
+level is kept. While a sensor is not used its last estimate is kept, and its uncertainty grows.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from imuarray.units import READABLE_SI
 
 
 class Blend(NamedTuple):
-    """Blend of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
-    variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares. `seen`
-    (m,): there is something to see. `through` (m, m): how much of the bias of each axis shows along each axis, by the
-    triad; `turned` (m, m) the same of what goes with the signal along the axis.
+    """Blend of a set of axes: the gain (3, m), the noise (m,) of its triad `along` each axis, the variance (m,) of the
+    residuals, the share of every axis's error in them, `apart` (m, m), with its sums of squares `share` (m,), and
+    whether these are not zero, `seen` (m,). `through` (m, m) is the effect of the bias of each axis on the triad along
+    each axis; `turned` (m, m) is the same for errors that are proportional to the signal along the axis.
     """
 
     gain: Floats
@@ -49,8 +49,8 @@ class Blend(NamedTuple):
     turned: Floats
 
     def level(self, differences: Floats) -> Floats:
-        """(..., m, 3) What of the differences (..., m, 3: bias, scale, delay) of the axes is the blend's own, along
-        each axis: nothing, if they were told by this blend.
+        """Return the level (..., m, 3) of the blend along each axis for differences (..., m, 3: bias, scale, delay) of
+        the axes: zero if they are differences from this blend.
         """
         result = np.empty_like(differences)
         result[..., 0] = differences[..., 0] @ self.through.T
@@ -59,14 +59,14 @@ class Blend(NamedTuple):
 
 
 class Blends:
-    """The blends of axes along `rows` (m, 3), with `weights` and `noise` (m,), by which of them are there."""
+    """The blends of subsets of axes along `rows` (m, 3), with `weights` and `noise` (m,)."""
 
     def __init__(self, rows: Floats, weights: Floats, noise: Floats) -> None:
         self._rows, self._weights, self._noise = rows, weights, noise
         self._known: dict[bytes, Blend | None] = {}
 
     def of(self, present: npt.NDArray[np.bool_]) -> Blend | None:
-        """The blend of the axes `present` (m,); None if they don't span space."""
+        """Return the blend of the axes `present` (m,); None if they do not span space."""
         key = present.tobytes()
         if key not in self._known:
             spans = present.any() and np.linalg.matrix_rank(self._rows[present], tol=1e-3) == 3
@@ -83,13 +83,13 @@ class Blends:
 
 
 SEGMENT = 64
-"""Frames that are looked at together."""
+"""Number of frames that are processed together."""
 
 GAP_S = 0.5
-"""Two frames further apart than this tell no slope."""
+"""Longest time between two frames from which a slope is computed."""
 
 _ENOUGH = 10.0
-"""Times its noise that a motion's mean square must have: with less, the noise of the regressor would weaken the result
+"""Least mean square of a motion relative to its noise: with less, the noise of the regressor would attenuate the result
 by more than a tenth.
 """
 
@@ -97,7 +97,7 @@ _FEWEST = 8
 
 
 class TrackedFrames(NamedTuple):
-    """n frames to learn from: time (n,), values and valid (n, m); `steady` (n,): no sensor is on its way out or in."""
+    """n frames: time (n,), values and valid (n, m); `steady` (n,) is true if no sensor is fading."""
 
     time: Times
     values: Floats
@@ -105,7 +105,7 @@ class TrackedFrames(NamedTuple):
     steady: Booleans
 
     def then(self, other: TrackedFrames) -> TrackedFrames:
-        """These rows and then the others."""
+        """Return these rows followed by the others."""
         return TrackedFrames(
             np.concatenate([self.time, other.time]),
             np.concatenate([self.values, other.values]),
@@ -114,14 +114,14 @@ class TrackedFrames(NamedTuple):
         )
 
     def part(self, rows: slice) -> TrackedFrames:
-        """Some of the rows."""
+        """Return some of the rows."""
         return TrackedFrames(self.time[rows], self.values[rows], self.valid[rows], self.steady[rows])
 
 
 class SegmentMoments(NamedTuple):
-    """Moments of one segment: when it ended (ns), the axes present (m,), which of them moved enough to tell more than a
-    bias (m,); sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m, 3);
-    all zero where it tells nothing.
+    """Moments of one segment: its end (ns), the axes present (m,), those that `moved` (m,) enough to determine more
+    than a bias; sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m,
+    3); all zero without information.
     """
 
     end_ns: int
@@ -132,8 +132,8 @@ class SegmentMoments(NamedTuple):
 
 
 def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> Iterator[SegmentMoments]:
-    """The sums over each whole segment. A frame counts if it is steady, as its neighbours are, and no axis that is
-    present in the segment is missing in it.
+    """Yield the sums over each whole segment. A frame counts if it and its neighbours are steady, and if no axis that
+    is present in the segment is missing in it.
     """
     count = len(rows.time) // SEGMENT
     if not count:
@@ -142,33 +142,33 @@ def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> Iterator
     time_s = ((rows.time - rows.time[0]) * 1e-9).reshape(shape)
     valid, steady = rows.valid.reshape(*shape, axes), rows.steady.reshape(shape)
     present = np.asarray((valid & steady[:, :, None]).any(axis=1))
-    taken = steady & (valid | ~present[:, None, :]).all(axis=2)
+    used = steady & (valid | ~present[:, None, :]).all(axis=2)
     values = np.where(valid, rows.values.reshape(*shape, axes), 0.0)
     result = [blends.of(some) for some in present]
     gain = np.array([np.zeros((3, axes)) if blend is None else blend.gain for blend in result])
     noise = np.array([np.zeros(axes) if blend is None else blend.along for blend in result])
     triads = values @ gain.transpose(0, 2, 1)
     passed_s = np.maximum(time_s[:, 2:] - time_s[:, :-2], 1e-9)
-    taken = taken[:, 1:-1] & taken[:, :-2] & taken[:, 2:] & (passed_s <= GAP_S)
+    used = used[:, 1:-1] & used[:, :-2] & used[:, 2:] & (passed_s <= GAP_S)
     late = -(triads[:, 2:] - triads[:, :-2]) / passed_s[:, :, None] @ directions.T
     along = triads[:, 1:-1] @ directions.T
-    moved, products, residual = _sums(along, late, values[:, 1:-1] - along, taken, noise, passed_s.mean(axis=1))
+    moved, products, residual = _sums(along, late, values[:, 1:-1] - along, used, noise, passed_s.mean(axis=1))
     for index, blend in enumerate(result):
-        known = np.zeros(axes) if blend is None or taken[index].sum() < _FEWEST else blend.seen * 1.0
+        known = np.zeros(axes) if blend is None or used[index].sum() < _FEWEST else blend.seen * 1.0
         end_ns = int(rows.time[(index + 1) * SEGMENT - 1])
         sums = products[index] * known[:, None, None], residual[index] * known[:, None]
         yield SegmentMoments(end_ns, present[index], moved[index], *sums)
 
 
 def _sums(
-    along: Floats, late: Floats, residual: Floats, taken: Booleans, noise: Floats, passed_s: Floats
+    along: Floats, late: Floats, residual: Floats, used: Booleans, noise: Floats, passed_s: Floats
 ) -> tuple[Booleans, Floats, Floats]:
-    """Return which axes moved (k, m), and sums over the frames `taken` (k, n) of each segment: products of 1, signal
-    and effect of a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
+    """Return which axes moved (k, m), and sums over the `used` frames (k, n) of each segment: products of 1, signal and
+    effect of a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
 
-    A signal that moves too little against its `noise` (k, m) is as good as its mean, a slope as good as none.
+    A signal with little motion compared with its `noise` (k, m) is replaced by its mean, a slope by zero.
     """
-    item = taken[:, :, None].astype(float)
+    item = used[:, :, None].astype(float)
     count = np.maximum(item.sum(axis=1), 1.0)
     mean = (along * item).sum(axis=1) / count
     moving = ((along - mean[:, None]) ** 2 * item).sum(axis=1) > _ENOUGH * count * noise**2
@@ -183,10 +183,10 @@ def _sums(
 
 
 MEMORY_S = 20.0
-"""How far back the bias looks."""
+"""Memory of the bias at rest."""
 
 BIAS_PRIOR, SCALE_PRIOR = 0.05, 0.01
-"""Standard deviations at the start: of the difference of two biases as a share of the lowest range, of two scales."""
+"""Standard deviations at the start: of the difference of two biases relative to the lowest range, and of two scales."""
 
 _WALK_PER_S = 0.01
 """Random walk of scale and delay in a second, in standard deviations at the start."""
@@ -194,13 +194,13 @@ _WALK_PER_S = 0.01
 _ONE = np.eye(3)
 
 _DOUBT = 1.0
-"""Times its variance that is taken from the square of a scale or delay before it is used."""
+"""Multiple of its variance that is subtracted from the square of a scale or delay before it is used."""
 
 
 @dataclass(frozen=True)
 class Relative:
-    """The difference of one axis from the blend of the array: `bias_si`, `scale` (a share) and `delay_s` (it is late by
-    so much), each with its standard error. Differences between two axes are what has a meaning.
+    """The difference of one axis from the blend of the array: `bias_si`, relative `scale` and `delay_s`, each with its
+    standard error. Only differences between two axes are meaningful.
     """
 
     label: str
@@ -212,9 +212,8 @@ class Relative:
     delay_sem_s: float
 
     def sentence(self, quantity: str) -> str:
-        """ "BMA3 x beside the blend: +12.300 +- 0.400 mg, +0.12 +- 0.05 %"; `quantity` as in the log.
-
-        A scale or a delay that is told from none by less than two standard errors is not said.
+        """Return for example "BMA3 x relative to the blend: +12.300 +- 0.400 mg, +0.12 +- 0.05 %"; `quantity` as in a
+        log. A scale or delay below two standard errors is omitted.
         """
         factor, unit = READABLE_SI[quantity]
         words = [f"{factor * self.bias_si:+.3f} +- {factor * self.bias_sem_si:.3f} {unit}"]
@@ -229,8 +228,8 @@ class Relative:
 
 @dataclass(frozen=True)
 class DifferenceStates:
-    """States of n frames: frame i has `differences[which[i]]` (k, m, 3): bias, scale, delay of each axis, with
-    `covariances` (k, m, 3, 3) of each axis' own share of them, as if the errors of axes were independent.
+    """States of n frames: frame i has `differences[which[i]]` (k, m, 3): bias, scale, delay of each axis, with the
+    `covariances` (k, m, 3, 3) of each axis's own part of them, as if the errors of axes were independent.
     """
 
     which: npt.NDArray[np.intp]
@@ -238,13 +237,15 @@ class DifferenceStates:
     covariances: Floats
 
     def variances(self, frames: npt.NDArray[np.intp], along: Floats, slope: Floats) -> Floats:
-        """(k, m) variance of the corrections of these frames at signals `along` (k, m) with `slope` (k, m)."""
+        """Return the variance (k, m) of the corrections of these frames at signals `along` (k, m) with `slope`
+        (k, m).
+        """
         terms = np.stack([np.ones_like(along), along, -slope], axis=-1)
         return np.asarray(np.einsum("kmi,kmij,kmj->km", terms, self.covariances[self.which[frames]], terms))
 
 
 class Tracker:
-    """The differences between the axes of an array; fed with consecutive blocks."""
+    """Estimates the differences between the axes of an array over consecutive blocks."""
 
     def __init__(self, axes: Sequence[Axis], weights: Floats, noise: Floats) -> None:
         """`weights` and `noise` (m,): the blend in which all axes are used."""
@@ -266,7 +267,7 @@ class Tracker:
         self._held: TrackedFrames | None = None
 
     def relative(self) -> list[Relative]:
-        """Return how each axis differs from the blend, as far as is known by now."""
+        """Return the current estimate of the difference of each axis from the blend."""
         errors = np.sqrt(np.diagonal(self._covariances, axis1=1, axis2=2))
         return [
             Relative(axis.label, *(float(figure) for pair in zip(result, error, strict=True) for figure in pair))
@@ -287,28 +288,29 @@ class Tracker:
         return DifferenceStates(which, *self._corrections(np.array(differences), np.array(covariances)))
 
     def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-        """The corrected differences (k, m, 3), and their covariances (k, m, 3, 3) as in `DifferenceStates`.
+        """Return the differences (k, m, 3) for corrections, and their covariances (k, m, 3, 3) as in
+        `DifferenceStates`.
 
-        A scale or delay that is hardly told from none counts for less, or nothing, so that sensors that agree lose
-        nothing; the bias is then what goes with it, and what was left out is in the covariance.
+        A scale or delay that is not significant is reduced, or set to zero, so that sensors that agree do not get
+        worse; the bias changes with it, and the covariance includes the omitted part.
         """
         if self._whole is None:
             return differences, covariances
         doubt = _DOUBT * np.diagonal(covariances, axis1=2, axis2=3)[..., 1:]
         share = np.minimum(doubt / np.maximum(differences[..., 1:] ** 2, 1e-300), 1.0)
         less = -share * differences[..., 1:]
-        # The covariance of scale and delay; of an axis that can't be seen there is none.
+        # The covariance of scale and delay; that of an axis without a visible difference is zero.
         own = covariances[..., 1:, 1:] + np.where(self._whole.seen, 0.0, 1.0)[:, None, None] * np.eye(2)
         known = np.linalg.solve(own, less[..., None])[..., 0]
         bias = (covariances[..., 0, 1:] * known).sum(axis=-1, keepdims=True)
-        left_out = np.concatenate([bias, less], axis=-1)
-        result = differences + left_out
+        omitted = np.concatenate([bias, less], axis=-1)
+        result = differences + omitted
         result = result - self._whole.level(result)
-        covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
+        covariances = covariances + omitted[..., :, None] * omitted[..., None, :]
         return result, covariances / self._share[:, None, None]
 
     def _learn(self, moments: SegmentMoments) -> None:
-        """One step of the filters: everything walks, then the segment is taken in."""
+        """Do one step of the filters: prediction, then update by the segment."""
         passed_s = 0.0 if self._end_ns is None else (moments.end_ns - self._end_ns) * 1e-9
         self._end_ns = moments.end_ns
         walk = self._prior * _WALK_PER_S**2 * passed_s
@@ -317,19 +319,19 @@ class Tracker:
         blend = self._blends.of(moments.present)
         if blend is None or not moments.products.any():
             return
-        # Against the blend of those present; what these differ from the blend of all is known from before.
+        # Residuals with respect to the blend of those present, whose difference from the blend of all is estimated.
         shift = blend.level(self._differences) - self._differences
         residual = moments.residual + (moments.products @ shift[:, :, None])[..., 0]
         weight = 1 / np.where(blend.seen, blend.variance, 1.0)[:, None]
-        gain, self._covariances = _taken_in(self._covariances, moments.products * weight[:, :, None], moments.moved)
+        gain, self._covariances = _updated(self._covariances, moments.products * weight[:, :, None], moments.moved)
         self._differences = self._differences + (gain @ (residual * weight)[:, :, None])[..., 0]
 
 
-def _taken_in(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
-    """Gains (m, 3, 3) and the covariances (m, 3, 3) after them.
+def _updated(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
+    """Return the gains (m, 3, 3) and the updated covariances (m, 3, 3).
 
-    Where an axis has not `moved` (m,) only the bias is told, though scale and delay are as uncertain as they are
-    (Schmidt's filter): a bias that drifts at rest must not be taken for a scale.
+    For an axis that has not `moved` (m,) only the bias is estimated, with scale and delay uncertain (Schmidt's filter),
+    so that a bias that drifts at rest is not mistaken for a scale.
     """
     best = np.linalg.solve(_ONE + covariances @ information, covariances)
     gain = best if moved.all() else best * np.stack([np.ones_like(moved), moved, moved], axis=1)[:, :, None]
